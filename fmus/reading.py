@@ -8,9 +8,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import math
-import os
 import re
-import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -97,8 +95,3 @@ def read_xml(path: Path, label: str) -> ET.Element:
         raise InputError(f"{label}: there is no such file") from None
     except (OSError, ET.ParseError, ValueError, LookupError) as error:
         raise InputError(f"{label}: not well-formed XML: {one_line(error)}") from None
-
-
-def is_noexec(folder: Path) -> bool:
-    """Whether no library can be loaded from a folder, since its file system is mounted noexec."""
-    return sys.platform == "linux" and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE
 from ..fmus.errors import CosimError
-from ..fmus.files.fmu_file import Fmu
 from ..fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
+from ..fmus.master.fmu_file import Fmu
 from ..fmus.master.system import OpenSystem, System, open_system
 from ..fmus.sources.targets import Kind
 from ..plant.plant import Plant, PlantParameters

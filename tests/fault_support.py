@@ -71,12 +71,6 @@ class FaultyPlant(Fmi2Slave):
             os._exit(3)
         if self.fault == "c-exit":
             ctypes.CDLL(None).exit(0)
-        if self.fault == "python-exit":
-            ctypes.pythonapi.Py_Exit(0)
-        if self.fault == "fork-exit":
-            if os.fork() == 0:
-                ctypes.CDLL(None).exit(0)
-            os.wait()
         if self.fault == "read" and os.read(0, 1):
             raise ValueError("there was something to read")
         if self.fault == "orphan":

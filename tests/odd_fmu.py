@@ -34,14 +34,10 @@ def odd_fmu(
     experiment: str = "",
     varies: str = "true",
 ) -> Path:
-    """Write an FMU with these variables.
+    """Write an FMU; references of outputs are 100 above those of what they follow.
 
-    Args:
-        path: The file.
-        variables: References of outputs are 100 above those of what they follow.
-        flags: More attributes of <CoSimulation>.
-        experiment: A <DefaultExperiment> element.
-        varies: Whether it can handle a communication step of any size.
+    `flags` are more attributes of <CoSimulation>, `experiment` is an element <DefaultExperiment>,
+    and `varies` says whether it can handle a communication step of any size.
     """
     lines = []
     for name, kind, causality, reference in variables:
@@ -72,16 +68,7 @@ def odd_ssp(
     experiment: str = '<ssd:DefaultExperiment stopTime="0.01"/>',
     name: str = "odd",
 ) -> Path:
-    """Write a system of FMUs that are not connected.
-
-    Args:
-        path: The file.
-        fmus: By component.
-        outputs: Output connectors by component.
-        parameters: Elements of a parameter set, by component.
-        experiment: The <ssd:DefaultExperiment> element.
-        name: Name of the system.
-    """
+    """Write a system of FMUs that are not connected, with parts of it by component."""
     components = []
     for component, fmu in fmus.items():
         connectors = "".join(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from panda_cosim import Recording
-from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.master.fmu_file import Fmu
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -14,15 +13,6 @@ from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.recording import Recording
 
 pytestmark = pytest.mark.fmu
-
-# Set for the C library as a host with a user interface does; Python alone leaves LC_NUMERIC as C.
-WITH_LOCALE = """
-import locale, sys
-locale.setlocale(locale.LC_ALL, "")
-assert locale.localeconv()["decimal_point"] == ",", locale.localeconv()
-sys.argv = sys.argv[1:]
-exec(sys.argv[0])
-"""
 
 
 @pytest.fixture(scope="module")
@@ -82,53 +72,6 @@ def test_the_environment_changes_no_bit(
     tmp_path: Path, scenario: Path, expected: str, kind: str
 ) -> None:
     assert run(scenario, tmp_path / "run", **SETTINGS[kind]) == expected
-
-
-def test_the_working_directory_changes_no_bit(
-    tmp_path: Path, scenario: Path, expected: str
-) -> None:
-    """Nor do modules that happen to lie there, of the same names as this project's."""
-    here = tmp_path / "with blank and \u00fc"
-    here.mkdir()
-    for name in ("plant", "controller", "fmus", "scenarios", "assets", "numpy", "mujoco"):
-        (here / f"{name}.py").write_text("raise SystemExit('the wrong module')\n")
-    for name in ("trajectory.csv", "scenario.toml", "panda.xml"):
-        (here / name).write_text("not this one\n")
-    assert run(scenario, tmp_path / "run", cwd=here) == expected
-
-
-@pytest.fixture
-def comma_locale(tmp_path: Path) -> dict[str, str]:
-    """Settings for a locale with a decimal comma: the system's German, or one made here."""
-    names = subprocess.run(
-        ["locale", "-a"], capture_output=True, text=True, check=False, timeout=300
-    ).stdout
-    german = next((n for n in names.split() if n.lower().startswith("de_de.utf")), None)
-    if german:
-        return {"LC_ALL": german}
-    tool = shutil.which("localedef")
-    if tool is None:
-        pytest.skip("needs a German locale, or localedef to make one")
-    source = Path("/usr/share/i18n/locales/de_DE")
-    locale = tmp_path / "locales" / "de_DE.UTF-8"
-    locale.parent.mkdir()
-    subprocess.run(
-        [tool, "-c", "-i", str(source), "-f", "UTF-8", str(locale)],
-        check=False,
-        capture_output=True,
-        timeout=300,
-    )
-    if not locale.exists():
-        pytest.skip("localedef finds no source of the German locale")
-    return {"LOCPATH": str(locale.parent), "LC_ALL": "de_DE.UTF-8"}
-
-
-def test_a_decimal_comma_changes_no_bit(
-    tmp_path: Path, scenario: Path, expected: str, comma_locale: dict[str, str]
-) -> None:
-    first, *options, code, given, out, how = run_command(scenario, tmp_path / "run")
-    command = [first, *options, WITH_LOCALE, code, given, out, how]
-    assert run(scenario, tmp_path / "run", command, **comma_locale) == expected
 
 
 def test_runs_at_the_same_time_change_no_bit(tmp_path: Path, scenario: Path, expected: str) -> None:

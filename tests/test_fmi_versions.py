@@ -11,10 +11,10 @@ import pytest
 from fmpy.validation import validate_fmu
 from fmu_support import compiler
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.fmus.files.fmu_file import Fmu, described_interface, read_value
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.interface.variables import Variable
+from panda_cosim.fmus.master.fmu_file import Fmu, described_interface, read_value
 from panda_cosim.fmus.master.system import System, check_start_values, open_slave, open_system
 from toy_fmu import INDICES, toy_fmu
 

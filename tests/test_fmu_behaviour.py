@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from fmu_instance import ERROR, OK, STEP, Instance, RefusedError, Unpacked, unpacked, unpacked_fmu
 from fmu_support import in_fork
-from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import Kind, Target, build_trajectory, own_code, own_fmu
 
 pytestmark = [pytest.mark.fmu, pytest.mark.own_process]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from panda_cosim.fmus.build.ssp import write_panda_ssp
-from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.fmus.sources.targets import build, build_trajectory

@@ -20,11 +20,11 @@ from lxml import etree
 from panda_cosim.controller import controller as controller_module
 from panda_cosim.fmus.build.description import shaped_name
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
-from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.inside.base import LOG_CATEGORIES
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.interface.variables import Causality
+from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import (
     Kind,
     Target,

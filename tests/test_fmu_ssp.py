@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +9,6 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
-from hypothesis import strategies as st
 from lxml import etree
 from panda_cosim.fmus.build.ssp import (
     CONNECTORS_FILE,
@@ -24,8 +21,6 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.inside.trajectory import HOME
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.sources.targets import build, build_trajectory
-from panda_cosim.scenarios.cli.commands.build import build_all
-from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureDescription.xsd"
 PARAMETERS = {"plant": {"block_pos[1]": 0.45, "block_mass": 0.2}}
@@ -50,32 +45,6 @@ def structure(ssp: Path, name: str = STRUCTURE_FILE) -> str:
 def test_the_structure_follows_the_schema(ssp: Path, name: str) -> None:
     document = etree.fromstring(structure(ssp, name).encode())
     etree.XMLSchema(etree.parse(SCHEMA)).assertValid(document)
-
-
-def test_a_system_holds_its_own_fmus_though_another_build_writes_to_the_folder(
-    tmp_path: Path,
-) -> None:
-    scenario = load_scenario("push_block")
-    build_all(scenario, tmp_path / "alone")
-    out = tmp_path / "both"
-    out.mkdir()
-    other = out / "other"  # stands for the file of another scenario
-    stop = threading.Event()
-
-    def disturb() -> None:
-        while not stop.is_set():
-            other.write_text("of the other one")
-            other.replace(out / "PandaTrajectory.fmu")
-
-    thread = threading.Thread(target=disturb)
-    thread.start()
-    try:
-        build_all(scenario, out)
-    finally:
-        stop.set()
-        thread.join(60.0)
-    system = "Panda.ssp"
-    assert (out / system).read_bytes() == (tmp_path / "alone" / system).read_bytes()
 
 
 def test_the_same_system_gives_the_same_bytes(
@@ -171,26 +140,6 @@ def test_a_transformation_is_refused(ssp: Path, tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match="with a transformation; must be a plain one"):
         system_from_ssp(changed(ssp, tmp_path, change))
-
-
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.integers(0, 10_000), st.sampled_from(["", "\0", "<", '"', "x", "<a/>", "9e999"]))
-def test_a_structure_damaged_anywhere_is_read_or_refused_in_one_line(
-    ssp: Path, tmp_path: Path, place: int, text: str
-) -> None:
-    whole = structure(ssp)
-    place %= len(whole)
-    assume(text != whole[place])  # that would damage nothing
-
-    def change(_: str) -> str:
-        return whole[:place] + text + "#" * (not text) + whole[place + 1 :]
-
-    try:
-        system_from_ssp(changed(ssp, tmp_path, change))
-        message = ""
-    except InputError as error:
-        message = str(error)
-    assert "\n" not in message
 
 
 def test_sensors_are_connected_between_plant_and_controller() -> None:

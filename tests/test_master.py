@@ -195,20 +195,6 @@ def test_gauss_seidel_asks_the_leader_first_and_jacobi_sets_all_then_steps_all(
     assert log == ["get c", "get p", *tick.split(", ") * 2, *last]
 
 
-@pytest.mark.parametrize("scattered", [False, True])
-def test_inputs_arrive_wherever_their_sources_stand(scattered: bool) -> None:
-    """Consecutive columns are used in place, scattered ones are gathered."""
-    names = ["a", "b", "c", "d"]
-    order = ["d", "b", "a", "c"] if scattered else names
-    giver = FakeSlave("giver", lambda _u, _y: None, dict(zip(names, range(4), strict=True)))
-    taker = FakeSlave("taker", lambda _u, _y: None, {"z": 9.0})
-    wires = [Connection(("giver", n), ("taker", f"to_{n}")) for n in order]
-    wires.append(Connection(("taker", "z"), ("taker", "own")))
-    master = Master([giver, taker], {"giver": names, "taker": ["z"]}, wires, [("giver", "w")], H)
-    run(master, BLOCK_ROWS + 3, np.zeros((BLOCK_ROWS + 4, 1)))
-    assert taker.inputs == {"to_a": 0.0, "to_b": 1.0, "to_c": 2.0, "to_d": 3.0, "own": 9.0}
-
-
 def test_an_earlier_leader_hears_a_later_one_a_tick_later() -> None:
     """Three in a ring, a -> b -> c -> a and b -> a: b's answer reaches a at the next tick."""
 
@@ -230,12 +216,6 @@ def test_an_earlier_leader_hears_a_later_one_a_tick_later() -> None:
         expected.append([k * H, a, b, before])
         c = b + 1.0
     np.testing.assert_array_equal(rows, expected)
-
-
-def test_a_slave_without_inputs_or_outputs_is_stepped() -> None:
-    silent = FakeSlave("silent", lambda _u, _y: None, {})
-    run(Master([silent], {}, (), (), H), 5, np.zeros((6, 0)))
-    assert len(silent.times) == 5
 
 
 def breaks(at: int, what: Callable[[dict[str, float]], None]) -> Callable[..., None]:
@@ -330,31 +310,6 @@ def test_a_failure_keeps_all_rows_up_to_it(at: int, coupling: Coupling) -> None:
     np.testing.assert_array_equal(rows, expected[: at + 1])
 
 
-def test_a_leader_that_fails_leaves_its_row_out() -> None:
-    def law(inputs: dict[str, float], outputs: dict[str, float]) -> None:
-        if abs(inputs["r"] - math.sin(5)) < 1e-12:
-            raise SimulationError("no more", time=5 * H, instance="c")
-        drive(inputs, outputs)
-
-    c = FakeSlave("c", law, {"twice": 0.5, "u": 0.25})
-    p = FakeSlave("p", follow, {"x": 1.0, "v": 0.0})
-    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
-    error, rows = collect(Master([c, p], outputs, LOOP, [("c", "r")], H), 20)
-    assert error.instance == "c"
-    assert len(rows) == 5
-
-
-def test_a_value_given_from_outside_is_checked_too() -> None:
-    external = references(20)
-    external[4] = math.nan
-    rows: list[Array] = []
-    with pytest.raises(SimulationError) as caught:
-        loop().run(20, external, lambda block: rows.append(block.copy()))
-    assert (caught.value.instance, caught.value.variable) == ("c", "r")
-    assert caught.value.time == pytest.approx(4 * H)
-    assert sum(map(len, rows)) == 4
-
-
 def test_a_run_stops_on_request_after_whole_steps() -> None:
     master: Master
 
@@ -376,16 +331,6 @@ def test_an_error_of_the_sink_ends_the_run() -> None:
     external[BLOCK_ROWS] = math.nan  # which nobody has used yet
     with pytest.raises(SimulationError, match="disk full"):
         loop().run(BLOCK_ROWS + 5, external, full)
-
-
-def test_any_other_error_passes_with_its_rows_kept() -> None:
-    def surprise(_outputs: dict[str, float]) -> None:
-        raise KeyboardInterrupt
-
-    rows: list[Array] = []
-    with pytest.raises(KeyboardInterrupt):
-        broken(breaks(7, surprise)).run(50, references(50), lambda block: rows.append(block.copy()))
-    assert sum(map(len, rows)) == 8
 
 
 def test_an_unknown_coupling_is_named() -> None:
@@ -438,21 +383,3 @@ def test_what_is_late_is_reported(clock: Callable[[float], Clock]) -> None:
     assert not it.slept
     assert statistics.overruns == 50
     assert statistics.worst_lateness > 0.04
-
-
-def test_rows_are_handed_over_several_times_a_second(clock: Callable[[float], Clock]) -> None:
-    it = clock(0.01)
-    handed: list[tuple[float, int]] = []
-    told: list[int] = []
-    loop().run(
-        200,
-        references(200),
-        lambda rows: handed.append((it.now, len(rows))),
-        realtime=1e9,
-        progress=told.append,
-    )
-    times = [0.0, *(time for time, _ in handed)]
-    assert max(np.diff(times)) <= 0.2
-    assert sum(count for _, count in handed) == 201
-    assert len(told) > 5
-    assert told == sorted(told)

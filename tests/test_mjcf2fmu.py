@@ -12,7 +12,7 @@ import pytest
 from fmpy.validation import validate_fmu
 from fmu_instance import Instance, with_content
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu, taken_warnings
 from panda_cosim.fmus.sources.targets import Target, build_fmu
 from panda_cosim.scenarios.cli.app import app

@@ -108,27 +108,6 @@ def test_integers_and_booleans_are_recorded_and_text_is_noted(
     assert recording["c.on"].tolist() == [1.0] * 11
 
 
-@pytest.mark.parametrize("text", ["2147483648", "2.7"])
-def test_what_is_not_an_integer_of_fmi_is_refused(tmp_path: Path, text: str) -> None:
-    fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
-    parameters = f'<ssv:Parameter name="n"><ssv:Integer value="{text}"/></ssv:Parameter>'
-    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y"]}, {"c": parameters})
-    done = run(ssp, tmp_path / "run")
-    assert done.returncode == 2
-    assert "n = " in done.stderr or "a whole number from -2147483648 to" in done.stderr
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_value_that_cannot_be_set_is_named_as_the_user_knows_it(tmp_path: Path) -> None:
-    fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
-    parameters = '<ssv:Parameter name="y"><ssv:Real value="3"/></ssv:Parameter>'
-    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y"]}, {"c": parameters})
-    for isolate in ((), ("--isolate",)):
-        done = run(ssp, tmp_path / "run", *isolate)
-        told = f"{ssp}: component 'c' (resources/odd.fmu): y: causality output; cannot be set"
-        assert (done.returncode, told in " ".join(done.stderr.split())) == (2, True), done.stderr
-
-
 def test_the_start_time_is_the_first_row_s(tmp_path: Path) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", [*outputs("y"), ("start", "Real", "output", 199)])
     experiment = '<ssd:DefaultExperiment startTime="2.5" stopTime="2.51"/>'
@@ -217,26 +196,6 @@ def test_check_names_what_run_would_warn_of(tmp_path: Path) -> None:
 
 def run_of(scenario: Path) -> subprocess.CompletedProcess[str]:
     return command("run", scenario, "--out", scenario / "run", "--no-video")
-
-
-@pytest.mark.parametrize(
-    ("of_fmu", "of_system"),
-    [
-        ('stepSize="1e-320"', ""),
-        ("", 'stopTime="1e308"'),
-        ("", 'startTime="2" stopTime="1"'),
-    ],
-)
-def test_an_odd_experiment_is_refused_in_one_line(
-    tmp_path: Path, of_fmu: str, of_system: str
-) -> None:
-    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"), "", f"<DefaultExperiment {of_fmu}/>")
-    experiment = f"<ssd:DefaultExperiment {of_system}/>"
-    done = run(odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]}, experiment=experiment),
-               tmp_path / "run")  # fmt: skip
-    assert done.returncode == 2, done.stderr
-    assert done.stderr.splitlines()[-1].startswith("Error: ")
-    assert "unexpected" not in done.stderr
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])

@@ -25,8 +25,6 @@ from fault_support import (
     write_scenario,
 )
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.files.fmu_file import Fmu
-from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.options import Options
 
@@ -73,7 +71,6 @@ FAULTS: list[tuple[str, bool, int, str, int | None]] = [
      r"SimulationError: at t = 0.020 s, in FMU 'plant', variable hand_xpos\[2\]: value nan", 20),
     ("segfault@20", False, -signal.SIGSEGV, "", None),
     ("c-exit@20", False, 1, EXIT, None),
-    ("python-exit@20", False, 1, EXIT, None),
     ("c-exit@init", False, 1, EXIT, 0),
     ("raise@20", True, 1, IN_STEP + "fmi2DoStep returned .*told to", 20),
     ("segfault@20", True, 1, IN_STEP + "its process was ended by SIGSEGV", 20),
@@ -117,13 +114,6 @@ def test_a_failing_fmu_ends_the_run_as_a_failure_with_its_rows_kept(
         summary = json.loads((out / "summary.json").read_text())
         assert summary["complete"] is summary["success"] is False
         assert summary["reason"] == last
-
-
-def test_a_fork_that_exits_is_no_failure(tmp_path: Path, faulty: Path, scenario: Path) -> None:
-    ended = run_with_fault(faulty, scenario, tmp_path / "run", "fork-exit@20")
-    assert ended.returncode == 0, ended.stderr
-    assert Recording.open(tmp_path / "run").rows == 101
-    assert Recording.open(tmp_path / "run").complete
 
 
 # Signals.
@@ -192,42 +182,6 @@ def test_a_step_that_hangs_can_be_left_by_asking_twice(
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == -signal.SIGINT
     assert not Recording.open(tmp_path / "run").complete
-
-
-KILLED = """
-import os, signal, sys
-from panda_cosim.scenarios.cli import main
-
-folder, change = sys.argv[1], int(sys.argv[2])
-changes = ("open", "os.mkdir", "os.remove", "os.rename", "os.rmdir", "shutil.rmtree")
-
-def count(event, arguments):
-    global change
-    if event in changes and str(arguments[0]).startswith(folder):
-        if event != "open" or arguments[2] & os.O_ACCMODE != os.O_RDONLY:
-            change -= 1
-            if change == 0:
-                os.kill(os.getpid(), signal.SIGKILL)
-
-sys.argv[1:] = ["build", "--out", folder, "--fmi", sys.argv[3]]
-sys.addaudithook(count)
-main()
-"""
-
-
-def test_a_build_that_is_killed_before_a_change_of_a_file_leaves_whole_files(
-    tmp_path: Path,
-) -> None:
-    whole: list[dict[str, bytes]] = []
-    for fmi in (2, 3):
-        assert forked.command("build", "--out", tmp_path, "--fmi", fmi).returncode == 0
-        whole.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
-    change = 1
-    while forked.script(KILLED, str(tmp_path), str(change), str(2 + change % 2)).returncode:
-        for path in tmp_path.glob("[!.]*"):
-            assert path.read_bytes() in [each[path.name] for each in whole]
-        change += 5
-    assert change > 12  # at least: make, open and rename four files
 
 
 # What is left behind.
@@ -305,28 +259,6 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scen
             master.kill()
             master.wait(30)
         wait_until(lambda: not processes_with(mark, "remote_slave"))
-
-
-def test_values_go_through_bit_for_bit(faulty: Path) -> None:
-    values = np.array(
-        [[0.1, -0.0, 5e-324], [np.inf, np.nan, 1.7976931348623157e308], [1.0, 2.0, 3.0]]
-    )
-    names = [f"push_force[{i}]" for i in (1, 2, 3)]
-    slave = RemoteSlave("plant", Fmu(faulty))
-    try:
-        slave.initialize({"block_mass": 0.3}, 0.0, 1.0)
-        read = np.zeros_like(values)
-        put, get = slave.bind_set(names, values), slave.bind_get(names, read)
-        for row in range(3):
-            put(row)
-            get(row)
-            slave.step(row * 0.001, 0.001)
-        assert read.tobytes() == values.tobytes()
-        assert slave.get_real(names).tolist() == [1.0, 2.0, 3.0]
-        assert slave.get_real(["block_mass"]).tolist() == [0.3]
-    finally:
-        slave.close()
-        slave.close()
 
 
 @pytest.mark.parametrize("seconds", [0.0, float("nan"), float("inf")])

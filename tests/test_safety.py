@@ -13,37 +13,10 @@ import pytest
 from fault_support import STARTING_LAW, write_scenario
 from hypothesis import given
 from hypothesis import strategies as st
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.files.fmu_file import Fmu
-from panda_cosim.fmus.interface.parameters import expand, parse_assignment
-from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import Target, build
 from panda_cosim.scenarios.files import safe_name
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.scenario import Scenario
 from sweep_support import write_sweep
-
-CODE = "__import__('pathlib').Path('{mark}').touch()"
-
-
-def test_code_in_a_scenario_is_text(tmp_path: Path) -> None:
-    code = CODE.format(mark=tmp_path / "mark")
-    folder = write_scenario(tmp_path / "scenario")
-    toml = folder / "scenario.toml"
-    toml.write_text(toml.read_text().replace('"short"', f'"{code}"'))
-    assert Scenario.read(folder).purpose == code
-    toml.write_text(toml.read_text().replace('"tabletop"', f'"{code}"'))
-    with pytest.raises(InputError, match="must be one of"):
-        Scenario.read(folder)
-    table = folder / "trajectory.csv"
-    toml.write_text(toml.read_text().replace(f'scene = "{code}"', ""))
-    table.write_text(table.read_text().replace("0.02", code))
-    with pytest.raises(InputError, match="must be a number"):
-        Scenario.read(folder)
-    instance, name, value = parse_assignment(f"plant.block_mass={code}", tuple(INTERFACES))
-    with pytest.raises(InputError, match="is not a number"):
-        expand(instance, INTERFACES[instance], {name: value})
-    assert not (tmp_path / "mark").exists()
 
 
 def test_describing_an_fmu_runs_nothing_in_it(
@@ -60,15 +33,6 @@ def test_describing_an_fmu_runs_nothing_in_it(
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
     assert Fmu(changed).variable("qpos[1]").variable.causality == "output"
     assert not mark.exists()
-
-
-def test_a_pickle_is_refused_as_a_recording(tmp_path: Path) -> None:
-    class_call = b"cpathlib\nPath\n(S'" + str(tmp_path / "mark").encode() + b"'\ntRctouch\n."
-    for name in ("recording.parquet", "recording.arrows"):
-        (tmp_path / name).write_bytes(class_call)
-        with pytest.raises(InputError):
-            Recording.open(tmp_path / name)
-    assert not (tmp_path / "mark").exists()
 
 
 # Modules that `python -m` itself imports from the working directory, before any of ours.

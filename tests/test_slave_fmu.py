@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from fmpy.validation import validate_fmu
 from fmu_instance import ERROR, OK, Instance, Unpacked, unpacked_fmu
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.python_fmu import slave_fmu
 from panda_cosim.fmus.sources.targets import Target, build_fmu
 from panda_cosim.scenarios.cli.app import app
@@ -131,19 +130,6 @@ def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, t
         slave_fmu(path)
 
 
-def test_a_slave_may_be_in_a_folder_with_py_in_its_name(folder: Path) -> None:
-    made = shutil.copytree(folder, folder / ".pyenv")
-    words = ["build", "--slave", f"{made / 'decay.py'}:Decay", "--out", str(folder / "out")]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
-    assert (folder / "out" / "Decay.fmu").is_file()
-
-
-def test_a_missing_file_is_refused_also_if_its_class_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"mine.py: cannot be read: No such file"):
-        slave_fmu(tmp_path / "mine.py", "Mine")
-
-
 def test_what_an_editor_leaves_beside_a_slave_does_not_matter(folder: Path) -> None:
     before = slave_fmu(folder / "decay.py").digest
     (folder / ".#decay.py").symlink_to("me@here.4711:1732")
@@ -211,26 +197,3 @@ def test_the_description_of_a_slave_claims_nothing_that_is_not_known(peculiar: P
     first = {unknown.variable.name: unknown for unknown in description.initialUnknowns}
     assert set(first) == {"time", "word"}
     assert first["time"].dependencies is None  # all, the inputs too
-
-
-@pytest.mark.parametrize(
-    ("line", "reason"),
-    [
-        ("import sys; sys.stdout.buffer.write(bytes([255, 10])); 1 / 0", "ZeroDivisionError"),
-        ("input()", "EOFError"),
-    ],
-)
-def test_a_slave_file_neither_reads_our_input_nor_upsets_us_by_what_it_prints(
-    folder: Path, line: str, reason: str
-) -> None:
-    (folder / "decay.py").write_text(f"{line}\n{(folder / 'decay.py').read_text()}")
-    ours, others = os.pipe()  # with nothing in it, and open
-    before = os.dup(0)
-    os.dup2(ours, 0)
-    try:
-        with pytest.raises(CosimError, match=f"cannot be instantiated: {reason}"):
-            slave_fmu(folder / "decay.py", "Decay")
-    finally:
-        os.dup2(before, 0)
-        for descriptor in (ours, others, before):
-            os.close(descriptor)

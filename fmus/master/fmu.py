@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ..errors import InputError, SimulationError
-from ..files.fmu_file import Fmu
 from ..interface.variables import Value
 from ..messages import one_line
-from ..reading import is_noexec
 from .calls import Access, Rearranged, StepCall
+from .fmu_file import Fmu
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 from .wiring import Array, Exchange
 
@@ -174,10 +173,7 @@ class FmuSlave(ABC):
                 instanceName=self.name,
             )
         except Exception as error:  # not a library, or one that lacks FMI functions
-            hint = f"; {self.fmu.folder} is mounted noexec; set PANDA_COSIM_CACHE to another place"
-            raise InputError(
-                f"{self.fmu.label}: {one_line(error)}{hint * is_noexec(self.fmu.folder)}"
-            ) from error
+            raise InputError(f"{self.fmu.label}: {one_line(error)}") from error
         finally:
             with suppress(OSError):
                 os.chdir(here)  # FMPy does not go back if the library cannot be loaded

@@ -12,7 +12,6 @@ import os
 import signal
 import subprocess
 import sys
-import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
@@ -22,17 +21,16 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from ..errors import CosimError, InputError, SimulationError
-from ..files.fmu_file import Fmu
 from ..interface.variables import Value
 from ..processes import SAFE_PATH, end_with, start_from_lasting_thread
 from .fmu import FmuSlave
+from .fmu_file import Fmu
 from .message_log import OnMessage
 from .wiring import Array, Exchange
 
 START_TIMEOUT = 30.0  # [s] for all requests but a step, if there is a step timeout
 CLOSE_TIMEOUT = 5.0  # [s] for freeing the instance
 LEAVE_TIMEOUT = 1.0  # [s] for a process to end after it has closed its connection
-LOOK_INTERVAL: Final = 0.2  # [s] between two checks that the process still runs
 # A new interpreter, not a fork: after a fork, locks of this process's threads would stay locked.
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
@@ -145,7 +143,11 @@ class RemoteSlave:
         self._waiting = True
         try:
             self._connection.send((method, arguments, inputs))
-            self._wait(limit)
+            if not self._connection.poll(limit):
+                self._fail(
+                    f"no answer for {limit:g} s, so its process was ended; a longer --step-timeout "
+                    "gives it more time"
+                )
             error, result, messages = self._connection.recv()
         except (EOFError, OSError):
             self._fail_gone()
@@ -156,18 +158,6 @@ class RemoteSlave:
         if error is not None:
             raise error
         return result
-
-    def _wait(self, limit: float | None) -> None:
-        """Wait for a reply, as long as the process runs and the time limit [s] allows."""
-        until = clock.monotonic() + (np.inf if limit is None else limit)
-        while not self._connection.poll(min(LOOK_INTERVAL, max(0.0, until - clock.monotonic()))):
-            if self._process.poll() is not None:
-                self._fail_gone()
-            if clock.monotonic() >= until:
-                self._fail(
-                    f"no answer for {limit:g} s, so its process was ended; a longer --step-timeout "
-                    "gives it more time"
-                )
 
     def _fail_gone(self) -> NoReturn:
         how = "closed its connection"

@@ -12,12 +12,12 @@ from xml.etree import ElementTree as ET
 from ..atomic import cache_folder
 from ..build.ssp import PREFIXES, STRUCTURE_FILE
 from ..errors import InputError
-from ..files.fmu_file import Fmu, read_fmu, read_value
 from ..inside.base import TICK
 from ..interface.tables import Connection
 from ..interface.variables import Value
 from ..messages import did_you_mean
 from ..reading import file_digest, finite_number, read_xml, unpack
+from .fmu_file import Fmu, read_fmu, read_value
 from .system import RECORDED_KINDS, System
 from .wiring import Name
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
-from ..files.fmu_file import Fmu, read_fmu
 from ..interface.tables import Connection
 from ..interface.variables import Scalar, Value
 from .fmu import FmuSlave, return_to, working_directory
+from .fmu_file import Fmu, read_fmu
 from .master import Master
 from .message_log import OnMessage
 from .step import Coupling
@@ -57,18 +57,6 @@ def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuS
     from .fmi2 import Fmi2Slave  # noqa: PLC0415 - see above
 
     return Fmi2Slave(name, fmu, on_message)
-
-
-def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
-    """Refuse a --step-timeout that is no number above 0, or that nothing could be ended by."""
-    if seconds is None:
-        return
-    if not (math.isfinite(seconds) and seconds > 0.0):
-        raise InputError(f"--step-timeout: value {seconds!r}; must be a number above 0 s")
-    if not isolate:
-        raise InputError(
-            f"--step-timeout: value {seconds!r} without --isolate, which alone can end a step"
-        )
 
 
 def read_fmus(

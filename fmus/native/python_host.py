@@ -271,10 +271,6 @@ class PythonFmu:
         return [convert(VALUES[r]) for r in references]
 
     def _take(self, kind: str, references: list[int], values: Sequence[Any]) -> None:
-        if len(values) != len(references):
-            raise StepError(
-                f"get_{kind} gave {len(values)} values for {len(references)} references"
-            )
         for reference, value in zip(references, values, strict=True):
             if kind == "string":
                 self.texts[reference] = str(value)

@@ -18,7 +18,6 @@ from typing import Any, Final, get_args
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.master.step import Coupling
-from ...fmus.master.system import check_step_timeout
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
 from ..fields import Quantity, check_choice, check_keys, field_names
@@ -87,7 +86,12 @@ class Options:
         if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
             raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
         check_choice("kind", self.kind, get_args(Kind))
-        check_step_timeout(self.step_timeout, isolate=self.isolate)
+        if not (self.step_timeout is None or 0.0 < self.step_timeout < math.inf):
+            raise InputError(
+                f"--step-timeout: value {self.step_timeout!r}; must be a number above 0 s"
+            )
+        if self.step_timeout is not None and not self.isolate:
+            raise InputError("--step-timeout: without --isolate, which alone can end a step")
         if self.time_limit is not None:
             Quantity(0.0, MAX_TIME_LIMIT, "s").check("time_limit", self.time_limit)
 

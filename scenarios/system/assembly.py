@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
-from ...fmus.files.fmu_file import described_interface, read_fmu
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
+from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.master.system import System
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 from ...assets.franka import CTRL_OPEN
 from ...fmus.errors import InputError
-from ...fmus.files.fmu_file import described_interface, read_fmu
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Interface, Variable, joints
+from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.sources.targets import Kind, Target, build, build_fmu
 from ..scenario.scenario import Scenario

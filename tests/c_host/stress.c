@@ -16,8 +16,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/resource.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include "fmi2FunctionTypes.h"
@@ -289,14 +287,13 @@ static int two_stepped(long unused)
     return wrong;
 }
 
-/* The process's memory in kilobytes: all of its addresses (0), or what is resident (1). */
-static long memory(int field)
+static long resident_kilobytes(void)
 {
-    long pages[2] = {0};
+    long pages = 0;
     FILE *file = fopen("/proc/self/statm", "r");
-    if (!file || fscanf(file, "%ld %ld", &pages[0], &pages[1]) != 2) exit(2);
+    if (!file || fscanf(file, "%*d %ld", &pages) != 1) exit(2);
     fclose(file);
-    return pages[field] * sysconf(_SC_PAGESIZE) / 1024;
+    return pages * sysconf(_SC_PAGESIZE) / 1024;
 }
 
 /* One after the other; says what memory has grown by in the second half of them. */
@@ -308,9 +305,9 @@ static int one_after_the_other(long count)
         void *c = make(&f);
         if (!c || begin(&f, c) || step(&f, c, 0)) return FAILED;
         release(&f, c);
-        if (i == count / 2) early = memory(1);
+        if (i == count / 2) early = resident_kilobytes();
     }
-    printf("%ld KB at half, grown by %ld KB\n", early, memory(1) - early);
+    printf("%ld KB at half, grown by %ld KB\n", early, resident_kilobytes() - early);
     return 0;
 }
 
@@ -336,55 +333,12 @@ static int starved(long every)
     return 0;
 }
 
-static int with_limit(rlim_t more)
-{
-    struct rlimit limit;
-    getrlimit(RLIMIT_AS, &limit);
-    limit.rlim_cur = (rlim_t)memory(0) * 1024 + more;
-    setrlimit(RLIMIT_AS, &limit);
-    results *r = __libc_malloc(sizeof *r);
-    const int status = r ? live(*r) : REFUSED;
-    limit.rlim_cur = limit.rlim_max;
-    setrlimit(RLIMIT_AS, &limit);
-    if (status == SILENT || live_and_compare() != 0) return SILENT;
-    return status;
-}
-
-/* Less and less memory, each in a process of its own, until the first instance does not get it. */
-static int memory_limit(long megabytes)
-{
-    long refused = 0, tried = 0;
-    for (rlim_t more = 0; more < (rlim_t)megabytes << 20; more += 256 << 10, tried++) {
-        int status;
-        fflush(stdout);
-        const pid_t child = fork();
-        if (child == 0) _exit(with_limit(more));
-        waitpid(child, &status, 0);
-        if (!WIFEXITED(status) || WEXITSTATUS(status) == SILENT) {
-            fprintf(stderr, "with %lu KB: status %d\n", (unsigned long)more / 1024, status);
-            return 23;
-        }
-        refused += WEXITSTATUS(status) != 0;
-    }
-    printf("%ld limits, %ld refused\n", tried, refused);
-    return refused == 0;
-}
-
-static int again(long count)
-{
-    for (long i = 0; i < count; i++) {
-        const int wrong = live_and_compare();
-        if (wrong) return wrong;
-    }
-    return 0;
-}
-
 static const struct {
     const char *name;
     int (*try)(long number);
 } WAYS[] = {{"arithmetic", arithmetic}, {"comma", decimal_comma}, {"threads", eight_threads},
             {"stack", small_stack}, {"two", two_stepped}, {"churn", one_after_the_other},
-            {"starved", starved}, {"limit", memory_limit}, {"again", again}};
+            {"starved", starved}};
 
 static void read_variables(char *text, variables *v)
 {
@@ -404,24 +358,7 @@ int main(int count, char **given)
     read_variables(words[6], &outputs);
     const char *way = words[7];
     const long number = count > 8 ? atol(words[8]) : 0;
-    if (!strcmp(way, "limit") || !strcmp(way, "stack")) { /* first run elsewhere: nothing is loaded here */
-        int status, ends[2];
-        if (pipe(ends)) return 2;
-        const pid_t child = fork();
-        if (child == 0) {
-            const int wrong = live(expected);
-            for (size_t done = 0; !wrong && done < sizeof expected;)
-                done += (size_t)write(ends[1], (char *)expected + done, sizeof expected - done);
-            _exit(wrong);
-        }
-        close(ends[1]);
-        for (ssize_t got = 1, done = 0; got > 0; done += got)
-            got = read(ends[0], (char *)expected + done, sizeof expected - (size_t)done);
-        waitpid(child, &status, 0);
-        if (status != 0) return 3;
-    } else if (live(expected) != 0) {
-        return 3;
-    }
+    if (live(expected) != 0) return 3;
     for (size_t i = 0; i < sizeof WAYS / sizeof *WAYS; i++)
         if (!strcmp(way, WAYS[i].name)) return WAYS[i].try(number);
     return 2;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import sys
@@ -16,7 +17,6 @@ import typer
 from ....fmus.atomic import cache_folder
 from ....fmus.build.libraries import BACKENDS, can_compile, is_prebuilt, this_platform
 from ....fmus.errors import CosimError
-from ....fmus.reading import is_noexec
 from ..console import as_cell, show, show_json, table, tell
 
 State = Literal["ok", "optional", "needed"]
@@ -139,7 +139,7 @@ def _cache() -> str:
             pass
     except OSError as error:
         raise CosimError(f"{folder}: cannot be written to: {error.strerror}") from error
-    if is_noexec(folder):
+    if sys.platform == "linux" and os.statvfs(folder).f_flag & os.ST_NOEXEC:
         raise CosimError(f"{folder}: mounted noexec, so that no library can be loaded from it")
     from ....fmus.sources.targets import outdated  # noqa: PLC0415 - numpy may be missing
 

@@ -69,15 +69,12 @@ class Fmu:
 
 def read_fmu(path: Path, label: str = "") -> Fmu:
     """Read an FMU; one that has been read before is not read again until its file changes."""
-    try:
-        state = path.stat()
-    except (OSError, ValueError):
-        return Fmu(path, label)  # which says what is wrong
-    return _read_once(path.absolute(), label or str(path), state.st_mtime_ns, state.st_size)
+    modified = path.stat().st_mtime_ns if path.is_file() else 0
+    return _read_once(path.absolute(), label or str(path), modified)
 
 
 @lru_cache(maxsize=64)
-def _read_once(path: Path, label: str, _mtime: int, _size: int) -> Fmu:
+def _read_once(path: Path, label: str, _modified: int) -> Fmu:
     return Fmu(path, label)
 
 
@@ -119,19 +116,15 @@ def _read_description(path: Path, folder: Path) -> Any:
             "fmiModelDescription of '2.0' or '3.0'"
         )
     try:
-        description = read_model_description(str(folder), validate=False)
-    except Exception:  # FMPy raises plain Exceptions, lxml and OS errors
         try:
-            description = read_model_description(
-                str(folder), validate=True
-            )  # whose error says more
-        except Exception as error:
-            why = f"{type(error).__name__}: {one_line(error)}"
-            raise InputError(f"{label}: cannot be read: {why}") from error
+            description = read_model_description(str(folder), validate=False)
+        except Exception:  # of any type; the schema's words say more than its own
+            description = read_model_description(str(folder), validate=True)
+    except Exception as error:
+        why = f"{type(error).__name__}: {one_line(error)}"
+        raise InputError(f"{label}: cannot be read: {why}") from error
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
-    if not description.guid:
-        raise InputError(f"{label}: the guid or instantiationToken is missing or empty")
     identifier = description.coSimulation.modelIdentifier or ""
     if not (identifier.isascii() and identifier.isidentifier()):
         raise InputError(f"{path}: modelIdentifier {excerpt(identifier)}; must be letters, digits "

@@ -1,1 +1,0 @@
-"""What stands in an .fmu file: its archive, its description, its variables."""
