@@ -186,13 +186,7 @@ class RefusedError(AssertionError):
 
 
 class Instance:
-    """An instance that keeps what it logs, and returns the status of each call.
-
-    Args:
-        fmu: The unpacked FMU.
-        location: Resource location; None: that of the FMU.
-        token: GUID or instantiationToken; None: the FMU's.
-    """
+    """An instance that keeps what it logs, and returns the status of each call."""
 
     def __init__(
         self, fmu: Unpacked, location: str | None = None, token: str | None = None

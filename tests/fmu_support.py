@@ -22,11 +22,7 @@ class JobError(AssertionError):
 
 
 def in_fork(job: Callable[..., Any], *args: Any, **options: Any) -> Any:
-    """Call a function in a forked process; return what it returned.
-
-    Raises:
-        JobError: It raised, or its process died.
-    """
+    """Call a function in a forked process; return what it returned, or raise JobError."""
     with tempfile.TemporaryFile() as file:
         child = os.fork()
         if child == 0:
@@ -63,14 +59,7 @@ def in_process(
 ) -> Any:
     """Call a function of a module in tests/ in a process that no test has touched.
 
-    Args:
-        job: The function; what it takes and returns is JSON.
-        *args: Its arguments.
-        cwd: Working directory.
-        timeout: After this many seconds it is killed.
-
-    Raises:
-        JobError: It raised, or its process died.
+    What it takes and returns is JSON; it is killed after `timeout` [s].
     """
     child = forked.call(job, *args, cwd=cwd, timeout=timeout)
     results = [line for line in child.stdout.splitlines() if line.startswith("RESULT ")]

@@ -35,11 +35,7 @@ _context.set_forkserver_preload([
 def command(
     *arguments: object, cwd: Path | None = None, timeout: float = 300.0, **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run `panda-cosim` with these arguments, and with variables set.
-
-    Raises:
-        subprocess.TimeoutExpired: It was killed after so many seconds.
-    """
+    """Run `panda-cosim` with these arguments and variables; it is killed after `timeout` [s]."""
     return _forked(_command, ["panda-cosim", *map(str, arguments)], cwd, timeout, environment)
 
 

@@ -24,33 +24,17 @@ COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
 
 
 class Step:
-    """One communication step of a coupled system.
+    """One communication step of a coupled system."""
 
-    Args:
-        slaves: In the order of stepping.
-        coupling: "gauss-seidel" or "jacobi".
-        size: Step size [s].
-        rows: The rows that the slaves are bound to (n, columns).
-        complete: Is called with the index of a row when all its values are known, before any
-            follower reads them.
-
-    Attributes:
-        leaders, followers: The slaves, each in their order.
-        leader_columns: Columns of the leaders' outputs.
-        fed_back: Those that a leader or an earlier one reads in the next step.
-        size: Step size [s].
-
-    Raises:
-        InputError: There is no such coupling.
-    """
+    fed_back: list[int]  # columns of outputs that a leader or an earlier one reads in the next step
 
     def __init__(
         self,
-        slaves: Sequence[BoundSlave],
+        slaves: Sequence[BoundSlave],  # in the order of stepping
         coupling: Coupling,
-        size: float,
-        rows: NDArray[np.float64],
-        complete: Callable[[int], None],
+        size: float,  # [s]
+        rows: NDArray[np.float64],  # (n, columns) that the slaves are bound to
+        complete: Callable[[int], None],  # called with a row's index before followers read it
     ) -> None:
         if coupling not in COUPLINGS:
             raise InputError(f"coupling: {coupling!r}; valid: {', '.join(COUPLINGS)}")
@@ -61,12 +45,7 @@ class Step:
         self.size, self._rows, self._complete = size, rows, complete
 
     def take(self, row: int, time: float) -> None:
-        """Take the system from `time` to `time` + step size.
-
-        Args:
-            row: Index of the row of `time`. External inputs and followers' outputs are in it.
-            time: Start of the step [s].
-        """
+        """Step from `time` [s]; its row has the external inputs and the followers' outputs."""
         size, followers = self.size, self.followers
         self.lead(row, time)
         self._complete(row)
