@@ -171,10 +171,12 @@ class Variable:
 
     def names(self) -> list[str]:
         """Names of the scalars, row by row."""
-        if not self.shape:
-            return [self.name]
+        return list(self._names) if self.shape else [self.name]
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
         indices = product(*(range(1, n + 1) for n in self.shape))
-        return [f"{self.name}[{','.join(map(str, index))}]" for index in indices]
+        return tuple(f"{self.name}[{','.join(map(str, index))}]" for index in indices)
 
     def scalars(self, first_reference: int, stride: int = 1) -> Iterator[Scalar]:
         """Yield the scalars; value references count by `stride`, 0 in FMI 3.0."""

@@ -208,9 +208,10 @@ class MemoryRecorder(_Context):
 
     def recording(self) -> Recording:
         """Return what was recorded."""
-        rows = np.empty((self.rows, len(self._columns)), order="F")  # contiguous columns
-        np.concatenate([rows[:0], *self._parts], out=rows)
-        self._parts = [rows]
+        if len(self._parts) != 1 or not self._parts[0].flags.f_contiguous:
+            whole = np.empty((self.rows, len(self._columns)), order="F")  # contiguous columns
+            self._parts = [np.concatenate([whole[:0], *self._parts], out=whole)]
+        rows = self._parts[0]
         by_name = {column.name: rows[:, i] for i, column in enumerate(self._columns)}
 
         def blocks(names: Sequence[str]) -> Iterator[list[Array]]:

@@ -209,7 +209,7 @@ def recording_digest(recording: Recording) -> str:
     """Return the SHA-256 of a recording's numbers, column by column; the same bits, the same."""
     content = hashlib.sha256()
     for name in recording.columns:
-        content.update(recording[name].tobytes())
+        content.update(recording[name].data)
     return content.hexdigest()
 
 

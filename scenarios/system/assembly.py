@@ -56,7 +56,7 @@ class Assembly:
             refuses_non_finite=all(part.file is None for part in self.parts),
         )
 
-    @property
+    @cached_property
     def outputs(self) -> Mapping[str, Sequence[str]]:
         """Recorded outputs, the plant's first."""
         if self.ssp is not None:
