@@ -228,20 +228,6 @@ def test_every_contact_of_the_block_has_the_blocks_friction(
         assert {contact.friction[0] for contact in data.contact} == {friction}
 
 
-def test_contact_sensors_hold_every_force_between_finger_and_block(scene: mujoco.MjModel) -> None:
-    data = grasped(scene)
-    for _ in range(20):
-        mujoco.mj_step(scene, data, nstep=10)
-        for finger in FINGERS:
-            sensor = data.sensor(f"{finger}_contact").data.reshape(-1, 3)
-            forces = contact_forces(scene, data, finger)
-            assert len(forces) < len(sensor)
-            np.testing.assert_allclose(
-                sensor[: len(forces), 0], forces, rtol=0, atol=FORCE_TOLERANCE
-            )
-            assert not sensor[len(forces) :].any()
-
-
 def contact_forces(model: mujoco.MjModel, data: mujoco.MjData, finger: str) -> list[float]:
     """Normal forces between the finger and the block [N]."""
     forces = []

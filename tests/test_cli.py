@@ -23,7 +23,6 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.scenarios.cli.app import app, load
 from panda_cosim.scenarios.cli.commands import COMMANDS
 from panda_cosim.scenarios.cli.console import progress
-from panda_cosim.scenarios.cli.options import overrides
 from typer.testing import CliRunner, Result
 
 MODULES = "panda_cosim.scenarios.cli.commands"
@@ -194,12 +193,6 @@ def test_info_names_every_variable(instance: str) -> None:
     rows = {line.partition(" ")[0].partition("[")[0] for line in told.splitlines()}
     assert {variable.name for variable in INTERFACES[instance].variables} <= rows
     assert "plant.jac[1..6,1..7] controller.jac[1..6,1..7]" in " ".join(told.split())
-
-
-def test_the_last_of_several_settings_holds() -> None:
-    given = overrides(["controller.kp[3]=7", "controller.kp=8", "controller.kp[3]=9"])
-    assert given["controller"] == {"kp": 8.0, "kp[3]": 9.0}
-    assert overrides(None) == {}
 
 
 def test_a_run_leaves_recording_summary_and_scenario(finished: Path) -> None:

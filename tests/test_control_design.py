@@ -12,7 +12,6 @@ from fmu_support import in_process
 from numpy.typing import NDArray
 from panda_cosim import run_scenario
 from panda_cosim.controller.design import Analysis, analyze, disk_margin
-from panda_cosim.controller.design_plot import plot_analysis
 from panda_cosim.controller.gains import preset
 from panda_cosim.controller.linear import LinearLoop, linear_loop
 from random_tasks import connect
@@ -175,10 +174,3 @@ def test_late_readings_and_softer_servos_cost_margin() -> None:
         for scale in (1.0, 0.8)
     )
     assert both + 0.05 < late < analysis().variants[0].disk_margin - 0.2
-
-
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
-    path = tmp_path / "analysis.png"
-    plot_analysis(analysis(), path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert path.stat().st_size > 50_000

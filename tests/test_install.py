@@ -50,15 +50,6 @@ OWN = {
     "scenarios/__init__.py": "WHOSE = 'mine'\n",
     "fmus.py": "WHOSE = 'mine'\n",
     "assets/arm.xml": "<mujoco/>\n",
-    "tests/test_mine.py": """
-import controller, fmus, plant, scenarios
-from panda_cosim import Options, Scenario, run_scenario
-
-def test_mine(tmp_path):
-    assert {m.WHOSE for m in (controller, plant, scenarios, fmus)} == {"mine"}
-    run = run_scenario("./short", tmp_path / "run", Options(coupling="jacobi"))
-    assert run.recording.rows == 51
-""",
     "script.py": """
 import controller, fmus, plant, scenarios
 from panda_cosim import Options, run_scenario
@@ -86,13 +77,6 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_script_beside_modules_of_the_same_names_runs(own: Path) -> None:
     done = run(sys.executable, "script.py", cwd=own)
     assert done.stdout == "done\n", done.stderr
-
-
-@pytest.mark.fmu
-def test_tests_beside_modules_of_the_same_names_run(own: Path) -> None:
-    done = run(sys.executable, "-m", "pytest", "-q", "tests", cwd=own)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "1 passed" in done.stdout
 
 
 # --- A wheel ---------------------------------------------------------------------------------

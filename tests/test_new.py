@@ -69,8 +69,14 @@ EDITS = [
     ("scenario.toml", "Picks the block up and holds it", "", "hint", "purpose is empty"),
     ("trajectory.csv", "0.08\n1.2", "0,08\n1.2", "wrong", "line 2: 7 values; must be 6"),
     ("trajectory.csv", "1.7,target", "1.1,target", "wrong", "goes back"),
-    ("trajectory.csv", "1.7,target,0.0", "1.7,target,1.0", "hint", "the arm reaches 0.855 m"),
-    ("trajectory.csv", "0.085,0.0\n2", "-0.085,0.0\n2", "hint", "touch the floor"),
+    (
+        "trajectory.csv",
+        "1.7,target,0.0",
+        "1.7,target,1.0",
+        "hint",
+        "within the arm's reach",
+    ),
+    ("trajectory.csv", "0.085,0.0\n2", "-0.085,0.0\n2", "hint", "the path must lead around"),
     ("trajectory.csv", "1.2,target", "0.1,target", "hint", "of joint"),
 ]
 

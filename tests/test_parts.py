@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,11 @@ from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.start import resolve, start_values
 from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.scenario.writer import make_scenario, write_scenario
+from panda_cosim.scenarios.scenario.writer import make_scenario
 from panda_cosim.scenarios.system.assembly import assemble
 from panda_cosim.scenarios.system.connector import Connector
 from panda_cosim.scenarios.system.parts import Part
-from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
+from parts_jobs import run_folder, same_bits, write_arm
 from toy_fmu import INDICES, toy_fmu
 from typer.testing import CliRunner
 
@@ -342,21 +341,3 @@ def test_a_system_has_no_commands_to_write(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["inputs", str(tmp_path), str(tmp_path / "a.csv")])
     assert done.exit_code == InputError.exit_code
     assert not (tmp_path / "a.csv").exists()
-
-
-def test_a_system_is_written_as_it_is_read(tmp_path: Path) -> None:
-    settings = ARM_SCENARIO + "[parameters.filter]\ngain = 2.0\n"
-    scenario = load_scenario(write_arm(tmp_path / "arm", settings))
-    assert scenario.is_system
-    write_scenario(scenario, tmp_path / "copy" / "arm")
-    copy = load_scenario(tmp_path / "copy" / "arm")
-    assert (copy.fmus, copy.parameters) == (scenario.fmus, scenario.parameters)
-
-
-def test_connections_of_our_own_fmus_are_written_as_they_are_read(tmp_path: Path) -> None:
-    folder = make_scenario(tmp_path / "mine")[0].parent
-    with (folder / "scenario.toml").open("a", encoding="utf-8") as file:
-        file.write('[connect]\n"controller.pos_cmd" = "plant.target_xpos"\n')
-    changed = replace(load_scenario(folder), purpose="Follows the block")
-    write_scenario(changed, tmp_path / "copy" / "mine")
-    assert load_scenario(tmp_path / "copy" / "mine").connect == changed.connect

@@ -20,7 +20,6 @@ from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
 from panda_cosim.scenarios.scenario.trajectory import StartPose
-from panda_cosim.scenarios.scenario.writer import write_scenario
 from random_tasks import run_plain
 
 FOLDER = shipped_scenarios()["pick_and_place"]
@@ -79,34 +78,6 @@ def test_a_criterion_on_what_never_happens_is_refused(
     wrong = [each.text for each in check_folder(tmp_path) if each.level == "wrong"]
     assert len(wrong) == bool(message)
     assert message in "".join(wrong)
-
-
-def set_down_at(folder: Path, x: float, y: float) -> list[Diagnostic]:
-    """Check pick_and_place with another place on the table; row 7 lets the block go there."""
-    scenario = load_scenario("pick_and_place")
-    rows = tuple(
-        replace(row, position=(x, y, row.position[2])) if row.frame == "world" else row
-        for row in scenario.table.rows
-    )
-    write_scenario(replace(scenario, table=replace(scenario.table, rows=rows)), folder)
-    return check_folder(folder)
-
-
-@pytest.mark.parametrize("place", [(0.6, 0.10), (0.45, 0.3)])
-def test_a_block_let_go_on_or_beyond_the_tables_edge_is_reported(
-    place: tuple[float, float], tmp_path: Path
-) -> None:
-    findings = set_down_at(tmp_path / "edge", *place)
-    told = [finding.text for finding in findings if "table's edge" in finding.text]
-    assert len(told) == 1
-    assert told[0].startswith("trajectory.csv: row 7: at t = 5.050 s")
-    assert told[0].endswith("must be within x = 0.4505 to 0.8495 m and y = 0.1005 to 0.4995 m")
-    assert findings[-1].level == "hint"
-
-
-def test_a_block_let_go_just_inside_the_edge_stands(tmp_path: Path) -> None:
-    told = set_down_at(tmp_path / "inside", 0.6, 0.101)
-    assert not any("table's edge" in finding.text for finding in told)
 
 
 def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> None:

@@ -9,14 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from fault_support import write_scenario
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim import Options, Recording, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.recording import Column, Recorder
 from panda_cosim.scenarios.run.folder import claimed_folder, default_folder
 from panda_cosim.scenarios.scenario.scenario import Push
 from panda_cosim.scenarios.scenario.success import Success
@@ -140,41 +138,7 @@ def test_a_folder_that_nothing_was_written_to_goes_again(
     assert not folder.exists()
 
 
-# --- Doing a run again -----------------------------------------------------------------------
-
-
-def unfinished(folder: Path) -> Recorder:
-    recorder = Recorder(folder, [Column("time")], {})
-    recorder.append(np.zeros((3, 1)))
-    recorder.flush()
-    (folder / "scenario").mkdir()
-    (folder / "scenario" / "scenario.toml").write_text("duration = 1")
-    return recorder
-
-
-@pytest.mark.fmu
-def test_only_a_run_that_was_killed_can_be_done_again_where_it_was(
-    tmp_path: Path, short: Path
-) -> None:
-    run, again = tmp_path / "run", Options(retry=True)
-    recorder = unfinished(run)
-    with pytest.raises(InputError, match="run in progress"):
-        run_scenario(short, run, again)
-    recorder._file.close()  # as a kill does
-    with pytest.raises(InputError, match="already exists"):
-        run_scenario(short, run)
-    (run / "thesis.doc").touch()
-    with pytest.raises(InputError, match="already exists"):
-        run_scenario(short, run, again)
-    assert len(list(run.iterdir())) == 3
-    (run / "thesis.doc").unlink()
-    assert run_scenario(short, run, again).summary.complete
-    assert not (run / "recording.arrows").exists()
-    with pytest.raises(InputError, match="contains a complete run"):
-        run_scenario(short, run, again)
-
-
-# --- Runs that end early, and runs that keep little ------------------------------------------
+# --- Runs that end early ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -188,17 +152,6 @@ def test_only_a_run_that_was_killed_can_be_done_again_where_it_was(
 def test_an_invalid_option_is_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Options(**options)
-
-
-@pytest.mark.fmu
-def test_a_run_that_keeps_only_its_summary_measures_the_same(tmp_path: Path, short: Path) -> None:
-    kept = run_scenario(short, tmp_path / "kept")
-    light = run_scenario(short, tmp_path / "light", Options(keep_recording=False))
-    assert sorted(p.name for p in light.folder.iterdir()) == ["scenario", "summary.json"]
-    assert bits(light.recording) == bits(kept.recording)
-    assert light.summary.tracking == kept.summary.tracking
-    assert light.recording.units == kept.recording.units
-    assert light.summary.complete
 
 
 @pytest.mark.fmu

@@ -10,7 +10,7 @@ import panda_cosim
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from panda_cosim import Scenario, load_scenario, shipped_scenarios
+from panda_cosim import Scenario, load_scenario
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.step import COUPLINGS
@@ -149,17 +149,6 @@ def test_parameters_are_kept_as_given_and_numbers_are_floats(tmp_path: Path) -> 
     assert scenario.plant == {"block_pos[1]": 0.45, "block_mass": 1.0}
     assert isinstance(scenario.plant["block_mass"], float)
     assert scenario.controller == {"kp": (1.0, 2.5, 3.0), "hold": True, "mode": "a b"}
-
-
-@pytest.mark.parametrize("name", ["pick_and_place", "tutorial"])
-def test_each_shipped_scenario_loads_and_says_what_it_is_for(name: str) -> None:
-    assert name in shipped_scenarios()
-    scenario = load_scenario(name)
-    assert scenario.name == name
-    assert scenario.purpose
-    assert scenario.ticks == 6500
-    assert scenario.table.rows[-1].time <= scenario.duration
-    assert scenario.success.block_position == (0.6, 0.35, 0.25)
 
 
 def make(**changes: object) -> Scenario:

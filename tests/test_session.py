@@ -27,7 +27,7 @@ from panda_cosim import (
     replay,
     run_scenario,
 )
-from panda_cosim.scenarios.run.journal import Action, Journal, append_action, begin_journal
+from panda_cosim.scenarios.run.journal import Journal
 from parts_jobs import session_of_other_parts
 from toy_fmu import toy_fmu
 
@@ -144,10 +144,10 @@ def test_a_session_of_pushes_start_values_and_waypoints_is_a_scenario(tmp_path: 
 ACTIONS: dict[str, Callable[[Session], None]] = {
     "controller.kp was set at t = 0.100 s": lambda s: s.set("controller.kp", 6),
     "the coupling was changed at t = 0.100 s": lambda s: s.set_coupling("jacobi"),
-    "controller.pos_cmd was held from t = 0.100 s on": (
+    "from t = 0.100 s on, no table .*: they were held": (
         lambda s: s.set("controller.pos_cmd", (0.4, 0.0, 0.5))
     ),
-    "waypoint 1 was moved at t = 0.100 s, when the hand was on its way": (
+    ".* or a waypoint was moved when the hand": (
         lambda s: s.move_waypoint(1, position=(0.1, 0.0, 0.1))
     ),
 }
@@ -305,19 +305,6 @@ def test_a_damaged_journal_is_refused_with_its_line(
     path.write_text("".join(f"{head if line is None else line}\n" for line in lines) or "{}\n")
     with pytest.raises(InputError, match=message):
         Journal.read(tmp_path)
-
-
-def test_a_journal_is_read_as_it_was_written(tmp_path: Path) -> None:
-    path = tmp_path / "session.jsonl"
-    actions = (Action(0, "set", {"name": "controller.kp", "value": 0.1}), Action(7, "end", {}))
-    begin_journal(path, HEAD)
-    for action in actions:
-        append_action(path, action)
-    journal = Journal.read(path)
-    assert journal.actions == actions
-    assert journal.head == {"format": 1, **HEAD}
-    with pytest.raises(InputError, match="cannot be written to"):
-        begin_journal(path, HEAD)
 
 
 UNDOABLE = {  # the journal's third line, and what is said of it

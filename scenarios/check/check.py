@@ -15,7 +15,6 @@ from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.master.system import read_fmus, step_notes
 from ...plant.plant import Plant, PlantParameters
-from ..compare.reference import REFERENCE_FILE, Reference
 from ..files import as_argument
 from ..judging.criterion import miss_text
 from ..run.options import Options, with_values
@@ -45,9 +44,6 @@ from .rehearsal import findings, rehearse, weakest_grip
 
 Level = Literal["wrong", "hint", "good"]
 
-REACH: Final = 0.855  # [m] from the shoulder to the flange, Franka's data sheet
-SHOULDER: Final = (0.0, 0.0, 0.333)  # [m] joint 2, world frame
-FLOOR: Final = 0.105  # [m] of the hand's origin, when the fingertips touch the floor
 SHOWN: Final = 4  # limit violations that are listed
 
 
@@ -115,14 +111,13 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     """Run a scenario of our own FMUs in memory; say what goes wrong, and at last whether it can."""
     Plant(PlantParameters(**grouped(PLANT, prepared.values["plant"])))  # refuses its block's place
     scenario, run = prepared.scenario, rehearse(prepared)
-    hints = _diagnostics("hint", _places(prepared))
     trouble = _diagnostics("hint", [*_located(run, prepared), *_limits(prepared)])
     criteria = run.summary.criteria if run.summary.complete else ()
     unmeasured = [miss_text(criterion) for criterion in criteria if not criterion.measured]
     if unmeasured:  # what they wait for never happens
         file = f"{scenario.folder}/{SCENARIO_FILE}"
         wrong = _diagnostics("wrong", [f"{file}: [success] {text}" for text in unmeasured])
-        return [*wrong, *hints, *trouble]
+        return [*wrong, *trouble]
     about = _about(scenario)
     if trouble:
         count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
@@ -131,7 +126,7 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
         if grip := weakest_grip(run.recording, prepared):
             about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
         last = Diagnostic("good", f"{about}; it can run")
-    return [*hints, *trouble, last]
+    return [*trouble, last]
 
 
 def _about(scenario: Scenario) -> str:
@@ -173,23 +168,6 @@ def _remarks(scenario: Scenario) -> Iterator[str]:
     for push in scenario.push:
         if push.start >= scenario.duration:
             yield f"{SCENARIO_FILE}: [[push]] at {push.start:g} s begins after the end"
-    path = Path(str(scenario.folder)) / REFERENCE_FILE
-    if path.is_file():
-        try:
-            Reference.read(path)
-        except InputError as error:
-            yield str(error)
-
-
-def _places(prepared: Prepared) -> Iterator[str]:
-    """Check where the rows are in the world."""
-    for number, position in enumerate(resolve(prepared.scenario, prepared.values).positions, 1):
-        place = f"{TABLE_FILE}: row {number} at {np.round(position, 3).tolist()} m"
-        reach = float(np.linalg.norm(position - np.array(SHOULDER)))
-        if reach > REACH:
-            yield f"{place} is {reach:.3f} m from the shoulder; the arm reaches {REACH} m"
-        if position[2] < FLOOR:
-            yield f"{place} is so low that the fingers touch the floor; z from {FLOOR} m is free"
 
 
 def _limits(prepared: Prepared) -> Iterator[str]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError
-from ...plant.scene import BLOCK_HALF_HEIGHT, TABLE_CENTRE, TABLE_HALF_SIZE, TABLE_TOP
 from ..judging.contacts import Touch
 from ..judging.criterion import miss_text
 from ..judging.holds import find_holds
@@ -32,8 +31,6 @@ AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
 FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it is told to open
 SHOWN: Final = 4  # contacts that are listed
-EDGE: Final = 0.0005  # [m] closer to the table's edge, chance decides whether the block stands
-LOWER: Final = 0.005  # [m] of its bottom below the table's top: it is not meant for the table
 
 
 def rehearse(prepared: Prepared) -> Run:
@@ -130,37 +127,18 @@ def weakest_grip(recording: Recording, prepared: Prepared) -> tuple[float, float
 
 
 def _releases(recording: Recording) -> Iterator[Finding]:
-    """Say where the block is let go on the table's edge, or the hand moves on too early."""
+    """Say where the hand moves on before the fingers have let go."""
     command, force = recording["controller.pos_cmd"], recording["plant.contact_force"]
     for hold in find_holds(recording):
         row = hold.release_command
         if row >= hold.end:
             continue
-        at, place = float(recording.time[row]), recording["plant.qpos"][row, 9:12]
-        if edge := _off_the_table(place):
-            yield at, f"at t = {at:.3f} s the block is let go with its centre at {edge}"
         away = np.linalg.norm(command[row:] - command[row], axis=1) > AWAY
         pressing = 0.5 * float(force[row + int(away.argmax())]) if away.any() else 0.0
         if 2.0 * pressing > HELD_FORCE:
+            at, longer = float(recording.time[row]), pressing / FORCE_RATE
             text = f"the hand moves on while each finger still presses with {pressing:.3g} N; it "
-            yield at, f"{text}must stay {pressing / FORCE_RATE:.2f} s longer, or grip less"
-
-
-def _off_the_table(place: Array) -> str:
-    """Describe a block's place (3,) [m] as high as the table, but not on it; else ""."""
-    if place[2] - BLOCK_HALF_HEIGHT < TABLE_TOP - LOWER:
-        return ""
-    ends = [
-        (centre - half + EDGE, centre + half - EDGE)
-        for centre, half in zip(TABLE_CENTRE, TABLE_HALF_SIZE, strict=True)
-    ]
-    if all(low <= x <= high for x, (low, high) in zip(place[:2], ends, strict=True)):
-        return ""
-    (left, right), (near, far) = ends
-    return (
-        f"[{place[0]:.4f}, {place[1]:.4f}] m, on or beyond the table's edge, where it topples; "
-        f"must be within x = {left:.4f} to {right:.4f} m and y = {near:.4f} to {far:.4f} m"
-    )
+            yield at, f"{text}must stay {longer:.2f} s longer, or grip less"
 
 
 def _average(values: Array) -> Array:

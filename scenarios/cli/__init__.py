@@ -7,12 +7,11 @@ exception, so that temporary files are removed on the way. `run.stopping` takes 
 from __future__ import annotations
 
 import gc
-import os
 import signal
 import sys
 import time
 
-from ..run.stopping import PATIENCE
+from ..run.stopping import end_if_late
 
 
 class Terminated(BaseException):
@@ -55,9 +54,7 @@ class _Ending:
             self._error = KeyboardInterrupt() if number == signal.SIGINT else Terminated()
             self._since = time.monotonic()
             raise self._error
-        if time.monotonic() - self._since > PATIENCE:
-            signal.signal(number, signal.SIG_DFL)
-            os.kill(os.getpid(), number)
+        end_if_late(number, self._since)
 
 
 def exit_code(error: BaseException) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -24,7 +24,7 @@ from ..pictures.gl import RenderError
 from ..pictures.motion import SHAPES, refuse_without_model
 from ..recording import Recording
 from ..run.folder import claimed_folder
-from ..run.result import Run
+from ..run.result import SHEET_FILE, Run
 from ..run.summary import Summary
 from ..scenario.scenario import Scenario
 from ..view.export import VIEW_FILE, write_view
@@ -33,7 +33,6 @@ from .console import Update, as_cell, progress, show, show_json, table, tell, wa
 from .options import announce_build
 
 VIDEO_FILE = "video.mp4"
-SHEET_FILE = "contact_sheet.png"
 PLOT_FILE = "plot.png"
 NOT_A_SUCCESS = 3  # exit code
 MORE_TIME = "`panda-cosim retime SCENARIO --keep-times`"
@@ -87,9 +86,7 @@ def simulate(
             raise CosimError(f"{error}{where}") from error
 
 
-def conclude(
-    done: Run, output: Output, *, realtime: bool = False, notes: Iterable[str] = ()
-) -> None:
+def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
     """Show a finished run, draw its pictures, and exit with its exit code."""
     for message in dict.fromkeys(done.warnings):
         warn(message)
@@ -102,8 +99,6 @@ def conclude(
                 show(verdict_table(done.summary))
             for text, style in outcome_lines(done.summary, realtime=realtime):
                 show(text, style)
-            for note in notes:
-                show(note, "dim")
         _draw(done, output)
     _end(done, output)
 

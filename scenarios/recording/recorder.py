@@ -69,7 +69,6 @@ class Recorder(_Context):
         try:
             self._make_place()
             self._file = self._stream.open("xb", buffering=0)
-            storage.lock(self._file, wait=True)
             self._last_flush = time.monotonic()
         except (OSError, ValueError) as error:  # ValueError: a null byte in the name
             reason = getattr(error, "strerror", None) or str(error)

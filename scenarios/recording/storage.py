@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,26 +144,17 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
-def lock(file: BinaryIO | FileIO | int, *, wait: bool = False) -> bool:
-    """Mark a file or folder as being written while it is open here; False: another process is.
-
-    `wait` is for others who only look whether it is marked.
-    """
+def lock(file: int) -> bool:
+    """Mark a file or folder as being written while it is open here; False: another process is."""
     if fcntl is None:
         return True
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:  # a file system without locks
         return True
     return True
-
-
-def is_being_written(stream: Path) -> bool:
-    """Whether a run in progress is writing this stream."""
-    with stream.open("rb") as file:
-        return not lock(file)
 
 
 def open_stream(path: Path) -> Source:

@@ -1,4 +1,4 @@
-"""The folder of a run: who gets it, what a repeated run may clear, and the scenario kept in it."""
+"""The folder of a run: who gets it, and the scenario kept in it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from ...fmus.atomic import TEMPORARY
 from ...fmus.errors import InputError
 from ..files import MODEL_FILE, safe_name
-from ..recording import Recording
-from ..recording.storage import PARQUET_FILE, PARTIAL_FILE, STREAM_FILE, is_being_written
 from ..scenario.scenario import Scenario
 from ..scenario.writer import write_scenario
 from ..system.assembly import Assembly
@@ -25,17 +22,13 @@ from ..system.parts import part_path
 RUNS = Path("runs")
 SUMMARY_FILE = "summary.json"
 SCENARIO_FOLDER = "scenario"
-# Files that a run writes before it ends.
-_LEFT = {STREAM_FILE, PARQUET_FILE, PARTIAL_FILE, SUMMARY_FILE, SCENARIO_FOLDER}
 
 
 @contextmanager
-def claimed_folder(out: str | Path | None, name: str, *, retry: bool = False) -> Iterator[Path]:
+def claimed_folder(out: str | Path | None, name: str) -> Iterator[Path]:
     """Yield the folder of a run."""
     if out is not None:
         folder = Path(out)
-        if retry:
-            _clear_unfinished(folder)
         refuse_existing(folder)
         yield folder
         return
@@ -74,22 +67,6 @@ def refuse_existing(folder: Path) -> None:
             raise InputError(f"{folder}: cannot be written to: no write permission for {there}")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
-
-
-def _clear_unfinished(folder: Path) -> None:
-    """Remove the files of a killed or failed run, so that it can be repeated."""
-    names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    if not names or not all(n in _LEFT or n.startswith(TEMPORARY) for n in names):
-        return  # empty, or not a run's folder: `refuse_existing` decides
-    if (folder / STREAM_FILE).exists() and is_being_written(folder / STREAM_FILE):
-        raise InputError(f"{folder}: a run in progress is writing there; must be another folder")
-    with suppress(InputError):  # no recording, or a damaged one
-        if SUMMARY_FILE in names and Recording.open(folder).complete:
-            names = set()
-    if not names:
-        raise InputError(f"{folder}: contains a complete run; must be a new or an empty folder")
-    for path in folder.iterdir():
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 # The scenario, with the files of its own FMUs.

@@ -60,8 +60,6 @@ class Options:
         step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
         time_limit: Wall time that all steps may take [s]; None: unlimited. Checked between
             steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
-        keep_recording: False: the recording stays in memory, and only the summary is kept.
-        retry: Replace the files of a killed or failed run in the folder.
         parts: FMUs by instance, instead of the scenario's [fmus]; paths are relative to the
             working directory.
 
@@ -77,8 +75,6 @@ class Options:
     isolate: bool = False
     step_timeout: float | None = None
     time_limit: float | None = None
-    keep_recording: bool = True
-    retry: bool = False
     parts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -38,7 +38,7 @@ class Output:
         provenance = _provenance(system) if writes else {}
         metadata = {**_metadata(prepared), **provenance} if writes else {}
         metadata |= {"session": JOURNAL_FILE} if journals else {}
-        make = Recorder if writes and prepared.options.keep_recording else MemoryRecorder
+        make = Recorder if writes else MemoryRecorder
         self.recorder: AnyRecorder = make(folder, columns, metadata)
         self.head = {
             "scenario": prepared.scenario.name,

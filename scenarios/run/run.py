@@ -106,11 +106,10 @@ class Execution:
         if self._stack is not None:
             raise InputError("session: is already open; `close` or `restart` ends its run")
         self._reset()
-        prepared, retry = self.prepared, self.prepared.options.retry
+        prepared = self.prepared
         with ExitStack() as stack:
             if self._writes:
-                claimed = claimed_folder(self._out, self.scenario.name, retry=retry)
-                self.folder = stack.enter_context(claimed)
+                self.folder = stack.enter_context(claimed_folder(self._out, self.scenario.name))
             with exit_guard(self.folder):
                 system = stack.enter_context(prepared.open(self.warnings))
                 self._output = Output(

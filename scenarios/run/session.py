@@ -40,7 +40,7 @@ from .start import resolve, start_pose
 from .stopping import stopping_on_signals
 
 Array = NDArray[np.float64]
-_REFUSED = ("realtime", "time_limit", "keep_recording")  # options: the caller paces, and stops
+_REFUSED = ("realtime", "time_limit")  # options: the caller paces, and stops
 
 
 class Session(Execution):

@@ -20,7 +20,6 @@ from .options import Options, with_options
 from .prepare import Inputs, Prepared
 
 Array = NDArray[np.float64]
-_PUSHES: Final = tuple(f"plant.{force}" for force in FORCES.values())
 _DIGITS: Final = 9  # of a time in a scenario [s]; a tick is 1e-3
 
 
@@ -62,7 +61,10 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
     same = prepared.inputs(written)[0:ticks] == session
     if not same.all():
         tick = int(np.flatnonzero(~same.all(axis=1))[0])
-        raise InputError(_blame(scenario, actions, inputs, tick))
+        raise InputError(
+            f"session: from {_time(scenario, tick)} on, no table gives its commands: they were "
+            "held, or a waypoint was moved when the hand was on its way to it"
+        )
     return written
 
 
@@ -94,24 +96,6 @@ def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
                     force=tuple(force[first].tolist()),
                     on=body,
                 )
-
-
-def _blame(scenario: Scenario, actions: Sequence[Action], inputs: Inputs, tick: int) -> str:
-    """Name the action whose commands no table can give, from a tick where they differ."""
-    for action in actions:
-        name = action.arguments.get("name", "")
-        if action.name == "set" and name in inputs and not name.startswith(_PUSHES):
-            return (
-                f"session: {name} was held from {_time(scenario, action.tick)} on; the commands of "
-                "a scenario come from its table alone"
-            )
-    moves = [action for action in actions if action.name == "move_waypoint"]
-    action = next((move for move in moves if move.tick > tick), moves[-1])
-    return (
-        f"session: waypoint {action.arguments['row']} was moved at "
-        f"{_time(scenario, action.tick)}, when the hand was on its way to it; with the changed "
-        f"table, the commands differ from {_time(scenario, tick)} on"
-    )
 
 
 def _time(scenario: Scenario, tick: int) -> str:

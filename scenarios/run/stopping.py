@@ -70,9 +70,15 @@ class StopRequest:
         if not self.signal:
             self.signal, self._came = number, time.monotonic()
             self._ask(signal.Signals(number).name)
-        elif time.monotonic() - self._came > PATIENCE:
-            signal.signal(number, signal.SIG_DFL)
-            os.kill(os.getpid(), number)
+        else:
+            end_if_late(number, self._came)
+
+
+def end_if_late(number: int, came: float) -> None:
+    """End the process by a second signal, unless the first came just before it."""
+    if time.monotonic() - came > PATIENCE:
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
 
 
 @contextmanager

@@ -228,12 +228,8 @@ class Scenario:
         return frozenset(name.partition("[")[0] for name in names)
 
     @classmethod
-    def read(cls, folder: str | Path, table: TrajectoryTable | None = None) -> Self:
+    def read(cls, folder: str | Path) -> Self:
         """Read a scenario's folder.
-
-        Args:
-            folder: The folder.
-            table: Table to use instead of the folder's.
 
         Raises:
             InputError: A file is missing or cannot be used.
@@ -241,10 +237,9 @@ class Scenario:
         folder = Path(folder)
         path = folder / SCENARIO_FILE
         keys = _parse_toml(path)
-        if table is None:
-            is_system = keys.get("system") or keys.get("fmus")
-            has_table = not is_system or (folder / TABLE_FILE).exists()
-            table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else NO_TABLE
+        is_system = keys.get("system") or keys.get("fmus")
+        has_table = not is_system or (folder / TABLE_FILE).exists()
+        table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else NO_TABLE
         try:
             check_keys("", keys, KEYS)
             return cls(**keys, name=folder.resolve().name, table=table, folder=folder)

@@ -16,6 +16,7 @@ from .parts import Part, measures_a_panda
 
 # Inputs of PandaPlant that may stay unconnected.
 OPTIONAL: Final = ("push_force", "block_force", "torque")
+SHOWN: Final = 8  # unconnected inputs of an FMU that are named
 
 
 class Connector:
@@ -24,13 +25,23 @@ class Connector:
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = {part.name: part for part in parts}
         self.connections: list[Connection] = []
-        self.notes: list[str] = []  # unconnected inputs
+        self._open: dict[str, list[str]] = {}  # unconnected inputs by FMU
         self._fed: set[Name] = set()
         self._outputs: dict[str, list[tuple[str, Variable]]] = {}  # Real ones, by their names
         for part in parts:
             for variable in part.interface.of("output"):
                 if variable.kind == "Real":
                     self._outputs.setdefault(variable.name, []).append((part.name, variable))
+
+    @property
+    def notes(self) -> list[str]:
+        """One line for each FMU with unconnected inputs."""
+        return [
+            f"{name}: nothing feeds {', '.join(inputs[:SHOWN])}"
+            + (f" and {len(inputs) - SHOWN} more inputs" if len(inputs) > SHOWN else "")
+            + ", which keep their start values"
+            for name, inputs in self._open.items()
+        ]
 
     def is_fed(self, instance: str, name: str) -> bool:
         """Whether an input, or an element of it, is fed."""
@@ -70,7 +81,7 @@ class Connector:
         target = f"{part.name}.{variable.name}"
         if not outputs:
             if part.file is not None and variable.name not in OPTIONAL:
-                self.notes.append(f"{target} is not connected; it stays at its start value")
+                self._open.setdefault(part.name, []).append(variable.name)
             return
         if len(outputs) > 1:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)

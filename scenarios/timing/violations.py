@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -67,20 +66,7 @@ def find_violations(
     """
     segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
     demanded = joint_demands(trajectory, reference, load)
-    violations = _violations(reference, demanded, segment, share, reach)
-    # What is out of reach makes the joints jump: the cause comes first.
-    ordered = sorted(violations, key=lambda v: (v.row, v.quantity != "reach", -v.share))
-    return ordered, largest(demanded)
-
-
-def _violations(
-    reference: JointReference,
-    demanded: dict[str, Array],
-    segment: NDArray[np.int_],
-    share: float,
-    reach: float,
-) -> Iterator[LimitViolation]:
-    """Yield the worst violation of each kind in each segment."""
+    violations = []
     for row in np.unique(segment):
         ticks = np.flatnonzero(segment == row)
         for quantity, shares in demanded.items():
@@ -90,8 +76,13 @@ def _violations(
                 limit = share * float(LIMITS[quantity].bound[joint])
                 value = float(part[tick, joint] * LIMITS[quantity].bound[joint])
                 time = float(reference.time[ticks[tick]])
-                yield LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
+                violations.append(
+                    LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
+                )
         worst = ticks[reference.miss[ticks].argmax()]
         if reference.miss[worst] > reach:
             miss, time = float(reference.miss[worst]), float(reference.time[worst])
-            yield LimitViolation(int(row), time, 0, "reach", miss, reach)
+            violations.append(LimitViolation(int(row), time, 0, "reach", miss, reach))
+    # What is out of reach makes the joints jump: the cause comes first.
+    violations.sort(key=lambda v: (v.row, v.quantity != "reach", -v.share))
+    return violations, largest(demanded)

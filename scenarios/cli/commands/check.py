@@ -27,8 +27,8 @@ def command(
 
     The table is compared with the robot's limits of velocity, acceleration, jerk, torque and torque
     rate. Then it is run in memory, which shows contacts that nobody wants, servos without torque
-    left, a high torque rate, a weak grip, a block that is let go too late or off the table, and
-    missed criteria. A scenario with FMUs of its own is only read: none of their code runs.
+    left, a high torque rate, a weak grip, a block that is let go too late, and missed criteria. A
+    scenario with FMUs of its own is only read: none of their code runs.
 
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
     criterion could not be measured.

@@ -6,7 +6,6 @@ import os
 import platform
 import re
 import sys
-import sysconfig
 import tempfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import requires, version
@@ -161,24 +160,6 @@ def _ffmpeg() -> str:
     return find_ffmpeg()
 
 
-def _menagerie() -> str:
-    from ...pictures.meshes import find_menagerie  # noqa: PLC0415 - numpy may be missing
-
-    folder = find_menagerie()
-    if folder is None:
-        raise CosimError("not found, so that the arm is drawn in plain shapes")
-    return str(folder)
-
-
-def _shared_library() -> str:
-    """The library that hosts other than Python load for FMUs of the Python kind."""
-    if sys.platform == "win32":
-        return sys.base_prefix
-    if not sysconfig.get_config_var("Py_ENABLE_SHARED"):
-        raise CosimError("this Python has none")
-    return "/".join(sysconfig.get_config_vars("LIBDIR", "INSTSONAME"))
-
-
 # What, whether scenarios can be run without, the check, and the remedy if the error names none.
 CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
     ("libraries of the FMUs", "needed", _fmu_libraries, ""),
@@ -186,9 +167,4 @@ CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
     ("FMU cache", "needed", _cache, "set PANDA_COSIM_CACHE to a folder that is yours alone"),
     ("OpenGL (for pictures)", "optional", _opengl, ""),
     ("ffmpeg (for the video)", "optional", _ffmpeg, ""),
-    ("Menagerie's meshes (for looks)", "optional", _menagerie,
-     "set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"),
-    ("Python as shared library (for FMUs in Python in other hosts)", "optional", _shared_library,
-     "use a Python with a shared library: Debian's python3 with libpython3-dev, or "
-     "PYTHON_CONFIGURE_OPTS=--enable-shared pyenv install 3.12"),
 )  # fmt: skip

@@ -12,8 +12,6 @@ from typing import Any
 from rich.table import Table
 
 from ....fmus.errors import InputError
-from ....fmus.interface.controller import COMMANDS
-from ....fmus.interface.plant import FORCES
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ....fmus.interface.variables import Interface, Variable
@@ -63,11 +61,8 @@ def command(
         show("")
     if connections:
         show("Connections\n", "bold")
-        rows = _connected(connections)
-        if fmu is None or fmu in INTERFACES:
-            own = [*_of_the_scenario(), *rows]
-            rows = [r for r in own if fmu is None or any(end.startswith(f"{fmu}.") for end in r)]
-        show(table(("from", "to"), (map(as_cell, row) for row in rows)))
+        rows = (map(as_cell, row) for row in _connected(connections))
+        show(table(("from", "to"), rows))
 
 
 def _read(name: str | None) -> tuple[Mapping[str, Interface], Sequence[Connection]]:
@@ -179,17 +174,6 @@ def _range(variable: Variable) -> str:
 
 def _items(value: Any) -> tuple[Any, ...]:
     return () if value is None else value if isinstance(value, tuple) else (value,)
-
-
-def _of_the_scenario() -> list[tuple[str, str]]:
-    """The inputs of our own FMUs that the scenario gives at each tick."""
-
-    def name(instance: str, variable: str) -> str:
-        return f"{instance}.{_named(INTERFACES[instance].variable(variable))}"
-
-    rows = [("the scenario's table", name("controller", variable)) for variable in COMMANDS]
-    pushes = [("the scenario's pushes", name("plant", force)) for force in FORCES.values()]
-    return [*rows, *pushes]
 
 
 def _connected(connections: Iterable[Connection]) -> list[tuple[str, str]]:

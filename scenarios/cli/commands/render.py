@@ -9,9 +9,10 @@ from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ...pictures.motion import positions
 from ...recording import Recording
+from ...run.result import SHEET_FILE
 from ..console import show
 from ..options import MESHES, OVERWRITE, RUN, Meshes, option
-from ..outcome import PLOT_FILE, SHEET_FILE, VIDEO_FILE, draw_plot, draw_sheet, draw_video
+from ..outcome import PLOT_FILE, VIDEO_FILE, draw_plot, draw_sheet, draw_video
 
 
 def command(  # noqa: PLR0913 - one for each option

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,8 +28,6 @@ from ..options import (
     scenario_argument,
 )
 from ..outcome import Output, conclude, simulate
-
-SMALL_ERROR = 1e-3  # rad of a joint, with which gains make no difference to be seen
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
 PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
@@ -115,8 +112,7 @@ def command(  # noqa: PLR0913 - one for each option
         return run_prepared(prepared, folder, progress=update)
 
     done = simulate(prepared.scenario, kind, output, run)
-    notes = _notes_on_gains(done, prepared.options)
-    conclude(done, output, realtime=realtime, notes=notes)
+    conclude(done, output, realtime=realtime)
 
 
 def replay(  # noqa: PLR0913 - one for each option
@@ -170,16 +166,3 @@ def _chosen(name: str, system: Path | None, duration: float | None) -> Scenario:
         )
     length = judging.duration if duration is None else duration
     return replace(judging, system=alone.system, folder=alone.folder, duration=length)
-
-
-def _notes_on_gains(done: Run, options: Options) -> Iterator[str]:
-    """Explain why gains that were set have little effect: the joint errors are too small."""
-    changed = {name.partition("[")[0] for name in options.overrides.get("controller", {})}
-    if changed & {"kp", "ki", "kd"} and "controller.dq" in done.recording:
-        error = float(abs(done.recording["controller.dq"]).max(initial=0.0))
-        if error < SMALL_ERROR:
-            yield (
-                f"Gains have little effect here: the joint errors stay below {1e3 * error:.2g} "
-                "mrad, since the joint reference is fed forward. In `panda-cosim run tutorial` "
-                "they matter."
-            )

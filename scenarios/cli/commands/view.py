@@ -47,9 +47,9 @@ def _other(first: Shown, against: str) -> Shown:
     """Return the run given by `--against`."""
     if against == "reference":
         return shown_reference(reference_of(first.source))
-    if Path(against).name == REFERENCE_FILE:
-        return shown_reference(Path(against))
-    if (Path(against) / REFERENCE_FILE).is_file():  # a scenario's folder
-        return shown_reference(Path(against) / REFERENCE_FILE)
-    name = Path(against).resolve().name
-    return shown_run(Path(against), name=against if name == first.name else name)
+    path = Path(against)
+    reference = path if path.name == REFERENCE_FILE else path / REFERENCE_FILE
+    if reference.is_file():
+        return shown_reference(reference)
+    name = path.resolve().name
+    return shown_run(path, name=against if name == first.name else name)
