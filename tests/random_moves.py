@@ -211,50 +211,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     moves = run_moves(
         options.count, options.seed, processes=options.processes, timing_share=options.retimed
     )
-    if options.retimed:
-        return _report_retimed(moves)
-    missed = [move for move in moves if not move.ok]
-    for move in missed:
+    failed = [move for move in moves if not (move.keeps_all if options.retimed else move.ok)]
+    for move in failed:
         joints = [joint for joint, kind in enumerate(move.limit, 1) if kind]
-        why = f"limits of joints {joints}" if joints else "no limit"
         print(
-            f"move {move.number}: {1e3 * move.end_error:.2f} mm, {move.end_turn:.2f} deg from its "
-            f"goal, {why}{', singular' if move.singular else ''}, share {move.share:.3f}"
+            f"move {move.number}: {move.refused} {1e3 * move.end_error:.2f} mm, "
+            f"{move.end_turn:.2f} deg from its goal, joints at limits: {joints or 'none'}"
+            f"{', singular' if move.singular else ''}, share {move.share:.3f}, of the torque rate "
+            f"{move.torque_rate:.1f}"
         )
-    rms = 1e3 * float(np.median([move.rms for move in moves]))
+    rms, rates = 1e3 * float(np.median([m.rms for m in moves])), [m.torque_rate for m in moves]
     print(
-        f"{len(moves) - len(missed)} of {len(moves)} moves end within {1e3 * AT_GOAL[0]:g} mm and "
-        f"{AT_GOAL[1]:g} deg with all limits kept; tracking RMS median {rms:.3f} mm; "
-        f"largest share of a limit {max(move.share for move in moves):.3f}"
-    )
-    rates = [move.torque_rate for move in moves]
-    print(
-        f"torque rate, which is not enforced: above the robot's limit in "
+        f"{len(moves) - len(failed)} of {len(moves)} moves end within {1e3 * AT_GOAL[0]:g} mm and "
+        f"{AT_GOAL[1]:g} deg with all limits kept{', torque rate included' * bool(options.retimed)}"
+        f"; tracking RMS median {rms:.3f} mm; largest share of a limit "
+        f"{max(move.share for move in moves):.3f}; torque rate above the robot's limit in "
         f"{sum(rate > 1.0 for rate in rates)} moves, largest share {max(rates):.1f}"
     )
-    return len(missed)
-
-
-def _report_retimed(moves: list[Move]) -> int:
-    """Print what failed, and how much longer the others take; return how many failed."""
-    failed = [move for move in moves if not move.keeps_all]
-    for move in failed:
-        why = move.refused or (
-            f"{1e3 * move.end_error:.2f} mm, {move.end_turn:.2f} deg from its goal, share "
-            f"{max(move.share, move.torque_rate):.3f}"
-        )
-        print(f"move {move.number}: {why}")
-    slower = np.array([move.slower for move in moves if move.keeps_all])
-    print(
-        f"{len(slower)} of {len(moves)} moves end within {1e3 * AT_GOAL[0]:g} mm and "
-        f"{AT_GOAL[1]:g} deg with all limits kept, torque rate included; "
-        f"{sum(bool(move.refused) for move in moves)} were refused"
-    )
-    if len(slower):
+    slower = np.array([move.slower for move in moves if not move.refused])
+    if options.retimed:
         print(
-            f"{np.count_nonzero(slower > 1.0)} of them got more time: median factor of all "
-            f"{np.median(slower):.2f}, 90 % below {np.percentile(slower, 90):.2f}, "
-            f"largest {slower.max():.2f}"
+            f"{len(moves) - len(slower)} were refused; the others take {np.median(slower):.2f} "
+            f"times as long (median), 90 % below {np.percentile(slower, 90):.2f}, at most "
+            f"{slower.max():.2f}"
         )
     return len(failed)
 

@@ -260,10 +260,6 @@ def test_a_jacobian_beyond_all_bounds_leaves_nothing_behind() -> None:
             {"kp": (1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0)},
             r"kp\[3\]: -1.0 is out of range; must be between 0 and 10000",
         ),
-        ({"ik_gain": np.nan}, r"ik_gain: nan is out of range"),
-        ({"limit_share": 0.0}, r"limit_share: 0.0 is out of range"),
-        ({"servo_stiffness": (0.0,) * 7}, r"servo_stiffness\[1\]: 0.0 is out of range"),
-        ({"kp": 8.0}, r"kp: 8.0; must be a tuple of 7 numbers"),
         ({"ik_gain": (1.0,)}, r"ik_gain: \(1.0,\); must be a number"),
     ],
 )

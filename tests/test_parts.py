@@ -334,10 +334,3 @@ def test_a_system_refuses_what_needs_a_table(tmp_path: Path, key: str, value: st
     (tmp_path / "scenario.toml").write_text(f"{key} = {json.dumps(value)}\n{SSP}")
     with pytest.raises(InputError, match=rf"{key}: acts only on .* with a trajectory.csv"):
         load_scenario(tmp_path)
-
-
-def test_a_system_has_no_commands_to_write(tmp_path: Path) -> None:
-    (tmp_path / "scenario.toml").write_text(SSP)
-    done = CliRunner().invoke(app, ["inputs", str(tmp_path), str(tmp_path / "a.csv")])
-    assert done.exit_code == InputError.exit_code
-    assert not (tmp_path / "a.csv").exists()

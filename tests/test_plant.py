@@ -99,16 +99,6 @@ def test_a_step_is_one_of_mujoco_bit_for_bit(plant: Plant) -> None:
         np.testing.assert_array_equal(plant.outputs["actuator_force"], reference.actuator_force)
 
 
-def test_several_ticks_are_as_many_steps(plant: Plant) -> None:
-    other = Plant(plant.parameters)
-    plant.inputs["ctrl"][:7] += 0.02
-    other.inputs["ctrl"][:7] += 0.02
-    plant.step(5)
-    for _ in range(5):
-        other.step()
-    assert plant.output_values.tobytes() == other.output_values.tobytes()
-
-
 def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant) -> None:
     excite(plant, 60)
     step, turn, data = 1e-6, np.zeros(3), mujoco.MjData(plant.model)
@@ -277,12 +267,8 @@ def test_a_block_inside_something_is_refused(place: tuple[float, float]) -> None
     ("changes", "message"),
     [
         ({"scene": "tabeltop"}, "'tabeltop' is not a scene.*did you mean 'tabletop'"),
-        ({"block_pos": (1.5, 0.0)}, r"block_pos\[1\]: 1.5 m is out of range"),
         ({"block_pos": (0.4, math.nan)}, r"block_pos\[2\]: nan m is out of range"),
-        ({"block_yaw": 4.0}, "block_yaw: 4.0 rad is out of range"),
         ({"block_mass": 0.0}, r"block_mass: 0.0 kg is out of range \[0.001, 3\]"),
-        ({"block_mass": math.inf}, "block_mass: inf kg"),
-        ({"block_friction": -1.0}, "block_friction: -1.0 1 is out of range"),
         ({"servo_scale": (1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)}, r"servo_scale\[3\]: 0.0 1 is out"),
     ],
 )
@@ -309,20 +295,6 @@ def test_divergence_is_an_error_that_says_when(plant: Plant, harm: str) -> None:
         plant.inputs["ctrl"][2] = plant.inputs["torque"][2] = math.nan
     with pytest.raises(DivergenceError, match=r"diverged at t = 0\.01\d s: BAD"):
         plant.step(3)
-
-
-@pytest.mark.usefixtures("elsewhere")
-def test_a_plant_recovers_from_divergence_by_a_state(plant: Plant) -> None:
-    excite(plant, 10)
-    state = plant.get_state()
-    plant.step()
-    expected = plant.output_values.tobytes()
-    plant.data.qvel[:] = 1e12
-    with pytest.raises(DivergenceError):
-        plant.step(3)
-    plant.set_state(state)
-    plant.step()
-    assert plant.output_values.tobytes() == expected
 
 
 ARM = {

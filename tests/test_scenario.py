@@ -27,26 +27,19 @@ BAD_SCENARIOS = {
     "latin-1": ('purpose = "h\xf6her"\n'.encode("latin-1"), "line 1: byte 0xf6; must be UTF-8"),
     "too large": ("#" * 65_537, "is too large; must be at most 65536 bytes"),
     "key twice": (GOOD + "duration = 2\n", "at line 3"),
-    "integer of 5000 digits": ("duration = " + "1" * 5000, "must be TOML"),
     "key misspelt": ("durration = 1.0\n", "did you mean 'duration'?"),
     "key unknown": (GOOD + "colour = 1\n", "key 'colour' is unknown; valid: duration, purpose"),
-    "key of our own": (GOOD + 'name = "x"\n', "key 'name' is unknown"),
     "duration missing": ('purpose = "x"\n', "key duration is missing"),
     "duration too long": ("duration = 3600.001\n", "must be a number from 0.001 to 3600 s"),
-    "duration NaN": ("duration = nan\n", "duration: value nan"),
     "duration of 400 digits": ("duration = " + "9" * 400, "an integer of 1329 bits"),
     "duration no whole tick": ("duration = 1.0005\n", "must be a whole number of ticks of 0.001"),
-    "duration true": ("duration = true\n", "duration: value True is not a number"),
     "scene unknown": (GOOD + 'scene = "tabeltop"\n', "did you mean 'tabletop'?"),
     "align number": (GOOD + "align = 1\n", "align: value 1; must be true or false"),
     "purpose of two lines": ('duration = 1.0\npurpose = "a\\nb"\n', "must be one line of at most"),
     "plant no section": (GOOD + "plant = 3\n", "key plant: must be a section [plant]"),
     "parameter dotted": (GOOD + "[plant]\nblock.mass = 1\n", "[plant] block: is a section"),
     "parameter list empty": (GOOD + "[plant]\nblock_pos = []\n", "must hold at least one number"),
-    "parameter list of text": (GOOD + '[controller]\nkp = ["a"]\n', "kp[1]: value 'a' is not"),
     "scene among parameters": (GOOD + '[plant]\nscene = "tutorial"\n', "must stand at the top"),
-    "success misspelt": (GOOD + "[success]\nmax_tlit = 1\n", "did you mean 'max_tilt'?"),
-    "tilt too large": (GOOD + "[success]\nmax_tilt = 181\n", "a number from 0 to 180 deg"),
     "place far away": (
         GOOD + "[success]\nblock_position = [600, 0, 0]\nposition_tolerance = 0.1\n",
         "[success] block_position[1]: value 600; must be a number from -10 to 10 m",
@@ -155,24 +148,6 @@ def make(**changes: object) -> Scenario:
     """Make a scenario in Python."""
     rows = tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0))
     return Scenario(**{"name": "x", "table": TrajectoryTable(rows), "duration": 1.0, **changes})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"scene": "moon"}, "must be one of"),
-        ({"align": None}, "must be true or false"),
-        ({"plant": 3}, "key plant: must be a section"),
-        ({"controller": {"kp": None}}, "[controller] kp: value None"),
-        ({"name": "a\nb"}, "name: value"),
-    ],
-)
-def test_a_scenario_made_in_python_is_checked_as_well(
-    changes: dict[str, object], expected: str
-) -> None:
-    with pytest.raises(InputError) as caught:
-        make(**changes)
-    assert expected in str(caught.value)
 
 
 def test_a_scenario_is_a_value_that_can_be_varied_and_sent_elsewhere() -> None:

@@ -202,20 +202,6 @@ def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path, pl
     assert bits(tmp_path / "run") == bits(plain.folder, 101)
 
 
-def test_a_session_that_was_never_opened_says_so(tmp_path: Path) -> None:
-    session = Session("push", tmp_path / "run")
-    asked = {
-        "tick": lambda: session.tick,
-        "time": lambda: session.time,
-        "coupling": lambda: session.coupling,
-        "scenario": session.as_scenario,
-        "keep": lambda: session.keep(tmp_path / "kept"),
-    }
-    for ask in asked.values():
-        with pytest.raises(InputError, match="session: is not open"):
-            ask()
-
-
 def test_a_restart_begins_anew_in_another_folder(tmp_path: Path, plain: Run) -> None:
     with Session(SCENARIO, tmp_path / "run") as session:
         session.set("controller.kp", 4)

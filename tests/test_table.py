@@ -34,7 +34,6 @@ BAD_TABLES = {
         "time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
         "grip: missing; must have the columns time, frame, x, y, z, grip",
     ),
-    "column misspelt": (GOOD.replace("grip", "gripp"), "did you mean 'grip'?"),
     "column repeated": (GOOD.replace("qx", "qw"), "column qw occurs 2 times; must occur once"),
     "one quaternion column missing": (
         "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
@@ -43,8 +42,6 @@ BAD_TABLES = {
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
     "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
-    "underscore": (with_cell("x", "1_0"), "column x: value '1_0'"),
-    "NaN position": (with_cell("y", "NaN"), "column y: value nan; must be a number from -10"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
     "time repeats": (with_cell("time", "0"), "line 3: column time: value 0.0 repeats"),
     "time goes back": (
@@ -52,7 +49,6 @@ BAD_TABLES = {
         "line 4: column time: value 0.5 goes back",
     ),
     "times too close": (with_cell("time", "1e-9"), "is too close; must be at least 1e-06 s after"),
-    "grip negative": (with_cell("grip", "-0.001"), "must be a number from 0 to 0.08 m"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
     "quaternion of zero length": (with_cell("qx", "0"), "of length 0; must be longer than 0"),
     "quaternion partly blank": (with_cell("qz", ""), "column qz is blank; qw to qz must be all"),

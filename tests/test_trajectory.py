@@ -210,29 +210,6 @@ def test_the_tutorial_goes_where_the_published_one_goes(
     assert commands[GRIP] == grip
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"times": np.array([1.0, 1.0])},
-        {"times": np.array([1.0, np.nan])},
-        {"times": np.array([])},
-        {"positions": np.zeros((2, 2))},
-        {"orientations": np.zeros((2, 4))},
-        {"orientations": np.full((2, 4), np.nan)},
-        {"grips": np.zeros(3)},
-    ],
-)
-def test_a_trajectory_of_bad_arrays_is_refused(change: dict[str, Array]) -> None:
-    good = {
-        "times": np.array([0.0, 1.0]),
-        "positions": np.zeros((2, 3)),
-        "orientations": np.array([DOWN, DOWN]),
-        "grips": np.zeros(2),
-    }
-    with pytest.raises(ValueError, match="must be"):
-        Trajectory(**{**good, **change})  # type: ignore[arg-type]
-
-
 def test_a_trajectory_cannot_be_changed_once_made() -> None:
     times = np.array([0.0, 1.0])
     trajectory = Trajectory(times, np.zeros((2, 3)), np.array([DOWN, DOWN]), np.zeros(2))
