@@ -401,17 +401,6 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert done.stderr == ""
 
 
-def test_progress_is_lines_in_a_file(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("panda_cosim.scenarios.cli.console.LINE_INTERVAL", 0.0)
-    with progress("Working") as update:
-        update(0, 4)
-        update(1, 4)
-        update(4, 4)
-    assert capsys.readouterr().err.splitlines() == ["Working ...", "Working: 25%, about 0 s left"]
-
-
 def test_progress_is_a_bar_in_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

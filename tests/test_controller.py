@@ -203,13 +203,6 @@ def test_the_finger_speed_is_kept_and_an_unlimited_one_is_not() -> None:
         assert controller.outputs["ctrl"][7] == pytest.approx(255 * opening / OPENING_MAX)
 
 
-def test_the_gripper_starts_where_it_is_commanded() -> None:
-    _, controller = started()
-    controller.inputs["grip_cmd"] = 0.04
-    controller.update()
-    assert controller.outputs["ctrl"][7] == 127.5
-
-
 @pytest.mark.parametrize("names", [("default", "tutorial"), ("tutorial", "default")])
 def test_a_law_begins_as_if_there_had_been_no_other(names: tuple[str, str]) -> None:
     """Switching the law resets its outputs and its PIDs."""

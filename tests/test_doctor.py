@@ -67,11 +67,6 @@ def test_a_cache_that_cannot_be_written_is_reported(
     assert "PANDA_COSIM_CACHE" in finding.remedy
 
 
-def test_what_only_pictures_need_is_optional() -> None:
-    assert look("OpenGL").state == "optional"
-    assert "MUJOCO_GL=disable" in look("OpenGL").detail
-
-
 WITHOUT_NUMPY = """
 import sys
 sys.modules["numpy"] = None

@@ -272,12 +272,6 @@ def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
     }
 
 
-def test_the_page_comes_from_the_address_that_is_told_for_a_host(tmp_path: Path) -> None:
-    with live(tmp_path / "run", "--paused", "--host", "LocalHost") as server:
-        as_a_browser_says_it = {"Host": server.host.lower()}
-        assert asked(server, f"/?token={server.token}", **as_a_browser_says_it)[0] == 200
-
-
 def test_a_waypoint_stays_where_it_is_dropped_whatever_the_camera_sees() -> None:
     wrong = Mismatch(block_position_error=(0.01, 0.0, 0.0), block_yaw_error=0.3)
     session = Session(replace(load_scenario("pick_and_place"), mismatch=wrong))

@@ -277,15 +277,11 @@ def test_a_parameter_out_of_range_is_refused(changes: dict[str, Any], message: s
         PlantParameters(**changes)
 
 
-@pytest.fixture
-def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Work in another folder: MuJoCo writes its log of warnings where it is."""
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.mark.parametrize("harm", ["velocity", "position", "command"])
-@pytest.mark.usefixtures("elsewhere")
-def test_divergence_is_an_error_that_says_when(plant: Plant, harm: str) -> None:
+def test_divergence_is_an_error_that_says_when(
+    plant: Plant, harm: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log of warnings
     plant.step(10)
     if harm == "velocity":
         plant.data.qvel[:] = 1e12

@@ -83,8 +83,6 @@ def _diagnostics(level: Level, texts: Iterable[str]) -> list[Diagnostic]:
 
 def _no_folder(folder: Path) -> str:
     """Return what helps where there is no folder: that of the shipped scenario, or a new one."""
-    if folder.is_file():
-        return f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"
     shipped = shipped_scenarios().get(str(folder))
     if shipped is not None:
         return f"{folder}: no such folder; the shipped scenario of that name is in {shipped}"

@@ -37,8 +37,6 @@ class Progress:
     done: int  # completed rows
     total: int  # rows in all
     new: int  # rows of this call
-    bad: int  # rows without success
-    seconds: float  # since the call
 
 
 @dataclass(frozen=True)
@@ -149,17 +147,16 @@ def _fill(
     progress: Callable[[Progress], None] | None,
 ) -> None:
     """Run the missing rows; those done are in the table, whatever ends this."""
-    there, counts = store.done(), store.count()
+    there = store.done()
     search = Search(definition, store) if definition.design == "search" else None
     tasks = _missing(design, there) if search is None else search.tasks()
     columns = schema(design.values(0), store.content["columns"])
-    new, bad, part = 0, len(there) - counts.get("success", 0), []
+    new, part = 0, []
     began = flushed = time.monotonic()
     try:
         for done in rows.run(tasks):
             if done is not None:
                 new += 1
-                bad += done.row["status"] != "success"
                 part.append(done.row)
                 store.keep(done)
                 if search is not None:
@@ -169,7 +166,7 @@ def _fill(
                 store.add(part, columns)
                 part, flushed = [], time.monotonic()
             if progress is not None:
-                progress(Progress(len(there) + new, len(design), new, bad, seconds))
+                progress(Progress(len(there) + new, len(design), new))
     finally:
         store.add(part, columns)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from shlex import quote
 
@@ -11,7 +10,7 @@ from ....fmus.errors import InputError
 from ...run.folder import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import SAMPLED, Sweep, load_sweep, sweep_of
-from ...sweep.engine import Progress, SweepResult, check_sweep
+from ...sweep.engine import SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import REPORT_FILE, write_report
 from ...sweep.results import missing
@@ -28,7 +27,6 @@ ROW = argument(
     min=0,
     show_default=False,
 )
-LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -95,27 +93,15 @@ def command(  # noqa: PLR0913 - one for each option
 def _run(
     definition: Sweep, out: Path, jobs: int | None, dask: str | None, limit: float | None
 ) -> SweepResult:
-    """Run with a progress bar, and now and then a line with rate and failures."""
-    latest = time.monotonic()
+    """Run with a progress bar."""
     with progress("Running the sweep") as update:
-
-        def on_rows(now: Progress) -> None:
-            nonlocal latest
-            update(now.new, now.total - now.done + now.new)  # of this call: for the time left
-            if time.monotonic() - latest > LINE_INTERVAL and now.new:
-                latest = time.monotonic()
-                update.say(
-                    f"{now.done} of {now.total} rows, {now.new / now.seconds:.2g} a second, "
-                    f"{now.bad} without success"
-                )
-
         return run_sweep(
             definition,
             out,
             jobs=jobs,
             dask=dask,
             time_limit=limit,
-            progress=on_rows,
+            progress=lambda now: update(now.new, now.total - now.done + now.new),
             remark=warn,
         )
 
