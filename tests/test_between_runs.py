@@ -128,9 +128,6 @@ def test_runs_with_nothing_in_common_are_refused(tmp_path: Path) -> None:
         record(tmp_path / name, signals)
         with pytest.raises(InputError, match=told):
             compare(a, tmp_path / name)
-    record(tmp_path / "d2", none)
-    with pytest.raises(InputError, match="it has no rows"):
-        compare(tmp_path / "d", tmp_path / "d2")
 
 
 def test_columns_of_other_units_are_named_and_not_compared(tmp_path: Path) -> None:
@@ -218,16 +215,6 @@ def test_a_recording_is_a_table_of_pandas(recording: Recording) -> None:
     assert list(two.columns) == ["controller.dq[1]", "controller.dq[2]"]
     with pytest.raises(InputError, match="did you mean"):
         recording.to_pandas(["controller.dp"])
-
-
-def test_a_recording_is_a_dataset_of_xarray(recording: Recording) -> None:
-    pytest.importorskip("xarray")
-    data = recording.to_xarray(["controller.dq", "plant.jac", "plant.contact_force"])
-    assert data["plant.jac"].dims == ("time", "plant.jac_1", "plant.jac_2")
-    assert data["controller.dq"].attrs["units"] == "rad"
-    at = data["controller.dq"].sel({"time": 0.2, "controller.dq_1": 2}, method="nearest")
-    assert float(at) == recording["controller.dq[2]"][200]
-    assert "plant.qpos" in recording.to_xarray()
 
 
 @pytest.mark.fmu

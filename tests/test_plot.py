@@ -148,13 +148,6 @@ def test_a_dollar_in_a_name_is_text_and_no_formula(tmp_path: Path, name: str) ->
     assert name in texts(run)
 
 
-@pytest.mark.parametrize("times", ["abc", [None], [float("nan")]])
-def test_spoiled_metadata_costs_only_the_marks(tmp_path: Path, times: object) -> None:
-    run = made_up_run(3)
-    run.metadata = {"row_times": times, "scenario": ["x"], "coupling": 3, "reason": {}}
-    assert plot_run(run, tmp_path / "plot.png").stat().st_size > 10_000
-
-
 def test_a_signal_of_another_shape_is_refused(tmp_path: Path) -> None:
     run = made_up_run(3)
     run.signals["plant.qvel"] = run.signals["plant.qvel"][:, :7]

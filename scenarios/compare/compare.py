@@ -23,7 +23,7 @@ from ...fmus.errors import InputError
 from ..recording import Recording
 from ..scenario.tolerances import Tolerances
 from . import guards
-from .formats import measure, multiple, signals_of
+from .formats import measure, multiple, signal_names
 from .reference import Reference
 
 Array = NDArray[np.float64]
@@ -178,10 +178,8 @@ def _tube_problems(deviations: Sequence[Deviation]) -> list[str]:
     if not failed:
         return []
     worst, *others = failed
-    signals = signals_of(d.name for d in others)
-    names = ", ".join(signals[: guards.NAMED]) + (" ..." if len(signals) > guards.NAMED else "")
-    more = f"; {len(others)} more outside: {names}" if others else ""
-    return [describe(worst) + more]
+    names = signal_names(d.name for d in others)
+    return [describe(worst) + (f"; {len(others)} more outside: {names}" if others else "")]
 
 
 def describe(deviation: Deviation) -> str:

@@ -14,9 +14,11 @@ def signal_of(column: str) -> str:
     return column.partition("[")[0]
 
 
-def signals_of(columns: Iterable[str]) -> list[str]:
-    """Return the signals of columns, each once."""
-    return list(dict.fromkeys(map(signal_of, columns)))
+def signal_names(columns: Iterable[str], most: int = 5) -> str:
+    """List the signals of columns in one line, or the first of them."""
+    signals = list(dict.fromkeys(map(signal_of, columns)))
+    more = f" and {len(signals) - most} more" if len(signals) > most else ""
+    return ", ".join(signals[:most]) + more
 
 
 def numbers(values: Sequence[object]) -> list[str]:

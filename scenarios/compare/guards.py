@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from ...fmus.messages import did_you_mean
 from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
-from .formats import precise, signal_of, signals_of
+from .formats import precise, signal_names, signal_of
 from .reference import Reference, column_digest, kept_metadata
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 
 TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
-NAMED: Final = 5  # signals named in a message
 
 
 def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[str]:
@@ -110,10 +109,7 @@ def bit_problems(recording: Recording, columns: Columns, reference: Reference) -
     ]
     if not differing:
         return []
-    signals = signals_of(differing)
-    text = f"bits differ: {', '.join(signals[:NAMED])}"
-    if len(signals) > NAMED:
-        text += f" and {len(signals) - NAMED} more"
+    text = f"bits differ: {signal_names(differing)}"
     changes = _environment_changes(reference.metadata, kept_metadata(recording))
     if changes:
         text += f" (made with another {', another '.join(changes)})"

@@ -11,7 +11,7 @@ import math
 import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -63,7 +63,6 @@ class Part:
     tables: Sequence[Table] = ()  # those without rows are left out
     note: str = ""
     figures: Sequence[Figure] = ()
-    picture: dict[str, Any] | None = None  # width and height [px], JPEG in base64
     view: dict[str, Any] | None = None  # `runs` for PandaView.show, `at` [s], `words` or `missing`
 
 
@@ -91,8 +90,8 @@ class Page:
     about: str
     key: Sequence[tuple[str, str]]  # class and words of each kind of line
     sections: Sequence[Section]
-    view: Mapping[str, str]  # `Views.page_parts`, or NO_VIEW
     settings: Sequence[str] = ()  # changed for these runs
+    view: Mapping[str, str] = field(default_factory=lambda: NO_VIEW)  # `Views.page_parts`
     listed: bool = False  # whether a table of verdicts comes first
 
 

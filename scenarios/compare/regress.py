@@ -23,15 +23,12 @@ from ..scenario.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..scenario.tolerances import Tolerances
 from ..work import Workers
 from .compare import Comparison, compare_with_reference, describe
-from .differences import metrics_of, side_by_side
 from .guards import unexpected_text
 from .reference import Reference, how_to_make, reference_path
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 
 TIMEOUT: Final = 600.0  # [s] wall time of one scenario; a hanging one must not hang the others
-SHOWN: Final = 5  # metrics listed
-NOTICED: Final = 1e-3  # relative change from which a metric is listed
 
 
 @dataclass(frozen=True)
@@ -216,6 +213,13 @@ def run_suite(
     return [outcomes[scenario.name] for scenario in suite.scenarios]
 
 
+def headline(outcomes: Sequence[Outcome]) -> str:
+    """Say in one line how many scenarios pass."""
+    is_judged = any(outcome.verdict in ("holds", "missed") for outcome in outcomes)
+    words = "pass" if is_judged else "match their references"
+    return f"{sum(outcome.ok for outcome in outcomes)} of {len(outcomes)} scenarios {words}"
+
+
 def exit_code(outcomes: Iterable[Outcome]) -> int:
     """Return 0 if all pass, 1 if one does not, 2 if one has neither reference nor criteria."""
     verdicts = {outcome.verdict for outcome in outcomes}
@@ -300,11 +304,4 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
         lines = [f"stays within all tolerances{near}"]
     if old.quanta != new.quanta:
         lines.append("is rounded anew, as its tolerances have changed")
-    metrics = side_by_side([metrics_of(old.summary), metrics_of(new.summary)])
-    moved = sorted((m for m in metrics if m.relative > NOTICED), key=lambda m: -m.relative)
-    for metric in moved[:SHOWN]:
-        before, now = ("none" if value is None else f"{value:.4g}" for value in metric.values)
-        lines.append(f"{metric.name}: {before} -> {now}")
-    if len(moved) > SHOWN:
-        lines.append(f"and {len(moved) - SHOWN} more metrics")
     return lines

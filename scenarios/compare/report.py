@@ -6,8 +6,6 @@ are replaced, as everything else there belongs to the user.
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,17 +23,16 @@ from ..run.start import Overrides
 from ..view.export import shown_run
 from .compare import Comparison, Deviation, deviation_text, matching_rows, tube_of
 from .differences import metrics_of, side_by_side
-from .formats import DASH, measure, number, numbers
+from .formats import DASH, measure, numbers
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
-from .regress import Outcome
+from .regress import Outcome, headline
 from .views import Views, limited, shown_reference
 
 CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not
 ALIKE: Final = 3  # curves per signal
 LISTED: Final = 12  # signals in the open table
-NOTICED: Final = 0.01  # relative change from which a metric is shown unfolded
 # What ran and differs comes before what could not be judged, so that errors hide no difference.
 ORDER: Final = {"differs": 0, "missed": 0, "failed": 1, "no reference": 2, "same": 3, "holds": 3}
 KEY: Final = (("reference", "reference"), ("tube", "tube around it"), ("r1", "this run"))
@@ -44,20 +41,16 @@ SIGNALS: Final = (
     "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
 )  # fmt: skip
 MANIFEST_FILE: Final = "made-by-regress.json"
-SHEET_FILE: Final = "contact_sheet.png"
-WIDTH: Final = 1400  # of the contact sheet in the report [px]
-QUALITY: Final = 80  # of JPEG
 
 
 def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) -> None:
     """Write the report of a suite that was run with changed parameters, by instance and name."""
-    wrong = sum(not outcome.ok for outcome in outcomes)
     settings = [f"{i}.{name} = {value}" for i, v in overrides.items() for name, value in v.items()]
     views = Views()
     sections = [_section(outcome, views) for outcome in sorted(outcomes, key=_rank)]
     page = Page(
-        title=_headline(outcomes, wrong),
-        state="bad" if wrong else "good",
+        title=headline(outcomes),
+        state="good" if all(outcome.ok for outcome in outcomes) else "bad",
         about=_about(outcomes),
         key=KEY,
         sections=sections,
@@ -73,16 +66,6 @@ def _rank(outcome: Outcome) -> tuple[int, float, str]:
     """Sort key of the verdicts: the worst first."""
     worst = outcome.comparison.worst if outcome.comparison else None
     return ORDER[outcome.verdict], -(worst.share if worst else 0.0), outcome.name
-
-
-def _headline(outcomes: Sequence[Outcome], wrong: int) -> str:
-    count = len(outcomes)
-    if any(outcome.verdict in ("holds", "missed") for outcome in outcomes):
-        return f"{count - wrong} of {count} scenarios pass"
-    if not wrong:
-        return f"All {count} scenarios match their references" if count > 1 else "No difference"
-    says = "do not match their references" if wrong > 1 else "does not match its reference"
-    return f"{wrong} of {count} scenarios {says}"
 
 
 def _about(outcomes: Sequence[Outcome]) -> str:
@@ -126,6 +109,7 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     failed = [d for d in comparison.deviations if not d.ok]
     others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
     shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
+    origins = (dict(_flatten(each)) for each in (reference.metadata, kept_metadata(recording)))
     tables = [
         Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
         Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
@@ -134,9 +118,8 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     return [
         _view(outcome, shown, views),
         Part("Signals, worst first", tables, figures=figures),
-        _metrics(reference.summary, outcome.summary),
-        *_pictures(outcome.run),
-        _origins(reference.metadata, kept_metadata(recording)),
+        _changes("Metrics", "Metric", metrics_of(reference.summary), metrics_of(outcome.summary)),
+        _changes("Parameters, versions, FMUs", "What", *origins),
     ]
 
 
@@ -178,52 +161,15 @@ def _figure(
     return Figure(deviation.name, deviation_text(deviation), meaning, lines)
 
 
-def _metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
-    """Return the metrics' tables, by size of the change."""
-    head = ("Metric", "Reference", "This run", "Change")
-    most: list[tuple[str, ...]] = []
-    little: list[tuple[str, ...]] = []
-    same: list[tuple[str, ...]] = []
-    for row in side_by_side([metrics_of(before), metrics_of(now)]):
-        old, new = row.values
-        rows = most if row.relative > NOTICED else little if row.relative > 0.0 else same
-        change = DASH if old == new or None in (old, new) else number(new - old, "+")
-        rows.append((row.name, *numbers(row.values), change))
-    tables = [
-        Table(head, most),
-        Table(head, little, f"{len(little)} metrics that changed by less than 1 %"),
-        Table(head, same, f"{len(same)} unchanged"),
-    ]
-    return Part("Metrics", tables, note="" if most else "None changed.")
-
-
-def _pictures(run: Path) -> list[Part]:
-    """Return the run's contact sheet, if it has one."""
-    path = run / SHEET_FILE
-    if not path.is_file():
-        return []
-    from PIL import Image  # noqa: PLC0415 - seldom needed
-
-    with Image.open(path) as image:
-        height = round(image.height * WIDTH / image.width)
-        small = image.convert("RGB").resize((WIDTH, height), Image.Resampling.LANCZOS)
-    buffer = io.BytesIO()
-    small.save(buffer, "JPEG", quality=QUALITY, optimize=True)
-    content = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return [Part("Pictures", picture={"width": WIDTH, "height": height, "content": content})]
-
-
-def _origins(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
-    """Compare the origins of reference and run: parameters, versions, machine, FMUs."""
-    head = ("What", "Reference", "This run")
+def _changes(title: str, what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
+    """Return what has changed from the reference, the most first, and what has not."""
+    head = (what, "Reference", "This run")
     changed: list[tuple[str, ...]] = []
     same: list[tuple[str, ...]] = []
-    for row in side_by_side([dict(_flatten(before)), dict(_flatten(now))]):
-        old, new = row.values
-        texts = (row.name, *(DASH if value is None else str(value) for value in row.values))
-        (same if old == new else changed).append(texts)
+    for row in sorted(side_by_side([before, now]), key=lambda row: -row.relative):
+        (changed if row.relative > 0.0 else same).append((row.name, *numbers(row.values)))
     tables = [Table(head, changed), Table(head, same, f"{len(same)} unchanged")]
-    return Part("Parameters, versions, FMUs", tables, note="" if changed else "None changed.")
+    return Part(title, tables, note="" if changed else "None changed.")
 
 
 def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:

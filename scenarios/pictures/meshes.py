@@ -6,7 +6,6 @@ The simulation never sees this model.
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -41,29 +40,16 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
     elif meshes == "always":
         raise InputError(
             f"meshes: value 'always'; no folder {ROBOT} of MuJoCo Menagerie was found; set "
-            "MENAGERIE_ROOT to the folder that holds it, or pip install mujoco-menagerie and run "
-            f"mujoco-menagerie prefetch {ROBOT}"
+            "MENAGERIE_ROOT to the folder that holds it"
         )
     return spec.compile()
 
 
 def find_menagerie() -> Path | None:
-    """Return the folder of Menagerie's Panda, or None; nothing is ever downloaded.
-
-    It looks in MENAGERIE_ROOT, then in the cache of the package mujoco-menagerie.
-    """
-    if root := os.environ.get("MENAGERIE_ROOT"):
-        folder = Path(root) / ROBOT
-    else:
-        try:
-            menagerie = importlib.import_module("mujoco_menagerie")
-        except ImportError:
-            return None
-        cache, robot = menagerie.Cache(), menagerie.get(ROBOT)
-        if not cache.is_cached(robot):
-            return None
-        folder = Path(cache.model_path(robot))
-    return folder if (folder / "panda.xml").is_file() else None
+    """Return the folder of Menagerie's Panda in MENAGERIE_ROOT, or None."""
+    root = os.environ.get("MENAGERIE_ROOT")
+    folder = Path(root) / ROBOT if root else None
+    return folder if folder is not None and (folder / "panda.xml").is_file() else None
 
 
 def apply_meshes(spec: Any, folder: Path) -> None:

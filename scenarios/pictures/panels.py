@@ -103,16 +103,14 @@ def read_curves(recording: Signals) -> Curves:
     with suppress(InputError, LookupError, ValueError):
         reference = recording["controller.qvel_ref"]
     metadata = recording.metadata
-    times, names = metadata.get("row_times"), metadata.get("row_names")
-    is_list = isinstance(times, list) and all(isinstance(v, int | float) for v in times)
     return Curves(
         recording.time,
         take(recording, SHAPES),
         reference,
         find_holds(recording),
         metadata,
-        np.array(times if is_list else (), dtype=float),
-        tuple(map(str, names)) if isinstance(names, list) else (),
+        np.array(metadata.get("row_times", ()), dtype=float),
+        tuple(metadata.get("row_names", ())),
     )
 
 

@@ -86,20 +86,21 @@ def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) ->
         "vary": vary,
         "scenarios": {each.name: identity(each) for each in packed},
         "fmus": {name: _sha256(content) for name, content in fmus.items()},
-        "code": {"panda-cosim": code_digest()},
+        "code": {"panda-cosim": _code_digest()},
         "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
     }))  # fmt: skip
     return plain
 
 
-def code_digest(package: Path = _PACKAGE) -> str:
-    """Return a hash of a package's code that simulates and judges, and its data."""
+def _code_digest() -> str:
+    """Return a hash of the code that simulates and judges, and of its data."""
     content = hashlib.sha256()
     for place in _CODE:
-        paths = (package / place).rglob("*") if (package / place).is_dir() else [package / place]
+        root = _PACKAGE / place
+        paths = root.rglob("*") if root.is_dir() else [root]
         for path in sorted(p for p in paths if p.suffix in _CODE_SUFFIXES):
             data = path.read_bytes()
-            content.update(f"{path.relative_to(package)} {len(data)} ".encode() + data)
+            content.update(f"{path.relative_to(_PACKAGE)} {len(data)} ".encode() + data)
     return content.hexdigest()[:16]
 
 

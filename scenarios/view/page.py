@@ -15,11 +15,9 @@ from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from string import Template
 from typing import Any, Final
 
-from ...fmus.atomic import replacing
 from ...fmus.messages import legible
 from .columns import pack
 
@@ -130,10 +128,3 @@ class Inline:
             f'<iframe srcdoc="{escape(self.page)}" style="{style}" sandbox="allow-scripts" '
             'title="Run in 3D"></iframe>'
         )
-
-    def save(self, path: str | Path) -> Path:
-        """Write the page to a file."""
-        path = Path(path)
-        with replacing(path) as partial:
-            partial.write_text(self.page, encoding="utf-8")
-        return path

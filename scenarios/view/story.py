@@ -92,14 +92,11 @@ def moments(signals: Signals) -> list[dict[str, Any]]:
 
 def waypoints(metadata: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the rows of the scenario's table: their instants [s], and names or numbers."""
-    times, names = metadata.get("row_times"), metadata.get("row_names")
-    if not isinstance(times, list):
-        return []
-    labels = names if isinstance(names, list) and len(names) == len(times) else [""] * len(times)
+    times = metadata.get("row_times", ())
+    names = metadata.get("row_names") or [""] * len(times)
     return [
-        {"time": time, "label": str(label or index)}
-        for index, (time, label) in enumerate(zip(map(number, times), labels, strict=True), start=1)
-        if time is not None
+        {"time": time, "label": name or str(index)}
+        for index, (time, name) in enumerate(zip(times, names, strict=True), start=1)
     ]
 
 

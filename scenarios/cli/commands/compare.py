@@ -8,7 +8,7 @@ from pathlib import Path
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
 from ...compare.between_runs import RunComparison, compare, extent_rows, judged_text
-from ...compare.formats import numbers, percent
+from ...compare.formats import numbers, percent, signal_names
 from ..console import as_cell, show, show_json, table
 from ..options import JSON, OVERWRITE, argument, option
 
@@ -79,7 +79,5 @@ def _show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], most: int | N
 
 
 def _show_names(what: str, columns: tuple[str, ...]) -> None:
-    signals = list(dict.fromkeys(name.partition("[")[0] for name in columns))
-    if signals:
-        more = f" and {len(signals) - SHOWN} more" if len(signals) > SHOWN else ""
-        show(f"{what} {', '.join(signals[:SHOWN])}{more}")
+    if columns:
+        show(f"{what} {signal_names(columns, SHOWN)}")

@@ -19,15 +19,13 @@ from ...compare.regress import (
     changes,
     exit_code,
     find_scenarios,
+    headline,
     run_suite,
 )
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
-from ...pictures.gl import RenderError
-from ...recording import Recording
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..options import JSON, OVERWRITE, PARAMETERS, argument, option, overrides
-from ..outcome import draw_sheet
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES, BAD = {"same": "green", "holds": "green", "no reference": "yellow"}, "bold red"
@@ -60,7 +58,6 @@ def command(  # noqa: PLR0913 - one for each option
     folder: Path | None = option(
         "--scenarios DIR", "Folder with scenarios of your own, instead of the shipped ones."
     ),
-    pictures: bool = option("--pictures", "Add contact sheets to the report.", False),
     overwrite: bool = OVERWRITE,
     yes: bool = option("--yes -y", "With --update: do not ask.", False),
     json: bool = JSON,
@@ -88,9 +85,8 @@ def command(  # noqa: PLR0913 - one for each option
         )
     if yes and not update:
         raise InputError("--yes: only goes with --update")
-    for name, is_asked in (("--pictures", pictures), ("--overwrite", overwrite)):
-        if is_asked and report is None:
-            raise InputError(f"{name}: only goes with --report")
+    if overwrite and report is None:
+        raise InputError("--overwrite: only goes with --report")
     chosen = find_scenarios(scenarios or (), folder)
     suite = Suite(chosen, overrides(assignments), exact, jobs or cores())
     if report is not None:
@@ -105,8 +101,6 @@ def command(  # noqa: PLR0913 - one for each option
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
         outcomes = _run(suite, runs)
         if report is not None:
-            if pictures:
-                _draw_sheets(outcomes)
             write_report(outcomes, report / REPORT_FILE, suite.overrides)
             write_junit(outcomes, report / JUNIT_FILE)
             if not json:
@@ -162,21 +156,9 @@ def _show_result(outcomes: list[Outcome]) -> None:
         ]
         show(table(("Scenario", "Verdict", "Why*"), rows))
     judged = [outcome.name for outcome in outcomes if outcome.verdict in ("holds", "missed")]
-    words = "pass" if judged else "match their references"
-    count = len(outcomes) - len(wrong)
-    show(f"{count} of {len(outcomes)} scenarios {words}", "bold red" if wrong else "bold green")
+    show(headline(outcomes), "bold red" if wrong else "bold green")
     if judged:
         show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
-
-
-def _draw_sheets(outcomes: list[Outcome]) -> None:
-    """Draw the contact sheets; without OpenGL, the report has none."""
-    try:
-        for outcome in outcomes:
-            if outcome.verdict != "failed":
-                draw_sheet(Recording.open(outcome.run), outcome.run)
-    except RenderError as error:
-        warn(str(error))
 
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:
