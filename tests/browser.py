@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
@@ -191,7 +190,7 @@ class Page:
             pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
 
-    def press(self, key: str, *, shift: bool = False) -> None:
+    def press(self, key: str) -> None:
         """Press and release a key, named as in JavaScript's `event.key`."""
         text = {"text": key} if len(key) == 1 else {}
         code = {"Enter": 13, "Escape": 27, "ArrowDown": 40, "ArrowUp": 38, " ": 32}.get(key, 0)
@@ -200,7 +199,6 @@ class Page:
                 "Input.dispatchKeyEvent",
                 type=kind,
                 key=key,
-                modifiers=8 if shift else 0,
                 windowsVirtualKeyCode=code,
                 **(text if kind == "keyDown" else {}),
             )
@@ -208,10 +206,6 @@ class Page:
     def type(self, text: str) -> None:
         """Type text into what has the focus."""
         self.call("Input.insertText", text=text)
-
-    def pdf(self, path: Path) -> None:
-        """Print the page."""
-        path.write_bytes(base64.b64decode(self.call("Page.printToPDF")["data"]))
 
 
 @contextmanager

@@ -196,20 +196,6 @@ def test_the_csv_quotes_only_names_with_a_comma(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.csv", "recording.parquet"]
 
 
-def test_leaving_the_context_by_an_error_keeps_all_rows(tmp_path: Path) -> None:
-    def run() -> None:
-        with Recorder(tmp_path, COLUMNS, METADATA) as recorder:
-            recorder.append(make_rows(5))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run()
-    recording = Recording.open(tmp_path)
-    assert recording.rows == 5
-    assert recording.complete is False
-    assert "KeyboardInterrupt" in str(recording.reason)
-
-
 def test_rows_are_on_disk_after_half_a_second(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -334,13 +320,6 @@ def test_what_is_not_a_recording_is_refused(tmp_path: Path, name: str, content: 
     assert str(caught.value).isprintable()
 
 
-def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="contains no recording; must be a folder with"):
-        Recording.open(tmp_path)
-    with pytest.raises(InputError, match="there is no such file"):
-        Recording.open(tmp_path / "missing")
-
-
 WHOLE = '{"format": 1, "complete": true}'
 FOREIGN = [
     (["time"], "float64", None, "is not a recording of panda-cosim"),
@@ -387,15 +366,6 @@ def test_a_time_that_does_not_increase_is_refused_where_it_matters(
     assert Recording.open(tmp_path).rows == 5
     with pytest.raises(InputError, match=expected):
         Recording.open(tmp_path, in_order=True)
-
-
-def test_a_stream_without_a_word_on_its_end_is_incomplete_whatever_it_claims(
-    tmp_path: Path,
-) -> None:
-    recorder = Recorder(tmp_path, COLUMNS, {"complete": True})
-    recorder.flush()
-    assert Recording.open(tmp_path).complete is False
-    recorder.close(complete=False, reason="x")
 
 
 @settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
@@ -447,14 +417,6 @@ def test_paths_are_taken_literally(
         recorder.close(complete=True)
     assert Recording.open(folder).rows == 3
     assert (tmp_path / name / "recording.parquet").is_file()
-
-
-def test_a_recording_without_rows_is_read(tmp_path: Path) -> None:
-    record(tmp_path, make_rows(0))
-    recording = Recording.open(tmp_path)
-    assert (recording.rows, recording["plant.jac"].shape) == (0, (0, 2, 3))
-    recording.to_csv(tmp_path / "all.csv")
-    assert (tmp_path / "all.csv").read_text().count("\n") == 1
 
 
 def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.judging.holds import events, find_holds
-from panda_cosim.scenarios.pictures import gl, meshes, offscreen, video
+from panda_cosim.scenarios.pictures import gl, meshes, offscreen
 from panda_cosim.scenarios.pictures.gl import RenderError
 from panda_cosim.scenarios.pictures.motion import (
     BLOCK_QUAT,
@@ -135,13 +135,6 @@ def test_grasp_lift_and_release_are_at_the_instants_of_the_summary() -> None:
         assert moments[label] == happened[event]
 
 
-@pytest.mark.parametrize("count", [2, 5, 20])
-def test_there_are_as_many_key_moments_as_asked_for(count: int) -> None:
-    moments = key_moments(made_up_run(6.5), count)
-    assert len(moments) == count
-    assert (moments[0].time, moments[-1].time) == (0.0, 6.5)
-
-
 # --- video and contact sheet
 
 
@@ -237,16 +230,6 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-@needs_gl
-def test_a_failure_of_ffmpeg_says_what_ffmpeg_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(video, "FFMPEG_ARGS", ["-preset", "no-such-preset"])
-    with pytest.raises(RenderError, match=r"no video: .*preset"):
-        render_video(made_up_run(2.0), tmp_path / "video.mp4", width=64, height=48)
-    assert list(tmp_path.iterdir()) == []
 
 
 @needs_gl
@@ -346,21 +329,6 @@ def test_a_driver_that_hangs_later_is_given_up_too(
         with pytest.raises(RenderError, match="the process that draws did not answer for 1 s"):
             next(pictures)
     assert time.perf_counter() - begin < 10
-
-
-@needs_gl
-def test_a_process_that_dies_while_it_draws_is_an_error_in_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "video.mp4"
-
-    def kill(done: int, total: int) -> None:
-        if done == 2:
-            for child in children(os.getpid()):
-                if b"pictures.offscreen" in Path(f"/proc/{child}/cmdline").read_bytes():
-                    os.kill(child, signal.SIGKILL)
-
-    with pytest.raises(RenderError, match="no picture: the process that draws ended with code -9"):
-        render_video(made_up_run(5.0), path, width=640, height=480, progress=kill)
-    assert list(tmp_path.iterdir()) == []
 
 
 @linux

@@ -107,18 +107,6 @@ def test_the_command_repeats_a_row_bit_for_bit(whole: Path, tmp_path: Path) -> N
         check_that_it_repeats(row, tmp_path / status)
 
 
-@pytest.mark.long
-def test_the_commands_of_20_random_rows_repeat_them_bit_for_bit(tmp_path: Path) -> None:
-    # A block so slippery that some are lost.
-    definition = load_sweep("random_box")
-    friction = {"plant.block_friction": {"uniform": [0.1, 0.6]}}
-    definition = replace(definition, vary={**definition.vary, **friction}, samples=20, keep="none")
-    rows = rows_of(sweep(definition, tmp_path / "out").folder)
-    assert {row["status"] for row in rows} == {"success", "missed"}
-    for row in rows:
-        check_that_it_repeats(row, tmp_path / str(row["index"]))
-
-
 def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus: dict[str, bytes]) -> None:
     definition = replace(load_sweep("random_box"), design="random", samples=3, seed=11)
     design = make_design(definition)

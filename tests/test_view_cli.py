@@ -42,15 +42,6 @@ def test_the_page_lies_in_the_run_or_where_it_is_wanted(run: Path, tmp_path: Pat
     assert (tmp_path / "a" / "b.html").is_file()
 
 
-def test_the_ghost_is_a_run_or_a_reference(run: Path, tmp_path: Path) -> None:
-    reference = shipped_scenarios()["pick_and_place"] / "reference.parquet"
-    for against, ghost in (("reference", "reference"), (reference, "reference"), (run, str(run))):
-        out = tmp_path / "view.html"
-        done = view(run, "--against", against, "--out", out)
-        assert done.returncode == 0, done.stderr
-        assert shown(out) == f'{{"runs":["first","{ghost}"]}}'
-
-
 def test_a_scenario_of_ones_own_has_its_reference(tmp_path: Path) -> None:
     own = shutil.copytree(shipped_scenarios()["push"], tmp_path / "own")
     run = run_scenario_outside(tmp_path / "run", scenario=own)

@@ -274,19 +274,6 @@ def test_a_link_names_an_instant_and_a_camera(page: Page, view: Path) -> None:
     assert page.value(f"{STAGE}.camera.position.toArray()") == pytest.approx(eye, abs=2e-3)
 
 
-def test_layers_can_be_switched_off(page: Page, view: Path) -> None:
-    show(page, view)
-    seek(page, 2.5)
-    page.click(".pv-layers summary")
-    for layer in ("command", "path", "frames", "forces", "waypoints"):
-        before = picture(page)
-        page.click(f"input[data-layer={layer}]")
-        expected = 0 if layer == "forces" else 5  # forces in the grip are small
-        assert changed_dots(before, picture(page)) >= expected, layer
-        visible = f"{STAGE}.layers.find(({{key}}) => key === '{layer}').object.visible"
-        assert page.value(visible) is False
-
-
 def test_on_a_phone_all_is_in_reach(page: Page, compared: Path) -> None:
     show(page, compared, width=390, height=844)
     for width, height in ((390, 844), (360, 640), (844, 390)):
