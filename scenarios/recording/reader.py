@@ -4,6 +4,7 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Self
 
@@ -166,18 +167,40 @@ class Recording:
             CosimError: pandas is not installed.
             InputError: There is no such signal.
         """
-        try:
-            import pandas  # noqa: PLC0415 - an extra
-        except ModuleNotFoundError:
-            raise CosimError(
-                "pandas is not installed; pip install 'panda-cosim[notebook]'"
-            ) from None
+        pandas = _library("pandas")
         names = [name for signal in signals or self.signals for name in self._elements(signal)]
         index = pandas.Index(self.time, name="time")
         frame = pandas.DataFrame({name: self[name] for name in names if name != "time"}, index)
         frame.attrs["units"] = {name: self.units[name] for name in frame.columns}
         frame.attrs["descriptions"] = {name: self.descriptions[name] for name in frame.columns}
         return frame
+
+    def to_xarray(self, signals: Sequence[str] | None = None) -> Any:
+        """Return an xarray.Dataset with one variable per signal, whose first dimension is time [s].
+
+        Further dimensions are `NAME_1`, `NAME_2`, with indices from 1. Each variable has a
+        `description`, and `units` if all its elements have the same unit.
+
+        Args:
+            signals: Signals to include; None: all.
+
+        Raises:
+            CosimError: xarray is not installed.
+            InputError: There is no such signal.
+        """
+        xarray = _library("xarray")
+        variables: dict[str, Any] = {}
+        indices: dict[str, Any] = {}
+        for signal in signals or self.signals:
+            values = self[signal]
+            dimensions = [f"{signal}_{axis}" for axis in range(1, values.ndim)]
+            sizes = zip(dimensions, values.shape[1:], strict=True)
+            indices |= {dimension: np.arange(1, size + 1) for dimension, size in sizes}
+            variables[signal] = (("time", *dimensions), values, self._attributes(signal))
+        variables.pop("time", None)
+        time = ("time", self.time, {"units": "s"})
+        metadata = {k: v for k, v in self.metadata.items() if isinstance(v, str | float | int)}
+        return xarray.Dataset(variables, {"time": time, **indices}, metadata)
 
     def _elements(self, name: str) -> list[str]:
         """Return the columns of a signal, or the one column of that name."""
@@ -189,6 +212,12 @@ class Recording:
             return [name]
         indices = (np.array(index) + 1 for index in np.ndindex(*shape))
         return [f"{name}[{','.join(map(str, index))}]" for index in indices]
+
+    def _attributes(self, signal: str) -> dict[str, str]:
+        names = self._elements(signal)
+        units = {self.units[name] for name in names}
+        same_unit = {"units": units.pop()} if len(units) == 1 else {}
+        return {**same_unit, "description": self.descriptions[names[0]]}
 
     def _check_time(self) -> None:
         time = self.time
@@ -206,6 +235,13 @@ class Recording:
             raise InputError(f"{self.path}: the first column is not time")
         if len(self.units) != len(self.columns):
             raise InputError(f"{self.path}: two columns have the same name")
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        raise CosimError(f"{name} is not installed; pip install 'panda-cosim[notebook]'") from None
 
 
 def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
