@@ -1,7 +1,5 @@
 """Every scenario is read right or refused in one line that says what would be valid."""
 
-import dataclasses
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -10,13 +8,11 @@ import panda_cosim
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from panda_cosim import Scenario, load_scenario
+from panda_cosim import load_scenario
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.step import COUPLINGS
 from panda_cosim.scenarios.scenario import scenario as scenario_module
-from panda_cosim.scenarios.scenario.success import Success
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 GOOD = 'purpose = "A test"\nduration = 1.5\n'
@@ -142,21 +138,6 @@ def test_parameters_are_kept_as_given_and_numbers_are_floats(tmp_path: Path) -> 
     assert scenario.plant == {"block_pos[1]": 0.45, "block_mass": 1.0}
     assert isinstance(scenario.plant["block_mass"], float)
     assert scenario.controller == {"kp": (1.0, 2.5, 3.0), "hold": True, "mode": "a b"}
-
-
-def make(**changes: object) -> Scenario:
-    """Make a scenario in Python."""
-    rows = tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0))
-    return Scenario(**{"name": "x", "table": TrajectoryTable(rows), "duration": 1.0, **changes})  # type: ignore[arg-type]
-
-
-def test_a_scenario_is_a_value_that_can_be_varied_and_sent_elsewhere() -> None:
-    scenario = make(plant={"block_mass": 0.3}, success=Success(max_tilt=3))
-    varied = dataclasses.replace(scenario, duration=0.5)
-    assert varied.ticks == 500
-    assert pickle.loads(pickle.dumps(scenario)) == scenario
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        scenario.duration = 2.0  # type: ignore[misc]
 
 
 def test_what_a_scenario_may_name_is_what_there_is() -> None:

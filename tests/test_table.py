@@ -113,12 +113,6 @@ def test_harmless_variants_of_a_table_mean_the_same(tmp_path: Path, content: str
     )
 
 
-def test_rows_out_of_order_are_refused_in_python_as_well() -> None:
-    rows = [TableRow(time, "home", (0.0, 0.0, 0.0), 0.0) for time in (0.0, 2.0, 1.0)]
-    with pytest.raises(InputError, match=r"row 3, column time: value 1\.0 goes back"):
-        TrajectoryTable(tuple(rows))
-
-
 FUZZ = settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -210,15 +210,6 @@ def test_the_tutorial_goes_where_the_published_one_goes(
     assert commands[GRIP] == grip
 
 
-def test_a_trajectory_cannot_be_changed_once_made() -> None:
-    times = np.array([0.0, 1.0])
-    trajectory = Trajectory(times, np.zeros((2, 3)), np.array([DOWN, DOWN]), np.zeros(2))
-    times[0] = 0.5
-    assert trajectory.times[0] == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        trajectory.positions[0, 0] = 1.0
-
-
 def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path) -> None:  # type: ignore[no-untyped-def]
     from fmpy.util import read_csv  # noqa: PLC0415  # heavy
 
