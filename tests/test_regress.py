@@ -260,3 +260,13 @@ def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "1 failed, 1 passed" in tests.stdout
     assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
+
+
+def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path: Path) -> None:
+    """Even beside tests that pass: pytest looks into no folder called build."""
+    write_short(tmp_path / "build" / "short")
+    (tmp_path / "test_own.py").write_text("def test_own():\n    pass\n")
+    for name, message in (("build", "no scenario was collected"), ("nowhere", "no such folder")):
+        refused = run_pytest(tmp_path, ".", "--panda-scenarios", name)
+        assert refused.returncode == pytest.ExitCode.USAGE_ERROR, refused.stdout
+        assert f"--panda-scenarios: {name}: {message}" in refused.stderr

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page, find_browser
+from panda_cosim.scenarios.compare.between_runs import compare as compare_runs
 from panda_cosim.scenarios.compare.compare import compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.compare.regress import Outcome
@@ -52,6 +53,25 @@ def report(outcomes: list[Outcome], tmp_path_factory: pytest.TempPathFactory) ->
 
 
 NOW = "PandaView.viewer.clock.time"
+
+
+def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
+    outcomes: list[Outcome], page: Page, tmp_path: Path
+) -> None:
+    found = compare_runs(*(outcome.run for outcome in outcomes))
+    path = tmp_path / "compare.html"
+    path.write_text(found.to_html(), encoding="utf-8")
+    page.errors.clear()
+    page.requests.clear()
+    page.open(path)
+    page.wait(SHOWN)
+    assert page.value("PandaView.viewer.runs.map(({ name }) => name)") == ["wrong", "good"]
+    assert page.value(NOW) == pytest.approx(found.signals[0].times[0], abs=1e-9)
+    assert page.value("document.querySelectorAll('.view canvas').length") > 1
+    assert page.errors == []
+    assert page.requests == [path.as_uri()]
+
+
 SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
 
 

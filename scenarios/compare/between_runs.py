@@ -24,10 +24,11 @@ from . import differences
 from .differences import CriterionRow, Extent, Row, SignalRow
 from .formats import DASH, numbers, percent, precise
 from .guards import AllColumns
-from .page import Figure, Page, Part, Section, Table, curve, render, varied
+from .page import NO_VIEW, Figure, Page, Part, Section, Table, curve, render, varied
 
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
+VIEWED: Final = 3  # curves of the most different signals beside the 3D view
 DIGITS: Final = 9  # of instants [s], so that rounding of k * dt makes no second one
 
 
@@ -205,8 +206,10 @@ def _page(comparison: RunComparison) -> Page:
     """Return the page: one section, in which all runs are held against the first."""
     first, *others = comparison.names
     state = "bad" if comparison.unmet else "good" if comparison.identical else ""
+    view, view_parts = _view(comparison)
     parts = [
         Part("Recorded", [Table(("Recorded", *comparison.names), extent_rows(comparison))]),
+        *view,
         _values("Parameter", comparison, comparison.parameters),
         *_criteria_part(comparison),
         *_signals_part(comparison),
@@ -219,6 +222,7 @@ def _page(comparison: RunComparison) -> Page:
         about=comparison.verdict + deviations,
         key=[("reference", first), *((f"r{i % 5 + 1}", name) for i, name in enumerate(others))],
         sections=[Section(f"{', '.join(others)} against {first}", state, parts)],
+        view=view_parts,
     )
 
 
@@ -269,3 +273,24 @@ def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
     lines = curve(row.unit, dict(zip(comparison.names, values, strict=True)), time, worst)
     meaning = runs[0].descriptions.get(row.name, "")
     return Figure(row.name, "; ".join(row.texts), meaning, lines)
+
+
+def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
+    """Show the run that differs most in 3D, with the first one as a ghost; with the page's code."""
+    from ..view.export import read_summary, show_source  # noqa: PLC0415 - slow to import
+    from .views import Views  # noqa: PLC0415 - slow to import
+
+    if not comparison.signals:
+        return [], NO_VIEW
+    runs = list(zip(comparison.recordings, comparison.names, strict=True))
+    worst, views = comparison.signals[0], Views()
+    other = int(np.argmax(worst.largest))
+    try:
+        run, ghost = (
+            show_source(recording, name, summary=read_summary(recording.path.parent / SUMMARY_FILE))
+            for recording, name in (runs[other + 1], runs[0])
+        )
+        columns = [row.name for row in comparison.signals[:VIEWED]]
+        return [views.add(run, ghost, columns, worst.times[other])], views.page_parts
+    except InputError as error:  # no model, or no positions
+        return [Part("In 3D", note=f"No 3D: {error}")], NO_VIEW

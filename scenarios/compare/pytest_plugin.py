@@ -56,6 +56,17 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFi
     return ScenarioFile.from_parent(parent, path=file_path)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Refuse a folder without scenarios, before tests are selected by name."""
+    if config.getoption("lf", default=False):  # leaves out folders whose tests passed
+        return
+    for folder in config.getoption("--panda-scenarios"):
+        paths = [item.path for item in items if isinstance(item, ScenarioItem)]
+        if not any(path.resolve().is_relative_to(folder.resolve()) for path in paths):
+            raise pytest.UsageError(f"--panda-scenarios: {folder}: no scenario was collected")
+
+
 class ScenarioFile(pytest.File):
     """A scenario's folder."""
 
