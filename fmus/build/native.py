@@ -29,7 +29,7 @@ class NativeFmu:
     """An FMU on a library of ours, for any FMI version and platform."""
 
     interface: Interface  # its variables; `Variable.source` in the backend's form
-    backend: str  # key of `compile.BACKENDS`
+    backend: str  # key of `libraries.BACKENDS`
     law: str  # description of what it computes, for the documentation
     resources: Mapping[str, bytes] = field(default_factory=dict)  # contents by name
     options: tuple[Option, ...] = ()  # for the backend
