@@ -62,6 +62,7 @@ def test_too_fast_a_segment_is_named_with_joint_and_amount() -> None:
     assert 1.0 < worst.time <= 1.3
 
 
+@pytest.mark.long
 def test_a_stretched_table_fits_when_run_and_keeps_what_was_slow_enough() -> None:
     before, after = hasty(), stretch(hasty())
     violations, shares = feasibility(after, share=SHARE)
@@ -95,6 +96,7 @@ def test_a_jump_between_rows_can_be_stretched() -> None:
     assert not feasibility(stretch(jump), share=SHARE)[0]
 
 
+@pytest.mark.long
 def test_near_the_stretched_arm_more_time_keeps_the_torque_rate_that_is_measured() -> None:
     near = scenario((0.0, "home", (0, 0, 0)), (0.6, "world", (0.68, 0.0, 0.62)))
     assert feasibility(near)[1]["torque rate"] > 2.0

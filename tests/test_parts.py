@@ -141,6 +141,7 @@ def test_a_law_is_read_and_checked_without_being_run(folder: Path, tmp_path: Pat
     assert [d.level for d in check_folder(folder)] == ["good"]
 
 
+@pytest.mark.long
 def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder: Path) -> None:
     keys = {"table.rows[2].time": 0.2, "timing": "feasible", "duration": 30.0}
     hasty = with_values(load_scenario(folder), keys)

@@ -112,6 +112,7 @@ def test_a_long_run_is_thinned_and_keeps_its_peaks() -> None:
     np.testing.assert_array_equal(values[thin(values[:100], ROWS_DRAWN)][:100], values[:100])
 
 
+@pytest.mark.long
 def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path: Path) -> None:
     code = (
         f"import sys; sys.path[:0] = {[str(REPOSITORY), str(REPOSITORY / 'tests')]!r}\n"

@@ -25,6 +25,7 @@ def test_of_more_random_moves_nearly_all_end_at_their_goals() -> None:
     assert np.median([move.rms for move in moves]) <= 5e-5  # m
 
 
+@pytest.mark.long
 def test_moves_with_the_time_they_need_keep_the_torque_rate_too() -> None:
     before, after = (run_moves(11, only=(11,), timing_share=share)[0] for share in (None, 0.95))
     assert before.ok
@@ -41,12 +42,14 @@ def test_joints_that_near_their_ends_hand_over_gradually() -> None:
     assert move.rms <= 5e-5  # m
 
 
+@pytest.mark.long
 def test_a_joint_that_comes_to_its_end_slowly_keeps_the_torque_rate() -> None:
     (move,) = run_moves(6, only=(6,), timing_share=0.95)
     assert move.keeps_all
     assert move.slower < 4.0
 
 
+@pytest.mark.long
 def test_a_joint_at_its_end_is_refused() -> None:
     (move,) = run_moves(55, only=(55,), timing_share=0.95)
     assert "row 2: joint 6 reaches the end of its range" in move.refused

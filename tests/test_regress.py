@@ -183,7 +183,6 @@ def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced
     assert "reference.parquet: is not a reference" in words
     assert "too coarse for a tolerance of 1e-07 m; must be recorded again" in words
     assert "1 of 3 scenarios" in words
-    assert "is not a reference" in cli("check", damaged).stdout
     updated = cli("regress", "--scenarios", tmp_path, "damaged", "coarse", "--update", "--yes")
     assert updated.returncode == 0, updated.stderr
     assert "coarse: is rounded anew, as its tolerances have changed" in updated.stdout

@@ -130,6 +130,7 @@ def test_near_the_stretched_arm_the_shortest_times_keep_the_torque_rate(slow: Sc
     assert made.duration < 2.0
 
 
+@pytest.mark.long
 def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow: Scenario) -> None:
     """Tilted that far, the hand takes joint 6 beyond its end."""
     pytest.importorskip("toppra")

@@ -64,7 +64,10 @@ def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(run: Path, tmp_
         ((tmp_path / "small",), "1 columns of plant.qpos"),
         ((run, "--against", tmp_path / "small"), "1 columns of plant.qpos"),
         ((tmp_path / "small", "--against", "reference"), "'small' is not one of the shipped ones"),
-        ((run, "--against", tmp_path / "reference.parquet"), "reference.parquet: does not exist"),
+        (
+            (run, "--against", tmp_path / "reference.parquet"),
+            "is no such file; must be a recording",
+        ),
     ):
         done = view(*arguments, "--out", out)
         assert done.returncode == 2, arguments
