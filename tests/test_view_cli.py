@@ -66,7 +66,7 @@ def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(run: Path, tmp_
         ((tmp_path / "small", "--against", "reference"), "'small' is not one of the shipped ones"),
         (
             (run, "--against", tmp_path / "reference.parquet"),
-            "is no such file; must be a recording",
+            "there is no such file; must be",
         ),
     ):
         done = view(*arguments, "--out", out)
