@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -276,7 +276,35 @@ def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]
         raise InputError(f"{path}: is damaged: {one_line(str(error))}") from None
     if version != FORMAT:
         raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
+    for name in _METADATA.keys() & metadata.keys():
+        words, fits = _METADATA[name]
+        if not fits(metadata[name]):
+            value = excerpt(metadata[name])
+            raise InputError(f"{path}: metadata: {name}: value {value}; must be {words}")
     return columns, metadata
+
+
+def _is_of(kind: Any, inner: Any = object) -> Callable[[Any], bool]:
+    """A check for values of a type, and for what they contain."""
+
+    def fits(value: Any) -> bool:
+        content = value.values() if isinstance(value, dict) else value
+        return isinstance(value, kind) and (
+            inner is object or all(isinstance(each, inner) for each in content)
+        )
+
+    return fits
+
+
+# What is read of a recording's metadata: what it must be, and a check.
+_METADATA: Final[dict[str, tuple[str, Callable[[Any], bool]]]] = {
+    **dict.fromkeys(("scenario", "purpose", "scene", "system"), ("a text", _is_of(str))),
+    **dict.fromkeys(("parameters", "fmus"), ("values by FMU", _is_of(dict, dict))),
+    "versions": ("texts by package", _is_of(dict, str)),
+    "step_size": ("a number", _is_of((int, float))),
+    "row_times": ("a list of numbers", _is_of(list, (int, float))),
+    "row_names": ("a list of texts", _is_of(list, str)),
+}
 
 
 def _read_column(path: Path, field: Any) -> Column:

@@ -96,7 +96,7 @@ def waypoints(metadata: Mapping[str, Any]) -> list[dict[str, Any]]:
     names = metadata.get("row_names") or [""] * len(times)
     return [
         {"time": time, "label": name or str(index)}
-        for index, (time, name) in enumerate(zip(times, names, strict=True), start=1)
+        for index, (time, name) in enumerate(zip(times, names, strict=False), start=1)
     ]
 
 
