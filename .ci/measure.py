@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
+from panda_cosim.scenarios.benchmark import LABELS
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[1]
@@ -204,7 +205,7 @@ def cost(_: Path | None) -> str:
             results.append(json.loads(Path(folder, "b.json").read_text()))
     spread = "{median:.2f} ({low:.2f} to {high:.2f})".format
     rows = [
-        *([f"{way}, us", *(f"{r['steps'][way]['median']:.1f}" for r in results)]
+        *([f"{LABELS[way]}, us", *(f"{r['steps'][way]['median']:.1f}" for r in results)]
           for way in results[0]["steps"]),
         *([ratio, *(spread(**r["ratios"][ratio]) for r in results)]
           for ratio in results[0]["ratios"]),

@@ -51,8 +51,8 @@ LABELS: Final = {
     "master": "(c) our master over the FMUs",
 }
 RATIOS: Final = {
-    "c/a": ("master", "physics", "at most 1.5; Python 2.6"),
-    "c/a'": ("master", "bare", "at most 1.7"),
+    "c/a": ("master", "physics", "at most 1.1; Python 6.3"),
+    "c/a'": ("master", "bare", "at most 1.25"),
     "b/c": ("lists", "master", "at least 2"),
 }
 
