@@ -1,1 +1,1 @@
-"""The FMUs: slaves, packaging, and the master that steps them."""
+"""The FMUs: what they are made from, how they are built, and the master that steps them."""
