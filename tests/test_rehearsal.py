@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from panda_cosim import Run, load_scenario
 from panda_cosim.scenarios.check.check import Diagnostic, check_folder
 from panda_cosim.scenarios.check.rehearsal import findings, rehearse, weakest_grip
+from panda_cosim.scenarios.run.options import Options, with_values
 from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
 from panda_cosim.scenarios.scenario.trajectory import StartPose
-from random_tasks import run_plain
 
 FOLDER = shipped_scenarios()["pick_and_place"]
 
@@ -108,11 +108,12 @@ def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told() -> None:
     texts = [each.text for each in check_folder(FOLDER, strong) if "the hand moves on" in each.text]
     assert len(texts) == 1
     assert re.search(r"row 7: .* still presses with 1.8\d* N; it must stay 0.04 s longer", texts[0])
-    # With that much more dwell, and with the 12.5 N of the table, it does not.
-    rows = load_scenario("pick_and_place").table.rows
+    # With that much more dwell it does not.
+    scenario = load_scenario("pick_and_place")
+    rows = scenario.table.rows
     later = {f"table.rows[{n}].time": rows[n - 1].time + 0.05 for n in range(8, len(rows) + 1)}
-    longer = check_folder(FOLDER, strong, {**later, "duration": 6.6})
-    assert not any("the hand moves on" in each.text for each in [*longer, *nominal()])
+    longer = prepare(with_values(scenario, {**later, "duration": 6.6}), Options(overrides=strong))
+    assert not any("the hand moves on" in text for _, text in findings(rehearse(longer), longer))
 
 
 def test_check_tells_which_servo_has_no_torque_left() -> None:
@@ -135,6 +136,5 @@ def test_the_hand_turns_by_45_deg_at_most(yaw: float) -> None:
 
 @pytest.mark.parametrize("yaw", [2.8, -2.4])
 def test_a_block_turned_too_far_for_joint_7_is_picked_up_all_the_same(yaw: float) -> None:
-    scenario = load_scenario("pick_and_place")
-    course = run_plain(scenario, {"plant": {"block_yaw": yaw}})
-    assert course["plant.qpos"][:, 11].max() > 0.15  # m
+    _, run = rehearsed({"block_yaw": yaw})
+    assert run.recording["plant.qpos"][:, 11].max() > 0.15  # m

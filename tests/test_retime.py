@@ -157,7 +157,7 @@ def test_a_torque_that_rest_takes_already_is_told_as_weight(
         pytest.importorskip("toppra")
     out = replace(slow, table=TrajectoryTable((
         TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
-        TableRow(1.0, "home", (0.15, 0.0, -0.05), 0.08),
-    )), duration=1.0)  # fmt: skip
+        TableRow(0.3, "home", (0.15, 0.0, -0.05), 0.08),
+    )), duration=0.3)  # fmt: skip
     with pytest.raises(InputError, match=rf"^corner: row 2: {said}.*a lighter load"):
         retime(out, 0.4, keep_times=keep_times)

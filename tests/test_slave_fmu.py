@@ -31,8 +31,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.fmu
 @own_process
-@pytest.mark.parametrize("fmi", ["2", "3"])
-@pytest.mark.parametrize("name", ["decay.py", "decay.py:Decay"])
+@pytest.mark.parametrize(("fmi", "name"), [("2", "decay.py"), ("3", "decay.py:Decay")])
 def test_a_slave_becomes_an_fmu_that_runs(folder: Path, fmi: str, name: str) -> None:
     out = folder / "out"
     words = ["build", "--slave", str(folder / name), "--fmi", fmi, "--out", str(out)]
@@ -47,7 +46,7 @@ def test_a_slave_becomes_an_fmu_that_runs(folder: Path, fmi: str, name: str) -> 
     assert result["x"] == pytest.approx(x, rel=1e-12)
 
 
-@pytest.fixture(params=(2, 3), ids=("fmi2", "fmi3"))
+@pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
 def decay(request: pytest.FixtureRequest) -> Unpacked:
     return unpacked_fmu(slave_fmu(SLAVES / "decay.py"), request.param)
 
@@ -168,13 +167,13 @@ class Peculiar(Fmi2Slave):
 """
 
 
-@pytest.fixture(params=[2, 3])
-def peculiar(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module", params=[2, 3])
+def peculiar(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An FMU whose variables have odd names and variabilities, and that fails after three steps."""
-    file = tmp_path / "peculiar.py"
-    file.write_text(PECULIAR)
-    fmu = slave_fmu(file, "Peculiar")
-    return build_fmu(fmu, tmp_path / "Peculiar.fmu", Target(fmi=request.param))
+    folder = tmp_path_factory.mktemp("peculiar")
+    (folder / "peculiar.py").write_text(PECULIAR)
+    fmu = slave_fmu(folder / "peculiar.py", "Peculiar")
+    return build_fmu(fmu, folder / "Peculiar.fmu", Target(fmi=request.param))
 
 
 @pytest.mark.fmu

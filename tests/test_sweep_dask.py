@@ -14,7 +14,7 @@ distributed = pytest.importorskip("distributed")
 import dask_jobs  # noqa: E402 - needs it
 
 pytestmark = pytest.mark.fmu
-SAMPLES = 16
+SAMPLES = 8
 PANDA_COSIM = str(Path(sys.executable).with_name("panda-cosim"))
 
 
@@ -22,7 +22,7 @@ PANDA_COSIM = str(Path(sys.executable).with_name("panda-cosim"))
 def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the sweep on this machine's pool."""
     folder = tmp_path_factory.mktemp("dask")
-    sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=2)
+    sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=1)
     return folder
 
 

@@ -59,12 +59,19 @@ def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path: Path) -> None
     assert load_scenario(tmp_path / "mine").push[0].force == (0.0, 90.0, 0.0)
 
 
-def test_a_sweep_goes_by_the_scenario_as_it_was_swept(tmp_path: Path) -> None:
+def test_a_sweep_goes_by_the_scenario_as_it_was_swept_and_by_the_same_code(tmp_path: Path) -> None:
     folder, said = short_scenario(tmp_path / "short"), []  # type: ignore[var-annotated]
     definition = over_mass(folder)
     out = sweep(definition, tmp_path / "out", jobs=1, remark=said.append).folder
     before = rows_of(out)
     assert not said
+    text = (out / "sweep.json").read_text()
+    content = json.loads(text)
+    content["origin"]["code"]["panda-cosim"] = "0123456789abcdef"
+    (out / "sweep.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"code of panda-cosim \(was '0123456789abcdef', is"):
+        sweep(definition, out, jobs=1)
+    (out / "sweep.json").write_text(text)
     edit(folder, ("20.0", "90.0"))
     assert scenario_of(Store(out), 0)[1].push[0].force == (0.0, 20.0, 0.0)
     (out / "results" / "part-00000000.parquet").unlink()
@@ -88,20 +95,10 @@ def test_a_scenario_stays_the_same_as_it_is_kept(name: str, tmp_path: Path) -> N
     assert identity(pack(again)) == identity(packed)
 
 
-def test_a_sweep_of_other_code_is_not_resumed(tmp_path: Path) -> None:
-    definition = over_mass(short_scenario(tmp_path / "short"))
-    out = sweep(definition, tmp_path / "out", jobs=1).folder
-    content = json.loads((out / "sweep.json").read_text())
-    content["origin"]["code"]["panda-cosim"] = "0123456789abcdef"
-    (out / "sweep.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"code of panda-cosim \(was '0123456789abcdef', is"):
-        sweep(definition, out, jobs=1)
-
-
 def test_a_key_without_effect_is_told_on_the_command_line(tmp_path: Path) -> None:
     folder = short_scenario(tmp_path / "short")
     arguments = ("--vary", "mismatch.seed=1,2", "--vary", "plant.block_mass=0.1,0.2")
-    done = command("sweep", folder, *arguments, "--out", tmp_path / "out")
+    done = command("sweep", folder, *arguments, "--jobs", 1, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     told = "vary: mismatch.seed changes no start value, no input and no criterion"
     assert done.stderr.count(told) == 1
@@ -150,7 +147,8 @@ def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path: Path) -
     text = path.read_text(encoding="utf-8").replace("uniform = [0.0, 100.0]", "values = [1.0]")
     path.write_text(f'{text}[vary."duration"]\nvalues = [0.1, 30.0]\n'.replace("samples = 2", ""))
     path.write_text(path.read_text().replace("seed = 3", 'design = "grid"'), encoding="utf-8")
-    done = command("sweep", path, "--out", tmp_path / "out", "--time-limit", "0.3")
+    limits = ("--jobs", 1, "--time-limit", 0.3)
+    done = command("sweep", path, "--out", tmp_path / "out", *limits)
     assert "2 rows did not finish" in done.stdout
     counts = Store(tmp_path / "out").count()
     assert counts == {"success": 2, "timeout": 2}

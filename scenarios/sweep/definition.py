@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
 import numpy as np
+import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 from pydantic import PlainValidator
-from scipy.special import ndtr, ndtri
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import literal
@@ -62,9 +62,9 @@ class Distribution:
     def _normal(self, u: Array) -> Array:
         mean, deviation = self.numbers
         if self.limits is None:
-            return np.asarray(mean + deviation * ndtri(u))
-        low, high = ndtr((np.array(self.limits) - mean) / deviation)
-        drawn: Array = mean + deviation * ndtri(low + (high - low) * u)
+            return np.asarray(mean + deviation * scipy.special.ndtri(u))
+        low, high = scipy.special.ndtr((np.array(self.limits) - mean) / deviation)
+        drawn: Array = mean + deviation * scipy.special.ndtri(low + (high - low) * u)
         return np.clip(drawn, *self.limits)
 
     def ends(self) -> Sequence[Any]:
@@ -109,7 +109,7 @@ def read_distribution(section: object) -> Distribution:
     if kind != "normal":
         raise ValueError(f"limits: goes with normal only, not with {kind}")
     limits = _pair("limits", section["limits"])
-    low, high = ndtr((np.array(limits) - numbers[0]) / numbers[1])
+    low, high = scipy.special.ndtr((np.array(limits) - numbers[0]) / numbers[1])
     if not high - low > 1e-9:
         raise ValueError(f"limits: hold a share of {high - low:.1g} of the distribution")
     return Distribution(kind, numbers, (), limits, steps)
