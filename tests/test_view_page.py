@@ -65,10 +65,13 @@ def show(page: Page, path: Path, **how: Any) -> None:
 
 
 def look(page: Page, path: Path) -> None:
-    """Open a view that the test only reads; if another such test has opened it, it stays."""
-    if page.value("window.onlyRead") != str(path):
+    """Open a view at its beginning; the one of another test that has called this stays."""
+    if page.value("window.kept") != str(path):
         show(page, path)
-        page.value(f"window.onlyRead = {json.dumps(str(path))}")
+        page.value(f"window.kept = {json.dumps(str(path))}")
+    page.click(".pv-tab")
+    page.value("document.activeElement.blur()")
+    seek(page, 0.0)
 
 
 def seek(page: Page, at: float) -> None:
@@ -189,7 +192,7 @@ def test_every_kind_of_joint_is_where_mujoco_has_it(page: Page, folder: Path) ->
 
 
 def test_the_keyboard_plays_and_steps(page: Page, view: Path) -> None:
-    show(page, view)
+    look(page, view)
     page.press(" ")
     page.wait(f"{VIEWER}.clock.playing && {NOW} > 0.2")
     page.press(" ")
@@ -202,10 +205,11 @@ def test_the_keyboard_plays_and_steps(page: Page, view: Path) -> None:
     assert page.value("document.querySelector('.pv-speed').value") == "2"
     page.press("?")
     assert page.value("document.querySelector('.pv-help').open") is True
+    page.press("Escape")
 
 
 def test_a_click_in_a_curve_moves_the_time_and_the_scene(page: Page, view: Path) -> None:
-    show(page, view)
+    look(page, view)
     before = picture(page)
     box = page.value(
         "(b => [b.x, b.y, b.width, b.height])"
@@ -222,7 +226,7 @@ def test_a_click_in_a_curve_moves_the_time_and_the_scene(page: Page, view: Path)
 
 
 def test_any_signal_is_found_and_added(page: Page, view: Path, run: Path) -> None:
-    show(page, view)
+    look(page, view)
     page.click(".pv-search")
     page.type("jac[2,")
     page.wait("document.querySelectorAll('.pv-found li').length === 7")
