@@ -136,15 +136,12 @@ def compiled(backend: str, platform: str) -> bytes:
 @pytest.mark.parametrize("backend", native.BACKENDS)
 def test_every_backend_is_built_for_every_platform(backend: str, platform: str) -> None:
     library = compiled(backend, platform)
+    if backend == "player":
+        assert native.compile_library(backend, platform) == library  # the same bytes again
     magic = {"linux64": b"\x7fELF", "linux-arm64": b"\x7fELF", "win64": b"MZ"}
     assert library.startswith(magic.get(platform, b"\xcf\xfa\xed\xfe"))  # else Mach-O, 64 bits
     names = (b"panda_take_steps",) if backend == native.STEPPER else (b"fmi2DoStep", b"fmi3DoStep")
     assert all(name in library for name in names)
-
-
-@pytest.mark.parametrize("platform", native.PLATFORMS)
-def test_the_same_sources_give_the_same_bytes(platform: str) -> None:
-    assert native.compile_library("player", platform) == compiled("player", platform)
 
 
 MACS = {"darwin64": mach_o.X86_64, "darwin-arm64": mach_o.ARM64}

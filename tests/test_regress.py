@@ -6,15 +6,14 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
-from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 from forked import command as cli
+from forked import script
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.sources.targets import build
@@ -98,17 +97,14 @@ def approved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-CLI = [sys.executable, "-c", "from panda_cosim.scenarios.cli import main; main()"]
-
-
-def cli_with_closed_input(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        ["sh", "-c", 'exec "$@" <&-', "sh", *CLI, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+# As a program that was started with its input closed, for which Python has no `stdin`.
+CLOSED_INPUT = """
+import os, sys
+os.close(0)
+sys.stdin = sys.__stdin__ = None
+from panda_cosim.scenarios.cli import main
+main()
+"""
 
 
 def test_a_scenario_without_a_reference_is_judged_by_its_criteria(mine: Path) -> None:
@@ -156,7 +152,7 @@ def test_references_are_overwritten_only_if_asked_for(approved: Path, tmp_path: 
     assert "renamed: is unchanged" in cli(*arguments).stdout
     (folder / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
     before = (folder / REFERENCE_FILE).read_bytes()
-    refused = cli_with_closed_input(*arguments)
+    refused = script(CLOSED_INPUT, *map(str, arguments))
     assert refused.returncode == InputError.exit_code
     assert "--yes" in refused.stderr
     assert "Traceback" not in refused.stderr
@@ -177,16 +173,17 @@ def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced
     (damaged / REFERENCE_FILE).write_bytes(content.replace(b'"success"', b'"succesr"'))
     settings = coarse / "scenario.toml"
     settings.write_text(settings.read_text() + "[regression]\nscale = 0.1\n")
-    refused = cli("regress", "--scenarios", tmp_path)
+    regress = ("regress", "--jobs", 1, "--scenarios", tmp_path)
+    refused = cli(*regress)
     assert refused.returncode == 2
     words = " ".join(refused.stdout.split())
     assert "reference.parquet: is not a reference" in words
     assert "too coarse for a tolerance of 1e-07 m; must be recorded again" in words
     assert "1 of 3 scenarios" in words
-    updated = cli("regress", "--scenarios", tmp_path, "damaged", "coarse", "--update", "--yes")
+    updated = cli(*regress, "damaged", "coarse", "--update", "--yes")
     assert updated.returncode == 0, updated.stderr
     assert "coarse: is rounded anew, as its tolerances have changed" in updated.stdout
-    results = json.loads(cli("regress", "--scenarios", tmp_path, "--json").stdout)["scenarios"]
+    results = json.loads(cli(*regress, "--json").stdout)["scenarios"]
     assert [(each["verdict"], each["worst"]["share"]) for each in results] == [("same", 0.0)] * 3
 
 
@@ -234,20 +231,11 @@ def test_a_run_that_dies_fails_alone(mine: Path, tmp_path: Path) -> None:
     assert other.verdict == "holds"
 
 
-def plugin_options() -> list[str]:
-    names = {entry.value for entry in entry_points(group="pytest11")}
-    return (
-        []
-        if "panda_cosim.scenarios.compare.pytest_plugin" in names
-        else ["-p", "panda_cosim.scenarios.compare.pytest_plugin"]
-    )
+PYTEST = "import os, sys, pytest; os.chdir(sys.argv[1]); sys.exit(pytest.main(sys.argv[2:]))"
 
 
 def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pytest", *plugin_options(), "-p", "no:cacheprovider"]
-    return subprocess.run(
-        [*command, *arguments], cwd=folder, capture_output=True, text=True, check=False, timeout=300
-    )
+    return script(PYTEST, str(folder), "-p", "no:cacheprovider", *arguments)
 
 
 def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -> None:
@@ -255,7 +243,7 @@ def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -
         shutil.copytree(approved, tmp_path / "mine" / name)
     table = tmp_path / "mine" / "other" / "trajectory.csv"
     table.write_text(TABLE.replace("0.005", "0.006"))
-    tests = run_pytest(tmp_path, "-v", "--panda-scenarios", "mine", "mine")
+    tests = run_pytest(tmp_path, "-v", "--panda-jobs", "1", "--panda-scenarios", "mine", "mine")
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "1 failed, 1 passed" in tests.stdout
     assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)

@@ -70,7 +70,8 @@ def children(process: int) -> list[int]:
 
 
 def test_a_table_has_a_row_for_each_sample(whole: Path) -> None:
-    rows = rows_of(whole / "out")
+    """And for each failure a recording."""
+    rows, store = rows_of(whole / "out"), Store(whole / "out")
     assert [row["index"] for row in rows] == list(range(40))
     assert {row["status"] for row in rows} == {"success", "missed"}
     for row in rows:
@@ -80,11 +81,6 @@ def test_a_table_has_a_row_for_each_sample(whole: Path) -> None:
         # The hand moves more under a larger force, and the bound is 1 mm.
         assert row["summary.tracking.max_mm"] > 0.0
         assert row["processor"]
-
-
-def test_recordings_of_failures_are_kept(whole: Path) -> None:
-    store = Store(whole / "out")
-    for row in rows_of(whole / "out"):
         folder = store.run_folder(row["index"])
         assert folder.exists() == (row["status"] != "success")
         if folder.exists():

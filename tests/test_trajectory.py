@@ -91,14 +91,11 @@ def test_velocities_are_the_difference_quotients_of_the_poses(trajectory: Trajec
 
 
 @given(trajectories())
-def test_quaternions_keep_length_one_and_never_change_sign(trajectory: Trajectory) -> None:
+def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory: Trajectory) -> None:
+    """Its quaternions keep length one, and their sign."""
     q = trajectory.sample(np.linspace(-0.5, trajectory.times[-1] + 0.5, 2000))[:, QUATERNION]
     assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() < UNIT_TOLERANCE
     assert (np.einsum("ij,ij->i", q[1:], q[:-1]) > 0.99).all()
-
-
-@given(trajectories())
-def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory: Trajectory) -> None:
     for k in range(len(trajectory.times) - 1):
         times = np.linspace(trajectory.times[k], trajectory.times[k + 1], 101)
         commands = trajectory.sample(times)
