@@ -15,10 +15,11 @@ sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules
 from browser import Page, browser, find_browser
 from fmu_support import JobError, in_fork
 
-# Files of half a minute each. They begin first, so that none is left for one process at the end.
+# Files of half a minute each. They begin first, so that none is left for one process at the end;
+# the very first is the one for which ziglang may have to compile what Windows takes, for minutes.
 LONGEST = (
-    "test_regress", "test_view_page", "test_run_faults", "test_sweep_run", "test_cli",
-    "test_native_cross", "test_live", "test_parts", "test_own_tests", "test_install",
+    "test_native_cross", "test_regress", "test_view_page", "test_sweep_run", "test_run_faults",
+    "test_cli", "test_live", "test_parts", "test_own_tests", "test_install",
     "test_render", "test_view_build", "test_contributing",
 )  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone

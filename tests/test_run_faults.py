@@ -138,32 +138,32 @@ def stop_run(scenario: Path, out: Path, number: int, **options: object) -> Simpl
     return SimpleNamespace(code=code, recording=recording, lost=lost)
 
 
-@pytest.mark.parametrize(("number", "isolate"), [(signal.SIGINT, False), (signal.SIGTERM, True)])
-def test_a_stopped_run_keeps_all_that_was_done(
+ENDED = [
+    (signal.SIGINT, False),
+    (signal.SIGTERM, True),
+    *((signal.SIGKILL, i) for i in (False, True)),
+]
+
+
+@pytest.mark.parametrize(("number", "isolate"), ENDED)
+def test_an_ended_run_keeps_what_was_done_and_a_killed_one_all_but_half_a_second(
     tmp_path: Path, lasting: Path, number: int, isolate: bool
 ) -> None:
-    stopped = stop_run(lasting, tmp_path / "run", number, isolate=isolate)
-    assert stopped.code == 128 + number
-    assert stopped.recording.reason == f"stopped by {signal.Signals(number).name}"
-    assert not stopped.recording.complete
-    assert stopped.lost <= SCHEDULING  # it runs on for a while: what was done is all there
-    check_rows(stopped.recording)
+    ended = stop_run(lasting, tmp_path / "run", number, isolate=isolate)
+    check_rows(ended.recording)
+    assert not ended.recording.complete
+    if number == signal.SIGKILL:
+        assert ended.code == -number
+        assert "killed" in str(ended.recording.reason)
+        assert ended.lost <= KEPT_BACK + SCHEDULING
+        wait_until(lambda: not processes_with(str(tmp_path)))
+        return
+    assert ended.code == 128 + number
+    assert ended.recording.reason == f"stopped by {signal.Signals(number).name}"
+    assert ended.lost <= SCHEDULING  # it runs on for a while: what was done is all there
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["reason"] == stopped.recording.reason
+    assert summary["reason"] == ended.recording.reason
     assert processes_with(str(tmp_path)) == []
-
-
-@pytest.mark.parametrize("isolate", [False, True])
-def test_a_killed_run_loses_half_a_second_at_most(
-    tmp_path: Path, lasting: Path, isolate: bool
-) -> None:
-    killed = stop_run(lasting, tmp_path / "run", signal.SIGKILL, isolate=isolate)
-    assert killed.code == -signal.SIGKILL
-    assert not killed.recording.complete
-    assert "killed" in str(killed.recording.reason)
-    assert killed.lost <= KEPT_BACK + SCHEDULING
-    check_rows(killed.recording)
-    wait_until(lambda: not processes_with(str(tmp_path)))
 
 
 def test_a_step_that_hangs_can_be_left_by_asking_twice(

@@ -115,29 +115,25 @@ def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path: Path)
     assert [row["index"] for row in store.worst(7, [])] == [2, 5, 3, 1, 6, 0, 4]
 
 
-def test_what_was_not_measured_is_neither_success_nor_a_missed_criterion(tmp_path: Path) -> None:
-    folder = short_scenario(tmp_path / "short")
-    edit(folder, ("[success]", "[success]\nmax_slip = 0.001"))  # nothing is held
-    row = rows_of(sweep(over_mass(folder), tmp_path / "out", jobs=1).folder)[0]
+def test_rows_not_measured_and_expected_failures_are_what_they_are(tmp_path: Path) -> None:
+    bare, expecting = (short_scenario(tmp_path / name) for name in ("bare", "expecting"))
+    edit(bare, ("[success]", "[success]\nmax_slip = 0.001"))  # nothing is held
+    edit(expecting, ("= 0.1\n", '= 0.1\nexpect = "failure"\nexpect_reason = "no"\n'))
+    vary: Any = {FORCE: {"values": [0.0, 100.0]}}
+    definition = over_mass(bare, expecting, vary=vary, keep="failures")
+    out = sweep(definition, tmp_path / "out", jobs=1).folder
+    row, _, calm, pushed = rows_of(out)
     assert (row["status"], row["missed"], row["margin"]) == ("unmeasured", None, None)
     assert row["error"].startswith("max_slip is not measured: ")
     assert row["margin.max_slip"] is None
     assert row["margin.tracking_max"] is not None
     with pytest.raises(InputError, match=r"row 0: max_slip is not measured: .*must have a verdict"):
-        promote_row(tmp_path / "out", 0, tmp_path / "mine")
-
-
-def test_an_expected_failure_is_a_success_of_its_row(tmp_path: Path) -> None:
-    folder = short_scenario(tmp_path / "short")
-    edit(folder, ("duration = 0.1\n", 'duration = 0.1\nexpect = "failure"\nexpect_reason = "no"\n'))
-    vary: Any = {FORCE: {"values": [0.0, 100.0]}}
-    out = sweep(over_mass(folder, vary=vary, keep="failures"), tmp_path / "out", jobs=1).folder
-    calm, pushed = rows_of(out)
+        promote_row(out, 0, tmp_path / "mine")
     assert (calm["status"], calm["missed"]) == ("unexpected", None)
     assert calm["margin"] > 0.0
     assert (pushed["status"], pushed["missed"]) == ("success", "tracking_max")
-    assert [path.name for path in (out / "runs").iterdir()] == ["0000000"]
-    for index, expect in ((0, "success"), (1, "failure")):
+    assert sorted(path.name for path in (out / "runs").iterdir())[-1] == "0000002"  # of 3
+    for index, expect in ((2, "success"), (3, "failure")):
         promote_row(out, index, tmp_path / "mine" / str(index))
         assert load_scenario(tmp_path / "mine" / str(index)).expect == expect
 
