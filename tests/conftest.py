@@ -23,6 +23,9 @@ LONGEST = (
     "test_render", "test_view_build", "test_contributing",
 )  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone
+# Hundreds of processes would compile the package anew, and each worker the tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 def pytest_configure(config: pytest.Config) -> None:

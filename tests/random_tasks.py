@@ -1,16 +1,17 @@
-"""Runs without FMUs, and many random pick-and-place tasks.
+"""Runs without FMUs and in memory, and many random pick-and-place tasks.
 
 Plant, controller and trajectory in a plain loop give the same numbers as the co-simulation, bit for
-bit, and need no FMUs. `panda-cosim sweep random_box` draws such tasks for the co-simulation itself.
+bit, and need no FMUs, but ten times as long. `panda-cosim sweep random_box` draws such tasks, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from fmu_support import in_fork
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller.controller import Controller
@@ -20,8 +21,12 @@ from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.prepare import Prepared, prepare
+from panda_cosim.scenarios.run.run import Execution
 from panda_cosim.scenarios.run.start import Overrides, instants, resolve, start_values
-from panda_cosim.scenarios.run.summary import Summary, summarize
+from panda_cosim.scenarios.run.stopping import StopRequest
+from panda_cosim.scenarios.run.summary import Summary
 from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.trajectory import COMMANDS
 
@@ -134,7 +139,21 @@ def random_tasks(count: int, seed: int = SEED) -> list[Task]:
     return [dict(zip(DRAWN, row, strict=True)) for row in drawn.tolist()]
 
 
-def run_task(scenario: Scenario, task: Task) -> Summary:
-    """Run a scenario on another block."""
-    # A summary reads signals by their names only.
-    return summarize(run_plain(scenario, {"plant": task}), scenario)
+class Done(NamedTuple):
+    """A finished run."""
+
+    summary: Summary
+    signals: dict[str, Array]  # by name, as "plant.qpos", one row an instant
+
+
+def run_in_memory(scenario: Scenario, overrides: Overrides | None = None) -> Done:
+    """Run a scenario with its FMUs, in a forked process: a tenth of what a plain loop takes."""
+    return Done(*in_fork(_in_memory, prepare(scenario, Options(overrides=overrides or {}))))
+
+
+def _in_memory(prepared: Prepared) -> tuple[Summary, dict[str, Array]]:
+    with Execution(prepared, writes=False) as execution:
+        execution.advance(execution.ticks, StopRequest())
+        run = execution.close()
+    names = {name.partition("[")[0] for name in run.recording.columns}
+    return run.summary, {name: run.recording[name] for name in names}

@@ -37,10 +37,10 @@ def follow(diff: str, root: Path) -> None:
             (at,) = (i for i, known in enumerate(lines) if known == line[1:])
 
 
-@pytest.fixture
-def changed(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the project with the output of the example."""
-    root = tmp_path / "project"
+    root = tmp_path_factory.mktemp("changed") / "project"
     shutil.copytree(ROOT / ".ci", root / ".ci", symlinks=True)
     for folder in ("assets", "plant", "controller", "fmus", "scenarios"):
         ignored = shutil.ignore_patterns("__pycache__", "node_modules")

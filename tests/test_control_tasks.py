@@ -1,8 +1,7 @@
 """What the robot does under control: tasks, limits, singularities, pushes, other blocks."""
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,28 +11,23 @@ from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import QD_MAX, QDD_MAX, QDDD_MAX
 from panda_cosim.scenarios.judging.limits import largest_share
-from panda_cosim.scenarios.run.summary import Summary, summarize
-from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from random_tasks import Course, connect, random_tasks, run_plain, run_task
+from random_tasks import Done, connect, random_tasks, run_in_memory
 
 Array = NDArray[np.float64]
+Signals = dict[str, Array]
 
 PLACE = (0.60, 0.35)  # m
 SHARE = 0.95  # of every limit, of the robot and of its reference
 
 
 @cache
-def course(name: str) -> Course:
-    return run_plain(load_scenario(name))
-
-
-def summary(name: str) -> Summary:
-    return summarize(course(name), load_scenario(name))
+def run(name: str) -> Done:
+    return run_in_memory(load_scenario(name))
 
 
 def test_pick_and_place_is_as_accurate_as_the_robot() -> None:
-    metrics = summary("pick_and_place")
+    metrics = run("pick_and_place").summary
     assert metrics.success, metrics.criteria
     assert metrics.tracking["moving_rms_mm"] <= 0.03
     assert metrics.tracking["max_mm"] <= 0.15
@@ -46,39 +40,40 @@ def test_pick_and_place_is_as_accurate_as_the_robot() -> None:
 
 
 def test_pick_and_place_keeps_every_limit_with_a_margin() -> None:
-    limits = summary("pick_and_place").limits
+    limits = run("pick_and_place").summary.limits
     assert not limits["not_measured"]
     near = {name for name, shares in limits.items() if shares and max(shares) > SHARE}
     assert not near
 
 
 def test_the_tutorial_is_as_it_was_published() -> None:
-    run = course("tutorial")
-    error = 1e3 * np.linalg.norm(run["plant.hand_xpos"] - run["controller.pos_cmd"], axis=1)
+    signals = run("tutorial").signals
+    error = 1e3 * tracking_error(signals)
     assert np.sqrt(np.mean(error**2)) == pytest.approx(30.2, abs=0.5)  # mm
     assert error.max() == pytest.approx(46.8, abs=1.0)  # mm
-    x, y, z = run["plant.qpos"][-1, 9:12]
+    x, y, z = signals["plant.qpos"][-1, 9:12]
     assert z == pytest.approx(0.250, abs=0.002)
     assert np.hypot(x - PLACE[0], y - PLACE[1]) <= 0.050
-    assert run["plant.target_xmat"][-1, 8] > 0.999  # upright
+    assert signals["plant.target_xmat"][-1, 8] > 0.999  # upright
 
 
 # Beyond what the arm can do.
 
 
-def moves(*rows: tuple[float, str, tuple[float, float, float]]) -> Scenario:
-    """Return a scenario with these rows, in quintic segments, and a rest at the end."""
+def moved(*rows: tuple[float, str, tuple[float, float, float]]) -> Signals:
+    """Run a scenario with these rows, in quintic segments, and a rest at the end."""
     table = TrajectoryTable(tuple(TableRow(*row, 0.08) for row in rows))
-    return replace(load_scenario("pick_and_place"), table=table, duration=rows[-1][0] + 1.0)
+    scenario = replace(load_scenario("pick_and_place"), table=table, duration=rows[-1][0] + 1.0)
+    return run_in_memory(scenario).signals
 
 
-def tracking_error(run: Course) -> Array:
+def tracking_error(run: Signals) -> Array:
     """Return the distance of hand and command (n,) [m]."""
     error: Array = np.linalg.norm(run["plant.hand_xpos"] - run["controller.pos_cmd"], axis=1)
     return error
 
 
-def check_calm(run: Course) -> None:
+def check_calm(run: Signals) -> None:
     """Joint speeds and their changes stay within the limits, measured and of the reference."""
     speed = np.abs(run["plant.qvel"][:, :7])
     assert (speed <= 1.02 * QD_MAX).all()
@@ -90,19 +85,19 @@ def check_calm(run: Course) -> None:
 
 
 @cache
-def beyond_reach() -> Course:
+def beyond_reach() -> Signals:
     out = (1.1, 0.0, 0.6)
-    return run_plain(moves((0, "home", (0, 0, 0)), (1.5, "world", out), (2.0, "world", out),
-                           (4.0, "home", (0, 0, 0)), (5.0, "home", (0.05, 0, 0)),
-                           (6.0, "home", (0, 0, 0))))  # fmt: skip
+    return moved((0, "home", (0, 0, 0)), (1.5, "world", out), (2.0, "world", out),
+                 (4.0, "home", (0, 0, 0)), (5.0, "home", (0.05, 0, 0)),
+                 (6.0, "home", (0, 0, 0)))  # fmt: skip
 
 
 @cache
-def near_singular() -> Course:
+def near_singular() -> Signals:
     """Almost stretched: 0.7 mm short of the singular posture."""
-    return run_plain(moves((0, "home", (0, 0, 0)), (2.0, "world", (0.735, 0, 0.62)),
-                           (4.0, "home", (0, 0, 0)), (5.0, "home", (0.05, 0, 0)),
-                           (6.0, "home", (0, 0, 0))))  # fmt: skip
+    return moved((0, "home", (0, 0, 0)), (2.0, "world", (0.735, 0, 0.62)),
+                 (4.0, "home", (0, 0, 0)), (5.0, "home", (0.05, 0, 0)),
+                 (6.0, "home", (0, 0, 0)))  # fmt: skip
 
 
 @pytest.mark.parametrize("run", [beyond_reach, near_singular])
@@ -125,7 +120,7 @@ def test_beyond_reach_the_arm_waits_stretched() -> None:
 
 
 def test_too_fast_a_command_says_which_limit_binds() -> None:
-    run = run_plain(moves((0, "home", (0, 0, 0)), (0.35, "home", (-0.1, -0.25, 0.0))))
+    run = moved((0, "home", (0, 0, 0)), (0.35, "home", (-0.1, -0.25, 0.0)))
     check_calm(run)
     bound = np.unique(run["controller.limit"])
     assert set(bound) <= {0.0, 2.0, 3.0, 4.0}
@@ -153,9 +148,8 @@ def test_a_push_is_withstood_and_leaves_nothing_behind() -> None:
 
 @pytest.mark.parametrize("count", [3, pytest.param(300, marks=pytest.mark.long)])
 def test_other_blocks_are_placed_as_well(count: int) -> None:
-    scenario, tasks = load_scenario("pick_and_place"), random_tasks(count)
-    with ProcessPoolExecutor() as pool:
-        for task, metrics in zip(tasks, pool.map(partial(run_task, scenario), tasks), strict=True):
-            assert metrics.success, (task, metrics.criteria)
-            assert largest_share(metrics.limits) <= 1.0, task
-            assert metrics.block["place_error_mm"] <= 2.0, task
+    for task in random_tasks(count):
+        metrics = run_in_memory(load_scenario("pick_and_place"), {"plant": task}).summary
+        assert metrics.success, (task, metrics.criteria)
+        assert largest_share(metrics.limits) <= 1.0, task
+        assert metrics.block["place_error_mm"] <= 2.0, task

@@ -92,7 +92,7 @@ def test_joints_are_pulled_away_from_their_ends_and_nowhere_else() -> None:
         assert ((down < weaker_down) & (weaker_down < 0.0)).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=seeds)
 def test_a_reference_comes_back_within_its_speed_and_its_ends(seed: int) -> None:
     """However far it has run ahead, and wherever its joint is held."""

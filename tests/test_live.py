@@ -121,7 +121,7 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
     page.errors.clear()
     page.requests.clear()
     with live(tmp_path / "run", "--speed", "0.1", "--paused") as server:
-        page.visit(server.address, 900, 640)  # software draws, and large pictures take it long
+        page.visit(server.address, 720, 400)  # software draws, and large pictures take it long
         page.wait(READY)
         page.wait("document.querySelector('.pv-place') !== null")  # it knows the waypoints
         way = drag_a_waypoint(page)
@@ -168,7 +168,7 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
 
 def test_restart_begins_another_run_and_keeps_the_one_before(page: Page, tmp_path: Path) -> None:
     with live(tmp_path / "run") as server:
-        page.visit(server.address, 900, 640)
+        page.visit(server.address, 720, 400)
         page.wait(READY)
         page.wait(f"{RUN}.newest('time') > 0.1")
         pause(page)

@@ -202,7 +202,7 @@ def test_a_damaged_compiled_model_is_refused_in_a_line(
     mujoco.mj_saveModel(model, str(path))
     content = bytearray(path.read_bytes())
     if damage == "sizes":
-        content[140:144] = (1 << 28).to_bytes(4, "little")
+        content[140:144] = (1 << 30).to_bytes(4, "little")
     path.write_bytes(content[:1000] if damage == "cut" else content)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(

@@ -43,7 +43,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def run(
     ssp: Path, out: Path, *arguments: str, cwd: Path | None = None, **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    return command("run", "--system", ssp, "--out", out, *arguments, cwd=cwd, **environment)
+    options = ("--no-video", *arguments)
+    return command("run", "--system", ssp, "--out", out, *options, cwd=cwd, **environment)
 
 
 def outputs(*names: str) -> list[Variable]:
@@ -204,7 +205,7 @@ def test_an_fmu_that_changes_the_working_directory_and_floods_with_messages_lose
 ) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
-    done = run(ssp, Path("run"), *isolate, cwd=tmp_path, ODD="chdir@3")
+    done = run(ssp, Path("run"), "--plot", *isolate, cwd=tmp_path, ODD="chdir@3")
     assert done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "run").complete
     files = {p.name for p in (tmp_path / "run").iterdir()}

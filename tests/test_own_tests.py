@@ -110,7 +110,7 @@ PYTEST = ("-v", "-p", "no:cacheprovider", "--panda-scenarios")
 
 
 def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine: Path, tmp_path: Path) -> None:
-    tests = run_pytest(*PYTEST, mine, "-n", "2", cwd=tmp_path)
+    tests = run_pytest(*PYTEST, mine, "-n", "1", cwd=tmp_path)
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "4 failed, 2 passed" in tests.stdout
     assert re.search(rf"\n  missed  {MISSED}, margin -\d\S* x\n", tests.stdout)
