@@ -1,4 +1,4 @@
-"""FMUs in C with any variables, and systems of them, for the tests; see odd_fmu.c."""
+"""FMUs in C with any variables, and systems of them, for the tests; see c_fmu/toy.c."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from xml.sax.saxutils import quoteattr
 
 from toy_fmu import library
 
-SOURCE = Path(__file__).with_suffix(".c")
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="Odd" guid="odd">
 <CoSimulation modelIdentifier="odd" canHandleVariableCommunicationStepSize="{varies}"{flags}/>
@@ -56,7 +55,7 @@ def odd_fmu(
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
-        archive.writestr("binaries/linux64/odd.so", library(SOURCE))
+        archive.writestr("binaries/linux64/odd.so", library())
     return path
 
 

@@ -205,12 +205,12 @@ def test_an_fmu_that_changes_the_working_directory_and_floods_with_messages_lose
 ) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
-    done = run(ssp, Path("run"), "--plot", *isolate, cwd=tmp_path, ODD="chdir@3")
+    done = run(ssp, Path("run"), "--plot", *isolate, cwd=tmp_path, ACT="chdir")
     assert done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "run").complete
     files = {p.name for p in (tmp_path / "run").iterdir()}
     assert files == {"recording.parquet", "scenario", "summary.json", "plot.png"}
-    done = run(ssp, tmp_path / "flood", *isolate, ODD="chatter@3")
+    done = run(ssp, tmp_path / "flood", *isolate, ACT="chatter")
     assert done.returncode == 0, done.stderr
     lines = [line for line in done.stderr.splitlines() if "Warning: c: " in line]
     assert len(lines) == 101
@@ -221,13 +221,13 @@ def test_an_fmu_that_changes_the_working_directory_and_floods_with_messages_lose
 @pytest.mark.parametrize(
     ("fault", "told"),
     [
-        ("negative@3", "at t = 0.002 s, in FMU 'c': fmi2DoStep returned -1, which is not a status"),
-        ("negative-setup@0", "in FMU 'c': set up returned -1, which is not a status"),
+        ("negative", "at t = 0.002 s, in FMU 'c': fmi2DoStep returned -1, which is not a status"),
+        ("negative-setup", "in FMU 'c': set up returned -1, which is not a status"),
     ],
 )
 def test_a_negative_status_is_a_failure(tmp_path: Path, fault: str, told: str) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
-    done = run(ssp, tmp_path / "run", ODD=fault)
+    done = run(ssp, tmp_path / "run", ACT=fault)
     assert done.returncode == 1, done.stderr
     assert told in done.stderr

@@ -1,22 +1,25 @@
 /* A small FMU in FMI 2.0 and 3.0 that shows how a master treats it.
  *
- * y[i,j] = k * u[i,j] + t, negated by `flip`, doubled by mode 2. What `act` says happens at the
- * step that begins at 2 ms; "complain" logs an error as it
- * is set, and nothing fails. Terminating and freeing are logged, as a warning each.
+ * y[i,j] = k * u[i,j] + t, negated by `flip`, doubled by mode 2. In FMI 2.0, every variable of a
+ * reference from 100 on is the one 100 below, numbers with the count of steps on top. What `act`, or
+ * the environment variable ACT, says happens at the step that begins at 2 ms; "complain" logs an
+ * error as it is set, and nothing fails. Terminating and freeing are logged, as a warning each.
  */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "fmi2Functions.h"
 #include "fmi3Functions.h"
 
 #define N 6 /* elements of u and of y */
-enum { U, Y = N, K = 2 * N, REALS };
+#define COUNT 200 /* value references */
+enum { U, Y = N, K = 2 * N };
 
 typedef struct {
-    double values[REALS], time;
-    int flip, mode;
+    double values[COUNT], time;
+    int integers[COUNT], booleans[COUNT], steps; /* the first are the mode and `flip` */
     char act[32], name[64];
     fmi2CallbackFunctions callbacks;
     fmi3LogMessageCallback log3;
@@ -33,7 +36,12 @@ static void compute(toy *c)
 {
     for (int i = 0; i < N; i++) {
         double y = c->values[K] * c->values[U + i] + c->time;
-        c->values[Y + i] = (c->flip ? -y : y) * (c->mode == 2 ? 2 : 1);
+        c->values[Y + i] = (c->booleans[0] ? -y : y) * (c->integers[0] == 2 ? 2 : 1);
+    }
+    for (int i = 0; i < COUNT / 2; i++) {
+        c->values[i + COUNT / 2] = c->values[i] + c->steps;
+        c->integers[i + COUNT / 2] = c->integers[i] + c->steps;
+        c->booleans[i + COUNT / 2] = c->booleans[i];
     }
 }
 
@@ -42,8 +50,8 @@ static toy *create(const char *name)
     toy *c = calloc(1, sizeof *c);
     if (!strcmp(name, "refused")) return free(c), NULL;
     snprintf(c->name, sizeof c->name, "%s", name);
+    snprintf(c->act, sizeof c->act, "%s", getenv("ACT") ? getenv("ACT") : "");
     c->values[K] = 1;
-    c->mode = 1;
     return c;
 }
 
@@ -56,10 +64,17 @@ static void set_act(toy *c, const char *act)
 static int step(toy *c, double time, double size)
 {
     static const char *acts[] = {"", "warn", "discard", "error", "fatal"};
-    int status = 0;
+    int status = 0, now = c->steps++ == 2;
     for (int i = 1; i < 5; i++)
         if (time > 0.0015 && !strcmp(c->act, acts[i])) status = i;
     if (status) say(c, fmi3Warning, "100 % as it was told");
+    for (int i = 0; now && i < 100000 && !strcmp(c->act, "chatter"); i++) {
+        char text[40];
+        snprintf(text, sizeof text, "this is warning %d", i);
+        say(c, fmi3Warning, text);
+    }
+    if (now && !strcmp(c->act, "chdir") && chdir("/")) status = fmi3Error;
+    if (now && !strcmp(c->act, "negative")) status = -1;
     c->time = time + size;
     compute(c);
     return status;
@@ -83,31 +98,36 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2R
                                fmi2Boolean d, fmi2Real e)
 {
     (void)a, (void)b, (void)d, (void)e;
-    ((toy *)c)->time = start;
-    return fmi2OK;
+    toy *it = c;
+    it->time = it->values[COUNT / 2 - 1] = start;
+    return strcmp(it->act, "negative-setup") ? fmi2OK : (fmi2Status)-1;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return (void)c, fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return compute(c), fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return say(c, fmi3Warning, "terminated"), fmi2OK; }
 fmi2Status fmi2Reset(fmi2Component c) { return (void)c, fmi2OK; }
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[])
-{
-    for (size_t i = 0; i < n; i++) v[i] = ((toy *)c)->values[r[i]];
-    return fmi2OK;
-}
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[])
-{
-    for (size_t i = 0; i < n; i++) ((toy *)c)->values[r[i]] = v[i];
-    return fmi2OK;
-}
-#define SET2(name, type, effect)                                                                   \
-    fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, const type v[])       \
+#define ACCESS2(name, constant, type, to, from)                                                    \
+    fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, constant type v[])    \
     {                                                                                              \
-        return (void)r, (void)n, effect, fmi2OK;                                                   \
+        for (size_t i = 0; i < n; i++) to = from;                                                  \
+        return fmi2OK;                                                                             \
     }
-SET2(fmi2SetBoolean, fmi2Boolean, ((toy *)c)->flip = v[0])
-SET2(fmi2SetInteger, fmi2Integer, ((toy *)c)->mode = v[0])
-SET2(fmi2SetString, fmi2String, set_act(c, v[0]))
+ACCESS2(fmi2GetReal, , fmi2Real, v[i], ((toy *)c)->values[r[i]])
+ACCESS2(fmi2SetReal, const, fmi2Real, ((toy *)c)->values[r[i]], v[i])
+ACCESS2(fmi2GetInteger, , fmi2Integer, v[i], ((toy *)c)->integers[r[i]])
+ACCESS2(fmi2SetInteger, const, fmi2Integer, ((toy *)c)->integers[r[i]], v[i])
+ACCESS2(fmi2GetBoolean, , fmi2Boolean, v[i], ((toy *)c)->booleans[r[i]])
+ACCESS2(fmi2SetBoolean, const, fmi2Boolean, ((toy *)c)->booleans[r[i]], v[i])
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String v[])
+{
+    for (size_t i = 0; i < n; i++) v[i] = ((toy *)c)->act;
+    return (void)r, fmi2OK;
+}
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n,
+                         const fmi2String v[])
+{
+    return (void)r, (void)n, set_act(c, v[0]), fmi2OK;
+}
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean keep)
 {
     return (void)keep, (fmi2Status)step(c, time, size);
@@ -159,8 +179,8 @@ ACCESS3(fmi3SetFloat64, const, ((toy *)c)->values + r[i], v + at)
     {                                                                                              \
         return (void)r, (void)n, (void)nv, effect, fmi3OK;                                         \
     }
-SET3(fmi3SetBoolean, fmi3Boolean, ((toy *)c)->flip = v[0])
-SET3(fmi3SetInt64, fmi3Int64, ((toy *)c)->mode = (int)v[0])
+SET3(fmi3SetBoolean, fmi3Boolean, ((toy *)c)->booleans[0] = v[0])
+SET3(fmi3SetInt64, fmi3Int64, ((toy *)c)->integers[0] = (int)v[0])
 SET3(fmi3SetString, fmi3String, set_act(c, v[0]))
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean keep,
                       fmi3Boolean *event, fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last)
