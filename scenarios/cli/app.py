@@ -27,7 +27,8 @@ from .console import complain, show
 MIN_COLUMNS = 20  # of a terminal
 HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
 # Errors of the operating system that are due to a limit of the machine or the user.
-AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EAGAIN}
+AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM,
+            errno.EAGAIN}  # fmt: skip
 
 HELP = """
 FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.

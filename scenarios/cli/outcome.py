@@ -21,10 +21,10 @@ from ..judging.contacts import Touch
 from ..judging.criterion import bound_text, margin_text, missed_text, quantity, unmeasured_text
 from ..judging.limits import exceeded
 from ..pictures.gl import RenderError
-from ..pictures.motion import SHAPES, refuse_without_model
+from ..pictures.motion import refuse_without_model
 from ..recording import Recording
 from ..run.folder import claimed_folder
-from ..run.result import SHEET_FILE, Run
+from ..run.result import VIDEO_FILE, Run
 from ..run.summary import Summary
 from ..scenario.scenario import Scenario
 from ..view.export import VIEW_FILE, write_view
@@ -32,8 +32,7 @@ from . import INTERRUPTS
 from .console import Update, as_cell, progress, show, show_json, table, tell, warn
 from .options import announce_build
 
-VIDEO_FILE = "video.mp4"
-PLOT_FILE = "plot.png"
+PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
 NOT_A_SUCCESS = 3  # exit code
 MORE_TIME = "`panda-cosim retime SCENARIO --keep-times`"
 REMEDIES = {  # by the kind of limit that held the arm back
@@ -118,9 +117,11 @@ def _draw(done: Run, output: Output) -> None:
             except InputError as error:
                 warn(f"no view: {error}")
         if output.video if output.plot is None else output.plot:
-            draw_plot(done.recording, done.folder / PLOT_FILE)
+            tell(PLOTTING)
+            done.plot()
         if output.video and drawable:
-            draw_sheet(done.recording, done.folder)
+            tell(TILING)
+            done.sheet()
             draw_video(done.recording, done.folder)
         elif output.video:
             warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
@@ -261,23 +262,6 @@ def _limit_lines(summary: Summary) -> Iterator[str]:
             f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently; "
             "with noisy readings, lower controller.ik_gain"
         )
-
-
-def draw_plot(recording: Recording, path: Path) -> Path:
-    """Draw the page of curves."""
-    from ..pictures.plot import plot_run, plot_signals  # noqa: PLC0415 - slow to import
-
-    tell("Drawing the plot ...")
-    draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
-    return draw(recording, path)
-
-
-def draw_sheet(recording: Recording, folder: Path, **look: Any) -> Path:
-    """Draw the contact sheet into a folder; for `look`, see `contact_sheet`."""
-    from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - imports Pillow
-
-    tell("Drawing the contact sheet ...")
-    return contact_sheet(recording, folder / SHEET_FILE, **look)
 
 
 def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:

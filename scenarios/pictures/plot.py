@@ -11,7 +11,7 @@ import numpy as np
 from ...controller.plotting import own_style
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
-from .motion import Signals, describe_run
+from .motion import SHAPES, Signals, describe_run
 from .panels import COLOURS, DPI, GREY, PANELS, SHADE, STYLE, Curves, read_curves, thin
 
 if TYPE_CHECKING:
@@ -26,6 +26,12 @@ CARET_DOWN: Final = 11  # matplotlib's marker that points down from its position
 MOST: Final = 24  # signals on a page
 ACROSS: Final = 3
 POINTS: Final = 4000  # of a curve
+
+
+def plot_recording(recording: Recording, path: Path) -> Path:
+    """Write a PNG with the curves of a run of the task, or with the signals of any other run."""
+    is_task = all(name in recording for name in SHAPES)
+    return plot_run(recording, path) if is_task else plot_signals(recording, path)
 
 
 def plot_run(recording: Signals, path: str | Path) -> Path:

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from ..view.page import Inline
     from ..view.run import Shown
 
+PLOT_FILE: Final = "plot.png"
 SHEET_FILE: Final = "contact_sheet.png"
+VIDEO_FILE: Final = "video.mp4"
 _HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th><th></th></tr>"
 
 
@@ -76,9 +78,9 @@ class Run:
         Args:
             path: Where to; None: `plot.png` in the run's folder.
         """
-        from ..pictures.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
+        from ..pictures.plot import plot_recording  # noqa: PLC0415 - matplotlib takes its time
 
-        return Picture(plot_run(self.recording, path or self.folder / "plot.png"))
+        return Picture(plot_recording(self.recording, path or self.folder / PLOT_FILE))
 
     def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
         """Draw the video; a notebook shows it.
@@ -89,7 +91,7 @@ class Run:
         """
         from ..pictures.video import render_video  # noqa: PLC0415 - slow to import
 
-        path = path or self.folder / "video.mp4"
+        path = path or self.folder / VIDEO_FILE
         return Video(render_video(self.recording, path, camera=camera))
 
     def sheet(self, path: Path | None = None) -> Picture:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import HOME_XPOS, HOME_XQUAT, Q_MAX, Q_MIN
+from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
 from ..scenario.table import TableRow, TrajectoryTable
@@ -23,7 +23,7 @@ from ..scenario.trajectory import StartPose, Trajectory
 from .demand import ArmDynamics, Shares, Timing, demands, largest
 from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions
-from .stretch import AT_END, AWAY, remedy
+from .stretch import AWAY, end_reached, remedy
 from .time_law import NODES, Bounds, NoTimingError, is_spiky, lowered, time_law, without_spikes
 from .violations import REACH_TOLERANCE, WAY_TOLERANCE
 
@@ -132,12 +132,8 @@ def _refusal(
     tick = int(used[name].argmax())
     row = min(int(course.rows[tick]) + 2, int(course.rows[-1]) + 1)
     what = f"row {row}: no timing within {share:.0%} of the limits was found"
-    room = np.minimum(reference.position[tick] - Q_MIN, Q_MAX - reference.position[tick])
-    if room.min() < AT_END:
-        return (
-            f"{what}: joint {room.argmin() + 1} reaches the end of its range; must turn the hand "
-            "another way, or lead elsewhere"
-        )
+    if ended := end_reached(reference.position[tick]):
+        return f"{what}: {ended}"
     if name == "reach":
         return f"{what}: the hand misses the command by {reference.miss[tick]:.3g} m; {AWAY}"
     values = np.abs(demanded[name][tick])

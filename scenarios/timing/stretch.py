@@ -118,14 +118,8 @@ def _refuse_if_hopeless(
     row's segment in the round before, and is changed.
     """
     tick = round((violation.time - reference.time[0]) / STEP_SIZE)
-    q = reference.position[tick]
-    ended = np.flatnonzero(np.minimum(q - Q_MIN, Q_MAX - q) < AT_END)
-    if len(ended) and slower >= SLOW:
-        raise InputError(
-            f"row {violation.row}: joint {ended[0] + 1} reaches the end of its range at "
-            f"t = {violation.time:.3f} s, however slowly it moves; the row must turn the hand "
-            "another way or lead elsewhere"
-        )
+    if slower >= SLOW and (ended := end_reached(reference.position[tick])):
+        raise InputError(f"row {violation.row}: {ended} (t = {violation.time:.3f} s)")
     if violation.quantity == "reach":
         before = missed.get(violation.row, math.inf)
         missed[violation.row] = violation.value
@@ -133,6 +127,17 @@ def _refuse_if_hopeless(
             raise InputError(str(violation))
     if slower >= SLOWEST:
         raise InputError(f"{violation}, {slower:.0f} times slower; {remedy(violation.quantity)}")
+
+
+def end_reached(q: Array) -> str:
+    """Return which of the joints (7,) [rad] is at its end and what helps, or nothing."""
+    room = np.minimum(q - Q_MIN, Q_MAX - q)
+    if room.min() >= AT_END:
+        return ""
+    return (
+        f"joint {room.argmin() + 1} reaches the end of its range, however slowly it moves; must "
+        "turn the hand another way or lead elsewhere"
+    )
 
 
 def remedy(quantity: str) -> str:

@@ -8,11 +8,13 @@ from pathlib import Path
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ...pictures.motion import positions
+from ...pictures.plot import plot_recording
+from ...pictures.sheet import contact_sheet
 from ...recording import Recording
-from ...run.result import SHEET_FILE
-from ..console import show
+from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
+from ..console import show, tell
 from ..options import MESHES, OVERWRITE, RUN, Meshes, option
-from ..outcome import PLOT_FILE, VIDEO_FILE, draw_plot, draw_sheet, draw_video
+from ..outcome import PLOTTING, TILING, draw_video
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -47,10 +49,11 @@ def command(  # noqa: PLR0913 - one for each option
     check_replaceable(*(folder / name for name in files), overwrite=overwrite)
     positions(recording)  # refuses a recording that lacks signals, before anything is drawn
     width, height = _pixels(size)
-    look = {"camera": camera, "meshes": meshes}
     if video:
-        show(str(draw_video(recording, folder, fps=fps, width=width, height=height, **look)))
-    show(str(draw_sheet(recording, folder, **look)))
+        look = {"fps": fps, "width": width, "height": height, "camera": camera, "meshes": meshes}
+        show(str(draw_video(recording, folder, **look)))
+    tell(TILING)
+    show(str(contact_sheet(recording, folder / SHEET_FILE, camera=camera, meshes=meshes)))
 
 
 def _pixels(text: str) -> tuple[int, int]:
@@ -82,4 +85,5 @@ def plot(
     if path.suffix.lower() != ".png" or path.is_dir():
         path /= PLOT_FILE
     check_replaceable(path, overwrite=overwrite)
-    show(str(draw_plot(recording, path)))
+    tell(PLOTTING)
+    show(str(plot_recording(recording, path)))
