@@ -48,31 +48,24 @@ def run(
 
 
 def outputs(*names: str) -> list[Variable]:
-    return [(name, "Real", "output", 100 + k) for k, name in enumerate(names)]
+    return [(name, "Real", "output", 120 + k) for k, name in enumerate(names)]
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("hand_xpos[3]",),
-        ("y", "y[1]", "pipe[1].T[2]", "pipe[2].T[1]"),
-        ("a[1,2]", "a[2]", "a[0]"),
-        ("x y", "$x$", "ü", "time"),
-    ],
-    ids=str,
-)
-def test_a_recording_of_any_names_can_be_opened(tmp_path: Path, names: Sequence[str]) -> None:
-    fmu = odd_fmu(tmp_path / "odd.fmu", outputs(*names))
-    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": names})
+NAMES = ("hand_xpos[3]", "y", "y[1]", "pipe[1].T[2]", "pipe[2].T[1]", "a[1,2]", "a[2]", "a[0]",
+         "x y", "$x$", "ü", "time")  # fmt: skip
+
+
+def test_a_recording_of_any_names_can_be_opened(tmp_path: Path) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs(*NAMES))
+    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": NAMES})
     done = run(ssp, tmp_path / "run")
     assert done.returncode == 0, done.stderr
     recording = Recording.open(tmp_path / "run")
-    for name in names:
+    for name in NAMES:
         assert recording[f"c.{name}"].tolist() == [float(n) for n in range(11)]
-    for name in ("export", "plot"):
-        done = command(name, tmp_path / "run", cwd=tmp_path)
-        assert done.returncode in (0, 2), done.stderr
-        assert "unexpected" not in done.stderr
+    for name, out in (("export", ["all.csv"]), ("plot", [])):
+        done = command(name, tmp_path / "run", *out, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
 
 
 def test_names_that_would_be_one_column_are_refused(tmp_path: Path) -> None:
