@@ -78,7 +78,14 @@ def retime(
         raise InputError(f"{scenario.name}: {error}") from None
     if timing.table is None:
         return _slowed(scenario, timing), timing.shares
-    return _optimal(scenario, timing.table), timing.shares
+    optimal = replace(
+        scenario,
+        table=timing.table,
+        timing="table",
+        interpolation="spline",
+        duration=_whole_ticks(timing.cycle),
+    )
+    return optimal, timing.shares
 
 
 def _slowed(scenario: Scenario, timing: Timing) -> Scenario:
@@ -88,17 +95,6 @@ def _slowed(scenario: Scenario, timing: Timing) -> Scenario:
     table = TrajectoryTable(tuple(replace(row, time=time) for row, time in moved))
     duration = _whole_ticks(scenario.duration + timing.cycle - rows[-1].time)
     return replace(scenario, table=table, timing="table", duration=duration)
-
-
-def _optimal(scenario: Scenario, table: TrajectoryTable) -> Scenario:
-    """Return the scenario with new rows, which end with the last one."""
-    return replace(
-        scenario,
-        table=table,
-        timing="table",
-        interpolation="spline",
-        duration=_whole_ticks(table.rows[-1].time),
-    )
 
 
 def _whole_ticks(time: float) -> float:
