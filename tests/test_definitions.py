@@ -204,7 +204,7 @@ def limits_again(run: Recording) -> dict[str, Any]:
 def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run of a shipped scenario."""
     out = tmp_path_factory.mktemp("runs") / request.param
-    done = command("run", request.param, "--no-video", "--out", out)
+    done = command("run", request.param, "--no-video", "--no-view", "--out", out)
     assert done.returncode == 0, done.stdout + done.stderr
     return out
 
@@ -256,7 +256,7 @@ def test_each_number_is_defined_and_each_criterion_judges_the_one_that_it_names(
 
 def test_every_definition_is_of_a_number_event_or_criterion(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    short = ("--set", "duration=2.5", "--no-video", "--realtime")
+    short = ("--set", "duration=2.5", "--no-video", "--no-view", "--realtime")
     assert command("run", "pick_and_place", *short, "--out", out).returncode == 3  # not placed
     keys = {key for key, _ in told(json.loads((out / "summary.json").read_text()))}
     keys |= {f"success.{name}" for name in field_names(Success)}

@@ -134,7 +134,7 @@ def test_run_says_whether_it_came_as_expected(
     mine: Path, tmp_path: Path, name: str, code: int, told: str
 ) -> None:
     file, out = tmp_path / "junit.xml", tmp_path / "run"
-    asked = ("run", mine / name, "--no-video", "--junit", file, "--out", out)
+    asked = ("run", mine / name, "--no-video", "--no-view", "--junit", file, "--out", out)
     done = command(*asked, cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert told in done.stdout + done.stderr
