@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import distribution, version
+from importlib.metadata import distribution
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
@@ -184,7 +184,7 @@ def code_digest() -> str:
     paths = [path for folder in _CODE for path in (root / folder).rglob("*.*")]
     kinds = (".py", ".c", ".h", ".j2", ".png", ".xml")
     code = {p.relative_to(root).as_posix(): p.read_bytes() for p in paths if p.suffix in kinds}
-    return digest(code, version("panda-cosim"), mujoco_version())
+    return digest(code, package_version("panda-cosim"), mujoco_version())
 
 
 @cache
@@ -225,9 +225,15 @@ def prebuild() -> list[Path]:
 
 
 @cache
+def package_version(package: str) -> str:
+    """Version of a package; `metadata.version` would parse all of its description."""
+    text = distribution(package).read_text("METADATA") or ""
+    return text.partition("\nVersion: ")[2].partition("\n")[0]
+
+
 def mujoco_version() -> str:
     """Version of MuJoCo's package."""
-    return version(MUJOCO)
+    return package_version(MUJOCO)
 
 
 def mujoco_library(platform: str) -> bytes:

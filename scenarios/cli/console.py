@@ -55,7 +55,7 @@ class QuietConsole(Console):
 
 def _console(*, stderr: bool) -> Console:
     """Return a console on the present standard output or error."""
-    console = QuietConsole(stderr=stderr, highlight=False)
+    console = QuietConsole(stderr=stderr, highlight=False, emoji=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = PLAIN_WIDTH
     return console

@@ -4,6 +4,7 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Self
@@ -244,7 +245,8 @@ def _library(name: str) -> Any:
         raise CosimError(f"{name} is not installed; pip install 'panda-cosim[notebook]'") from None
 
 
-def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
+@lru_cache(maxsize=16)  # runs of a sweep have the same columns
+def shapes_of(columns: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
     """Return each signal's shape, from its elements' indices, which start at 1.
 
     Columns that do not form a complete array (`x[3]` alone, `y` beside `y[1]`) are signals of

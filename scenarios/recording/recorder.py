@@ -60,6 +60,9 @@ class Recorder(_Context):
         self._schema = storage.make_schema(
             storage.distinct(columns), {**metadata, "format": storage.FORMAT}
         )
+        self._memory: MemoryRecorder | None = MemoryRecorder(
+            place, *storage.read_schema(self._parquet, self._schema)
+        )
         self._buffer = np.empty((len(columns), _BUFFER_ROWS))
         self._filled = 0
         self._saved = 0
@@ -89,6 +92,10 @@ class Recorder(_Context):
         """Append a copy of a block of rows, shape (n, columns); flush if it is time."""
         if self._error is not None:
             raise self._error
+        if self._memory is not None:
+            self._memory.append(rows)
+            if self._memory.rows > storage.BLOCK_ROWS:
+                self._memory = None
         while len(rows):
             part = rows[: _BUFFER_ROWS - self._filled]
             self._buffer[:, self._filled : self._filled + len(part)] = part.T
@@ -124,6 +131,10 @@ class Recorder(_Context):
                 self._file.close()
         return self._parquet if self._parquet.exists() else self._stream
 
+    def recording(self) -> Recording | None:
+        """Return what was recorded, if it is short and was written whole."""
+        return None if self._memory is None else self._memory.recording()
+
     def _make_place(self) -> None:
         self._stream.parent.mkdir(parents=True, exist_ok=True)
         for path in (self._stream, self._parquet):
@@ -145,6 +156,8 @@ class Recorder(_Context):
             raise self._failure(error) from error
 
     def _mark_end(self, complete: bool, reason: str | None) -> None:
+        if self._memory is not None:
+            self._memory.close(complete=complete, reason=reason)
         state = {"complete": complete, "reason": reason}
         self._error = None
         self._write(storage.serialize_end(self._schema, state))
@@ -167,6 +180,7 @@ class Recorder(_Context):
         self._size = size
 
     def _failure(self, error: Exception) -> SimulationError:
+        self._memory = None  # the file has less
         why = getattr(error, "strerror", None) or str(error)
         return SimulationError(
             f"{self._stream}: recording failed after {self._saved} rows, which are kept: {why}; "
@@ -183,17 +197,19 @@ class MemoryRecorder(_Context):
         self._path = folder / PARQUET_FILE  # where its file would be looked for
         self._columns = storage.distinct(columns)
         self._metadata = {**metadata, "format": storage.FORMAT}
-        self._parts: list[Array] = []
+        self._values = np.empty((len(columns), _BUFFER_ROWS))
+        self.rows = 0  # number of rows appended
         self._closed = False
-
-    @property
-    def rows(self) -> int:
-        """Number of rows appended."""
-        return sum(len(part) for part in self._parts)
 
     def append(self, rows: Array) -> None:
         """Append a block of rows, shape (n, columns), copied."""
-        self._parts.append(rows.copy())
+        end = self.rows + len(rows)
+        if end > self._values.shape[1]:
+            shorter = self._values[:, : self.rows]
+            self._values = np.empty((len(self._columns), 2 * end))
+            self._values[:, : self.rows] = shorter
+        self._values[:, self.rows : end] = rows.T
+        self.rows = end
 
     def flush(self) -> None:
         """Do nothing: there is no file."""
@@ -207,16 +223,13 @@ class MemoryRecorder(_Context):
 
     def recording(self) -> Recording:
         """Return what was recorded."""
-        if len(self._parts) != 1 or not self._parts[0].flags.f_contiguous:
-            whole = np.empty((self.rows, len(self._columns)), order="F")  # contiguous columns
-            self._parts = [np.concatenate([whole[:0], *self._parts], out=whole)]
-        rows = self._parts[0]
-        by_name = {column.name: rows[:, i] for i, column in enumerate(self._columns)}
+        values = self._values[:, : self.rows]
+        by_name = {column.name: values[i] for i, column in enumerate(self._columns)}
 
         def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
             yield [by_name[name] for name in names]
 
-        source = storage.Source(self._columns, self._metadata, len(rows), blocks)
+        source = storage.Source(self._columns, self._metadata, self.rows, blocks)
         return Recording(self._path, source)
 
 

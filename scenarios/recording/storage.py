@@ -168,7 +168,7 @@ def open_stream(path: Path) -> Source:
         reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: is not an Arrow stream: {one_line(str(error))}") from error
-    columns, metadata = _read_schema(path, reader.schema)
+    columns, metadata = read_schema(path, reader.schema)
     state: Metadata = {"complete": False, "reason": NO_END}
     batches = rows = 0
     with suppress(pa.ArrowException, OSError, ValueError, StopIteration):
@@ -224,7 +224,7 @@ def open_parquet(path: Path) -> Source:
         raise InputError(
             f"{path}: is not a whole recording; must be a run's folder or its {PARQUET_FILE}"
         ) from error
-    columns, metadata = _read_schema(path, schema)
+    columns, metadata = read_schema(path, schema)
     groups = [file.metadata.row_group(number).num_rows for number in range(file.num_row_groups)]
     is_short = len(groups) == 1 and groups[0] <= BLOCK_ROWS
 
@@ -263,7 +263,7 @@ def _values(column: Any) -> Array:
     return np.asarray(np.from_dlpack(column), dtype=np.float64)
 
 
-def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
+def read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
     """Check a recording's schema, and return its columns and metadata."""
     text = (schema.metadata or {}).get(METADATA_KEY)
     if text is None:

@@ -7,11 +7,11 @@ import math
 import platform
 import sys
 from contextlib import nullcontext, suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.atomic import replacing
+from ...fmus.build.libraries import package_version
 from ...fmus.errors import InputError
 from ...fmus.master.system import OpenSystem
 from ..recording import AnyRecorder, MemoryRecorder, Recorder, Recording
@@ -63,9 +63,8 @@ class Output:
 
     @property
     def in_memory(self) -> Recording | None:
-        """The recording, if it is not in the run's folder."""
-        recorder = self.recorder
-        return recorder.recording() if isinstance(recorder, MemoryRecorder) else None
+        """The recording, if memory holds it."""
+        return self.recorder.recording()
 
     def judge(self) -> Summary:
         """Measure and judge what has been recorded, and write the summary."""
@@ -116,7 +115,7 @@ def _provenance(system: OpenSystem) -> dict[str, Any]:
         },
         "versions": {
             "python": platform.python_version(),
-            **{package: version(package) for package in PACKAGES},
+            **{package: package_version(package) for package in PACKAGES},
         },
         "platform": f"{sys.platform} {platform.machine()}",
     }

@@ -58,7 +58,7 @@ class Run:
         summary: Metrics and verdict.
         signal: Number of the signal that stopped it, or 0.
         warnings: Messages of the FMUs.
-        in_memory: The recording, if it was not kept in the folder.
+        in_memory: The recording, if it is short or was not kept in the folder.
     """
 
     folder: Path
