@@ -124,7 +124,7 @@ def _starts(variable: Variable) -> str | None:
 
 def _common_unit(variable: Variable) -> str | None:
     """Unit of an array, or None: FMI 3.0 cannot express several units in one array."""
-    units = {scalar.unit for scalar in variable.scalars(0)}
+    units = set(variable.units)
     return units.pop() or None if len(units) == 1 else None
 
 
@@ -223,7 +223,7 @@ def shaped_name(variable: Variable) -> str:
 
 def units(variable: Variable) -> str:
     """Units of a variable, each once; its type if it has no unit."""
-    return ", ".join(dict.fromkeys(s.unit for s in variable.scalars(0) if s.unit)) or variable.kind
+    return ", ".join(dict.fromkeys(filter(None, variable.units))) or variable.kind
 
 
 def listed(value: object) -> str:

@@ -169,6 +169,11 @@ class Variable:
         """Number of scalars."""
         return math.prod(self.shape)
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each scalar."""
+        return self.unit if isinstance(self.unit, tuple) else (self.unit,) * self.size
+
     def names(self) -> list[str]:
         """Names of the scalars, row by row."""
         return list(self._names) if self.shape else [self.name]

@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 import ctypes
+import inspect
 import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
 from threading import Lock
@@ -43,6 +44,13 @@ def return_to(folder: Path) -> None:
     """Restore the working directory, which an FMU may have changed for the whole process."""
     with _loading, suppress(OSError):
         os.chdir(folder)
+
+
+@cache
+def _keep_signatures(fmpy_class: type) -> None:
+    """Keep the signatures of FMPy's methods, which it would find out again for each instance."""
+    for _, method in inspect.getmembers(fmpy_class, inspect.isfunction):
+        method.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]
 
 
 class FmuSlave(ABC):
@@ -165,6 +173,7 @@ class FmuSlave(ABC):
     def _open(self) -> Any:
         """Load the library and make the instance."""
         here = Path.cwd()
+        _keep_signatures(self.fmpy_class)
         try:
             instance = self.fmpy_class(
                 guid=self.fmu.guid,

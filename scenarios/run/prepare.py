@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.master.system import OpenSystem, open_system
 from ...fmus.messages import did_you_mean
 from ..scenario.scenario import Scenario
+from ..scenario.trajectory import Trajectory
 from ..system.assembly import Assembly, assemble
 from .options import Options, with_options
 from .start import StartValues, check_criteria, resolve, start_values
@@ -82,6 +84,15 @@ def prepare(
     return prepared
 
 
+def _instants(first: int, count: int) -> Array:
+    return STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
+
+
+@lru_cache(maxsize=4)  # rows of a sweep often have one trajectory
+def _sampled(trajectory: Trajectory, first: int, count: int) -> Array:
+    return trajectory.sample(_instants(first, count))
+
+
 class Inputs:
     """External inputs of a run, row by row: commands and pushes, and values held instead.
 
@@ -129,8 +140,9 @@ class Inputs:
         count = min(count, self.shape[0] - first)
         rows = np.tile(self._start, (count, 1))
         if self._trajectory is not None:
-            times = STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
-            scenario = np.hstack((self._forces(times), self._trajectory.sample(times)))
+            times = _instants(first, count)
+            commands = _sampled(self._trajectory, first, count)
+            scenario = np.hstack((self._forces(times), commands))
             rows[:, self._to] = scenario[:, self._from]
         return rows
 

@@ -78,7 +78,15 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
     """Resolve the scenario's table for these parameters."""
     if scenario.timing != "table":
         return new_timing(scenario, values).trajectory
-    return scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
+    start = start_pose(values["plant"], values.get("sensors"))
+    return _resolved(scenario.table, start, scenario.interpolation, scenario.align)
+
+
+@lru_cache(maxsize=4)  # a run resolves its table several times, as do rows of a sweep
+def _resolved(
+    table: TrajectoryTable, start: StartPose, interpolation: str, align: bool
+) -> Trajectory:
+    return Trajectory.from_table(table, start, interpolation=interpolation, align=align)
 
 
 def new_timing(scenario: Scenario, values: StartValues) -> Timing:
@@ -118,7 +126,7 @@ def _timed(  # noqa: PLR0913 - all that new times depend on
     gains: Gains,
     load: float,
 ) -> Timing:
-    trajectory = Trajectory.from_table(table, start, interpolation=interpolation, align=align)
+    trajectory = _resolved(table, start, interpolation, align)
     if timing == "optimal":
         from ..timing.optimal import retimed  # noqa: PLC0415 - few scenarios need it
 

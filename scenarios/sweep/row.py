@@ -188,7 +188,7 @@ def margin_column(criterion: str, columns: Collection[str]) -> str:
 
 def metrics(summary: Summary) -> Iterator[tuple[str, float | None]]:
     """Yield the numbers of a summary by path, such as `summary.tracking.rms_mm`."""
-    content = summary.to_dict()
+    content = vars(summary)
     for name, instant in content["events"].items():
         yield f"event.{name}", instant
     for group in _GROUPS:

@@ -105,8 +105,8 @@ class Connector:
                 hint = ", or [connect] must name elements, such as "
                 hint += f'"{target}{item}" = "{source}{source_item}"'
             raise InputError(f"{ends}; must have the same shape{hint}")
-        for one, other in zip(giving.scalars(0), fed.scalars(0), strict=True):
-            if one.unit and other.unit and one.unit != other.unit:
+        for one, other in zip(giving.units, fed.units, strict=True):
+            if one and other and one != other:
                 raise InputError(f"{ends}; must have the same unit")
 
     def unfed_message(self, instance: str, name: str) -> str:
@@ -150,12 +150,10 @@ def _of_arm(giving: Variable, shape: tuple[int, ...]) -> Variable:
     """Return the arm's part of PandaPlant's positions and velocities, which it begins with."""
     if giving.name not in ("qpos", "qvel") or shape != (len(ARM_JOINTS),):
         return giving
-    units = [scalar.unit for scalar in giving.scalars(0)]
-    return replace(giving, shape=shape, unit=tuple(units[: len(ARM_JOINTS)]))
+    return replace(giving, shape=shape, unit=giving.units[: len(ARM_JOINTS)])
 
 
 def _shape_and_unit(variable: Variable) -> str:
     """Shape and unit, as `(7) [rad]`."""
-    units = dict.fromkeys(s.unit for s in variable.scalars(0))
     shape = "x".join(map(str, variable.shape)) or "scalar"
-    return f"({shape}) [{', '.join(units)}]"
+    return f"({shape}) [{', '.join(dict.fromkeys(variable.units))}]"
