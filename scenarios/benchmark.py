@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, closing
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -54,7 +54,9 @@ RATIOS: Final = {
     "c/a": ("master", "physics", "at most 1.1; Python 6.3"),
     "c/a'": ("master", "bare", "at most 1.25"),
     "b/c": ("lists", "master", "at least 2"),
+    "cold run": ("run", "imports", "at most 2.2"),
 }
+IMPORTS: Final = "import numpy, mujoco, fmpy, pyarrow"  # what a cold run is compared with
 
 
 class _Way(Protocol):
@@ -224,6 +226,7 @@ class BenchResult:
     ratios: dict[str, Spread]  # of two ways' costs in the same pass, see `RATIOS`
     real_time_factor: float  # simulated by wall time of stepping with our master
     start_up: dict[str, float]  # best times of whole commands, in new processes [s]
+    figures: dict[str, float]  # see `growth.FIGURES`; only of `bench --all`
     machine: dict[str, str]  # where it was measured, and with what
 
     def to_json(self) -> str:
@@ -232,20 +235,30 @@ class BenchResult:
 
 
 def bench(
-    scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK, kind: Kind = "native"
+    scenario: str = "pick_and_place",
+    repeats: int = 7,
+    chunk: int = CHUNK,
+    kind: Kind = "native",
+    measure: Callable[[float], dict[str, float]] | None = None,
 ) -> BenchResult:
-    """Measure what a step costs in several ways, and what whole commands take."""
+    """Measure what a step costs in several ways, what whole commands take, and more figures.
+
+    These come from `measure`, which is given the cost of an `mj_step` [s].
+    """
     prepared = prepare(load_scenario(scenario), Options(kind=kind))
     workload = _Workload(prepared.scenario, prepared.assembly.system)
     passes = [_one_pass(workload, chunk) for _ in range(repeats)]
     costs = {way: np.array([taken[way] for taken in passes]) for way in LABELS}
     steps = {way: Spread.of(values) for way, values in costs.items()}
+    times = start_up(scenario, kind)
+    costs |= {"run": np.array(times[_run_of(scenario)]), "imports": np.array(times[_IMPORTING])}
     return BenchResult(
         scenario,
         steps,
         {name: Spread.of(costs[over] / costs[by]) for name, (over, by, _) in RATIOS.items()},
         STEP_SIZE * MICRO / steps["master"].median,
-        start_up(scenario, kind),
+        {command: min(taken) for command, taken in times.items()},
+        measure(steps["physics"].median / MICRO) if measure else {},
         _machine(),
     )
 
@@ -274,18 +287,28 @@ def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
     return {name: seconds / (len(done) * chunk) * MICRO for name, seconds in taken.items()}
 
 
-def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, float]:
-    """Best time of whole commands [s]."""
+_IMPORTING: Final = f'python -c "{IMPORTS}"'
+
+
+def _run_of(scenario: str) -> str:
+    return f"panda-cosim run {scenario} --no-video"
+
+
+def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, list[float]]:
+    """Times of whole commands, which take turns [s]."""
     ours = [sys.executable, "-m", "panda_cosim"]
     run = [*ours, "run", scenario, "--no-video", "--kind", kind]
+    taken: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        return {
-            "python -c pass": min(_run([sys.executable, "-c", "pass"]) for _ in range(times)),
-            "panda-cosim --help": min(_run([*ours, "--help"]) for _ in range(times)),
-            f"panda-cosim run {scenario} --no-video": min(
-                _run([*run, "--out", f"{folder}/{i}"]) for i in range(times)
-            ),
-        }
+        for i in range(times):
+            for name, command in {
+                "python -c pass": [sys.executable, "-c", "pass"],
+                _IMPORTING: [sys.executable, "-c", IMPORTS],
+                "panda-cosim --help": [*ours, "--help"],
+                _run_of(scenario): [*run, "--out", f"{folder}/{i}"],
+            }.items():
+                taken.setdefault(name, []).append(_run(command))
+    return taken
 
 
 def _run(command: list[str]) -> float:
