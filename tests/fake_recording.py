@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +29,16 @@ class FakeRecording:
             for name, shape in vectors.items()
             for index in np.ndindex(*shape)
         ]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.time)
+
+    def in_blocks(self, *names: str, before: int = 0) -> Iterator[list[FloatArray]]:
+        """Yield signals in one block."""
+        del before  # none are
+        yield [self.time if name == "time" else self[name] for name in names]
 
     def __contains__(self, name: str) -> bool:
         """Whether there is such a signal, or a column of one."""

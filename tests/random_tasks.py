@@ -6,7 +6,7 @@ bit, and need no FMUs, but ten times as long. `panda-cosim sweep random_box` dra
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -76,6 +76,11 @@ class Course:
         instance, _, signal = name.partition("[")[0].partition(".")
         is_command = instance == "controller" and bool(_columns(signal))
         return is_command or signal in (getattr(self, instance).dtype.names or ())
+
+    def in_blocks(self, *names: str, before: int = 0) -> Iterator[list[Array]]:
+        """Yield signals in one block."""
+        del before  # none are
+        yield [self.time if name == "time" else self[name] for name in names]
 
     def __getitem__(self, name: str) -> Array:
         """Return a signal, as "plant.qpos" (n, ...), or an element, as "plant.qpos[12]" (n,)."""

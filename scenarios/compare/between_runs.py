@@ -23,7 +23,6 @@ from ..run.result import Run
 from . import differences
 from .differences import CriterionRow, Extent, Row, SignalRow
 from .formats import DASH, numbers, percent, precise
-from .guards import AllColumns
 from .page import NO_VIEW, Figure, Page, Part, Section, Table, curve, render, varied
 
 FIGURES: Final = 12
@@ -128,10 +127,9 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     recordings = tuple(_recording(run) for run in runs)
     summaries = [_summary(run) for run in runs]
     names = _names_of(runs)
-    columns = [AllColumns(recording) for recording in recordings]
-    instants = differences.common_instants(names, [each["time"] for each in columns])
-    every = dict.fromkeys(name for c in columns for name in c if name != "time")
-    common = [name for name in every if all(name in c for c in columns)]
+    instants = differences.common_instants(names, [each.time for each in recordings])
+    every = dict.fromkeys(name for r in recordings for name in r.columns if name != "time")
+    common = [name for name in every if all(name in r.units for r in recordings)]
     units = recordings[0].units
     compared = [name for name in common if all(r.units[name] == units[name] for r in recordings)]
     if not compared:
@@ -147,7 +145,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         parameters=tuple(differences.differing([differences.parameters_of(r) for r in recordings])),
         criteria=differences.criteria_of(summaries),
         metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
-        signals=differences.signals_apart(compared, units, columns),
+        signals=differences.signals_apart(compared, recordings),
         missing=tuple(name for name in every if name not in common),
         other_units=tuple(name for name in common if name not in compared),
         recordings=recordings,

@@ -82,26 +82,25 @@ def compare_with_reference(
 ) -> Comparison:
     """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
     _check_precision(reference, tolerances)
-    columns = guards.AllColumns(recording)
-    time = columns["time"]
+    time = recording.time
     problems = [
         *([] if recording.complete else [f"ended early: {recording.reason}"]),
         *guards.signal_problems(recording, reference),
-        *guards.value_problems(columns),
+        *guards.value_problems(recording),
         *guards.time_problems(time, reference),
         *guards.verdict_problems(summary, reference),
     ]
-    present = [name for name in reference.values if name in columns]
+    present = [name for name in reference.values if name in recording.units]
     rows = matching_rows(time, reference)
     deviations = sorted(
-        (_deviation(name, time, rows, columns[name], reference, tolerances) for name in present),
+        (_deviation(name, time, rows, recording[name], reference, tolerances) for name in present),
         key=lambda d: -d.share,
     )
     if not deviations:
         problems.append("no signal was compared")
     problems += _tube_problems(deviations)
     if exact:
-        problems += guards.bit_problems(recording, columns, reference)
+        problems += guards.bit_problems(recording, reference)
     return Comparison(tuple(problems), tuple(deviations))
 
 

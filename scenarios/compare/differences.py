@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -71,7 +71,7 @@ class SignalRow:
     largest: tuple[float, ...]  # largest distance, in the unit
     times: tuple[float, ...]  # time of that distance [s]
     rms: tuple[float, ...]  # RMS distance, in the unit
-    share: float  # the largest of all, divided by the column's range in all runs, see `_ranges`
+    share: float  # the largest of all, divided by the column's range in all runs
 
     @property
     def texts(self) -> list[str]:
@@ -150,47 +150,47 @@ def common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
     return first
 
 
-def signals_apart(
-    names: Sequence[str], units: Mapping[str, str], runs: Sequence[Mapping[str, Array]]
-) -> tuple[SignalRow, ...]:
-    """Return the columns that are not equal in all runs, the largest share of a range first."""
+def signals_apart(names: Sequence[str], runs: Sequence[Recording]) -> tuple[SignalRow, ...]:
+    """Return the columns that are not equal in all runs, the largest share of a range first.
+
+    One column of each run is in memory at a time.
+    """
+    times, units = [run.time for run in runs], runs[0].units
     with np.errstate(over="ignore", invalid="ignore"):
-        ranges = _ranges(names, units, runs)
-        rows = [_distances(name, units[name], runs, ranges[name]) for name in names]
-    return tuple(sorted((row for row in rows if row.share > 0.0), key=lambda row: -row.share))
-
-
-def _ranges(
-    names: Sequence[str], units: Mapping[str, str], runs: Sequence[Mapping[str, Array]]
-) -> dict[str, float]:
-    """Return the range of each column in all runs, or what it counts as at least."""
-    ranges, largest = {}, defaultdict[tuple[str, str], float](float)
-    signals = {name: (signal_of(name), units[name]) for name in names}
-    for name, signal in signals.items():
-        finite = np.concatenate([run[name][np.isfinite(run[name])] for run in runs])
-        ranges[name] = float(np.ptp(finite)) if len(finite) else 0.0
-        largest[signal] = max(largest[signal], float(np.abs(finite).max(initial=0.0)))
-    return {n: max(ranges[n], LEAST_SHARE * largest[s], LEAST) for n, s in signals.items()}
+        rows = [_distances(name, units[name], times, [run[name] for run in runs]) for name in names]
+    largest = defaultdict[tuple[str, str], float](float)
+    for row, _, peak in rows:
+        signal = signal_of(row.name), row.unit
+        largest[signal] = max(largest[signal], peak)
+    apart = []
+    for row, extent, _ in rows:
+        least = LEAST_SHARE * largest[signal_of(row.name), row.unit]
+        worst = max(row.largest)
+        share = worst / max(extent, least, LEAST) if math.isfinite(worst) else math.inf
+        apart += [replace(row, share=share)] if share > 0.0 else []
+    return tuple(sorted(apart, key=lambda row: -row.share))
 
 
 def _distances(
-    name: str, unit: str, runs: Sequence[Mapping[str, Array]], extent: float
-) -> SignalRow:
-    """Return how far the other runs' column is from the first one's."""
-    distances = [_distance(name, runs[0], other) for other in runs[1:]]
-    largest, times, rms = zip(*distances, strict=True)
-    worst = max(largest)
-    share = worst / extent if math.isfinite(worst) else math.inf
-    return SignalRow(name, unit, largest, times, rms, share)
+    name: str, unit: str, times: Sequence[Array], columns: Sequence[Array]
+) -> tuple[SignalRow, float, float]:
+    """Return how far other runs' columns are from the first, range and largest value of all."""
+    finite = (column[np.isfinite(column)] for column in columns)
+    ends = [end for part in finite if len(part) for end in (part.min(), part.max())] or [0.0]
+    others = zip(times[1:], columns[1:], strict=True)
+    distances = [_distance(times[0], columns[0], *other) for other in others]
+    largest, at, rms = zip(*distances, strict=True)
+    row = SignalRow(name, unit, largest, at, rms, share=0.0)
+    return row, float(max(ends) - min(ends)), float(max(map(abs, ends)))
 
 
 def _distance(
-    name: str, first: Mapping[str, Array], other: Mapping[str, Array]
+    time: Array, first: Array, instants: Array, other: Array
 ) -> tuple[float, float, float]:
     """Return the largest distance of two columns, its time [s], and the RMS distance."""
-    time, values = first["time"], on_times(first["time"], other["time"], other[name])
-    inside = (time >= other["time"][0]) & (time <= other["time"][-1])
-    time, a, b = time[inside], first[name][inside], values[inside]
+    begin, end = np.searchsorted(time, instants[0]), np.searchsorted(time, instants[-1], "right")
+    b = on_times(time, instants, other)[begin:end]
+    time, a = time[begin:end], first[begin:end]
     distance = np.abs(b - a)
     distance[(a == b) | (np.isnan(a) & np.isnan(b))] = 0.0
     distance[np.isnan(distance)] = np.inf

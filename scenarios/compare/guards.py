@@ -7,7 +7,7 @@ time axis or verdict and, on request, different bits.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +20,6 @@ from .formats import precise, signal_names, signal_of
 from .reference import Reference, column_digest, kept_metadata
 
 Array = NDArray[np.float64]
-Columns = Mapping[str, Array]
 
 TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
 
@@ -72,11 +71,12 @@ def _words(columns: Iterable[str]) -> dict[str, str]:
     }
 
 
-def value_problems(columns: Columns) -> list[str]:
+def value_problems(recording: Recording) -> list[str]:
     """Check that every value is finite, in all columns, compared or not."""
     problems = []
-    time = columns["time"]
-    for name, values in columns.items():
+    time = recording.time
+    for name in recording.columns:
+        values = recording[name]
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             at, more = time[bad[0]], f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
@@ -100,12 +100,12 @@ def time_problems(time: Array, reference: Reference) -> list[str]:
     ]
 
 
-def bit_problems(recording: Recording, columns: Columns, reference: Reference) -> list[str]:
+def bit_problems(recording: Recording, reference: Reference) -> list[str]:
     """Check that all columns have the same bits; add possible causes of a difference."""
     differing = [
         name
         for name, bits in reference.digests.items()
-        if name in columns and column_digest(columns[name]) != bits
+        if name in recording.units and column_digest(recording[name]) != bits
     ]
     if not differing:
         return []
@@ -121,32 +121,3 @@ def _environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> l
     changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
     old, new = before.get("versions", {}), now.get("versions", {})
     return changes + [name for name in new if old.get(name) != new[name]]
-
-
-class AllColumns(Mapping[str, Array]):
-    """The columns of a recording, each (n,): those asked for last and the time are in memory."""
-
-    AT_ONCE: Final = 1 << 21  # values that are read at once, of columns beside each other
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-        self._places = {name: i for i, name in enumerate(recording.columns)}
-        self._read: dict[str, Array] = {}
-        self._time = recording.time
-        self._group = max(1, self.AT_ONCE // max(recording.rows, 1))
-
-    def __getitem__(self, name: str) -> Array:
-        if name == "time":
-            return self._time
-        if name not in self._read:
-            first = self._places[name] // self._group * self._group
-            self._read = {}  # before others are read
-            names = self._recording.columns[first : first + self._group]
-            self._read = self._recording.read(names)
-        return self._read[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)

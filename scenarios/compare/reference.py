@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -43,13 +43,33 @@ _LARGEST = 2**31 - 1
 _KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
 
 
+@dataclass(frozen=True)
+class Columns(Mapping[str, Array]):
+    """Columns by name, each (n,), made anew whenever it is used: all would be 2 GB of an hour."""
+
+    names: Mapping[str, Any]
+    make: Callable[[str], Array]
+
+    def __getitem__(self, name: str) -> Array:
+        return self.make(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
     """A reference recording, with which runs are compared."""
 
     rows: int  # ticks, both ends included
     step_size: float  # time between two ticks [s]
-    values: Mapping[str, Array]  # compared columns by name, each (rows,), in their units
+    values: Columns  # the compared ones, each (rows,), in their units
     quanta: Mapping[str, float]  # rounding step of each, in its unit
     units: Mapping[str, str]  # of every recorded column, compared or not
     digests: Mapping[str, str]  # of every recorded column's bits
@@ -76,15 +96,14 @@ class Reference:
         if name in self.values:
             return self.values[name]
         return np.column_stack(
-            [v for column, v in self.values.items() if signal_of(column) == name]
+            [self.values[column] for column in self.values if signal_of(column) == name]
         )
 
     @classmethod
     def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
         """Make a reference from a run; values are rounded to a tenth of their tolerances."""
         _check_run(recording, summary)
-        columns = {name: recording[name] for name in recording.columns}
-        compared = [name for name in columns if is_compared(name)]
+        compared = [name for name in recording.columns if is_compared(name)]
         if not compared:
             raise InputError(
                 "the run records none of the signals that are compared; it cannot become a "
@@ -95,10 +114,10 @@ class Reference:
         return cls(
             rows=recording.rows,
             step_size=float(recording.metadata["step_size"]),
-            values={n: np.round(columns[n] / quanta[n]) * quanta[n] for n in compared},
+            values=Columns(quanta, lambda n: np.round(recording[n] / quanta[n]) * quanta[n]),
             quanta=quanta,
             units=units,
-            digests={name: column_digest(values) for name, values in columns.items()},
+            digests={name: column_digest(recording[name]) for name in recording.columns},
             metadata=kept_metadata(recording),
             summary=dict(summary),
         )
@@ -146,12 +165,12 @@ class Reference:
         """Read a reference."""
         if not path.is_file():
             raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
-        table, description = _read_table(path)
+        file, description = _open(path)
         quanta, metadata = description["quanta"], description["metadata"]
         return cls(
             rows=description["rows"],
             step_size=metadata["step_size"],
-            values={n: _integrate(table.column(n).to_numpy(), quanta[n]) for n in quanta},
+            values=Columns(quanta, lambda n: _integrate(_read(file, n).to_numpy(), quanta[n])),
             quanta=quanta,
             units={name: unit for name, (unit, _) in description["columns"].items()},
             digests={name: bits for name, (_, bits) in description["columns"].items()},
@@ -164,11 +183,17 @@ def _schema(names: Iterable[str]) -> Any:
     return pa.schema([pa.field(name, pa.int32(), nullable=False) for name in names])
 
 
-def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
-    """Return the columns and the description of a reference, if both are whole."""
+def _read(file: Any, name: str) -> Any:
+    return file.read([name]).column(0)
+
+
+def _open(path: Path) -> tuple[Any, dict[str, Any]]:
+    """Return the file and the description of a reference, if both are whole."""
     try:
-        with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
-            table, notes = file.read(), file.metadata.metadata or {}
+        file = pq.ParquetFile(literal(path), page_checksum_verification=True)
+        for name in file.schema_arrow.names:
+            _read(file, name)
+        notes = file.metadata.metadata or {}
         if notes[CHECKSUM_KEY].decode() != checksum(notes[METADATA_KEY].decode()):
             raise ValueError("the checksum is wrong")
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
@@ -177,9 +202,10 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
     description = json.loads(notes[METADATA_KEY])
     if description["format"] != FORMAT:
         raise InputError(f"{path}: format {excerpt(description['format'])}; must be {FORMAT}")
-    if table.num_rows != description["rows"] or table.schema != _schema(description["quanta"]):
+    is_whole = file.metadata.num_rows == description["rows"]
+    if not (is_whole and file.schema_arrow == _schema(description["quanta"])):
         raise InputError(f"{path}: is damaged: its columns are not those of its description")
-    return table, description
+    return file, description
 
 
 def checksum(text: str) -> str:

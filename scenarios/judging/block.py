@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import rotations
-from ..recording import Recording
-from .holds import Hold, last_release, placed_row
+from ..recording import Recording, by_rows
+from .holds import BLOCK, Hold, last_release, placed_row
 
 Array = NDArray[np.float64]
 Metrics = dict[str, Any]
 
 SUPPORT: Final = "plant.support_force"
+POSE: Final = [f"plant.qpos[{i}]" for i in range(10, 17)]  # position, quaternion (w, x, y, z)
 
 
 def measure_block(
@@ -26,24 +27,25 @@ def measure_block(
 
     `goal` is where the block shall be placed, world frame [m].
     """
-    time, qpos = recording.time, recording["plant.qpos"]
+    time = recording.time
     if not len(time):
         return {}
-    position, quaternion = qpos[:, 9:12], qpos[:, 12:16]
+    each = _holds(recording, held)
     placed = placed_row(time, held)
     at = -1 if placed is None else placed
-    yaw, tilt = _yaw(quaternion[at]), _tilt(quaternion)
+    there, final = np.column_stack([recording[name][[at, -1]] for name in POSE])
+    yaw, tilt = _yaw(there[3:]), by_rows(recording, _tilt, *POSE[4:6])
     released = last_release(held, len(time))
-    each = _holds(recording, position, held)
-    lifts = [float(position[h.grasp : h.end, 2].max() - position[h.grasp, 2]) for h in held]
-    error = 1e3 * (position[at] - (0.0 if goal is None else np.array(goal)))
+    height = recording[BLOCK[2]]
+    lifts = [float(height[h.grasp : h.end].max() - height[h.grasp]) for h in held]
+    error = 1e3 * (there[:3] - (0.0 if goal is None else np.array(goal)))
     return {
         "holds": each,
         "lift_m": max(lifts, default=0.0),
         "slip_mm": max((h["slip_mm"] for h in each if h["slip_mm"] is not None), default=None),
-        **_set_down(recording, position[:, 2], released, placed),
-        "final_position_m": position[-1].tolist(),
-        "final_quaternion_wxyz": quaternion[-1].tolist(),
+        **_set_down(recording, height, released, placed),
+        "final_position_m": final[:3].tolist(),
+        "final_quaternion_wxyz": final[3:].tolist(),
         "placed_at_s": _instant(time, placed),
         "release_s": _instant(time, released.end if released else None),
         "peak_tilt_deg": float(tilt.max()),
@@ -65,15 +67,15 @@ def _yaw(quaternion: Array) -> float:
     return math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
-def _tilt(quaternions: Array) -> Array:
-    """Tilt (n,) [deg] of a body from its quaternions (n, 4) (w, x, y, z)."""
-    upright = 1 - 2 * (quaternions[:, 1] ** 2 + quaternions[:, 2] ** 2)
+def _tilt(x: Array, y: Array) -> Array:
+    """Tilt (n,) [deg] of a body from these parts of its quaternions (w, x, y, z)."""
+    upright = 1 - 2 * (x**2 + y**2)
     return np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
 
 
-def _holds(recording: Recording, position: Array, held: Sequence[Hold]) -> list[Metrics]:
+def _holds(recording: Recording, held: Sequence[Hold]) -> list[Metrics]:
     """Return the instants of each hold, and the slip in it."""
-    time, slips = recording.time, _slips(recording, position, held)
+    time, slips = recording.time, _slips(recording, held)
     return [
         {
             "grasp_s": float(time[hold.grasp]),
@@ -86,10 +88,13 @@ def _holds(recording: Recording, position: Array, held: Sequence[Hold]) -> list[
     ]
 
 
-def _slips(recording: Recording, position: Array, held: Sequence[Hold]) -> list[float | None]:
+def _slips(recording: Recording, held: Sequence[Hold]) -> list[float | None]:
     """Return the largest displacement of the block in the hand while each hold carries it [mm]."""
-    turn = rotations.conjugate(recording["plant.hand_xquat"])
-    in_hand = rotations.rotate(turn, position - recording["plant.hand_xpos"])
+
+    def seen_from(hand: Array, quaternion: Array, *block: Array) -> Array:
+        return rotations.rotate(rotations.conjugate(quaternion), np.column_stack(block) - hand)
+
+    in_hand = by_rows(recording, seen_from, "plant.hand_xpos", "plant.hand_xquat", *BLOCK)
     carried = [in_hand[hold.carried] for hold in held]
     ways = [np.linalg.norm(place - place[:1], axis=1) for place in carried]
     return [1e3 * float(way.max()) if len(way) else None for way in ways]

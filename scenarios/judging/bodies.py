@@ -12,6 +12,7 @@ from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..recording import Recording
 from ..scenario.success import BLOCK, BOUNDS, BodyCriterion
+from .block import POSE
 from .criterion import Criterion
 from .holds import Events
 from .signals import UnmeasuredError, row_at
@@ -63,8 +64,8 @@ def _judge(criterion: BodyCriterion, recording: Recording, events: Events) -> li
 
 def _measure(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:
     """Return the value of each bound; raise `UnmeasuredError` if the pose is not finite."""
-    place, quaternion = _poses(criterion, recording)
-    start, end, (_, x, y, _) = place[0], place[row], quaternion[row].tolist()
+    first, last = np.column_stack([recording[name][[0, row]] for name in _pose(criterion)])
+    start, end, (_, x, y, _) = first[:3], last[:3], last[3:].tolist()
     if not (np.isfinite(end).all() and math.isfinite(x * y)):
         raise UnmeasuredError("is not finite")
     target = end if criterion.position is None else np.array(criterion.position)
@@ -76,9 +77,9 @@ def _measure(criterion: BodyCriterion, recording: Recording, row: int) -> dict[s
     }
 
 
-def _poses(criterion: BodyCriterion, recording: Recording) -> tuple[Array, Array]:
-    """Return a body's positions (n, 3) [m] and quaternions (n, 4) (w, x, y, z)."""
-    poses = [recording[name] for name in criterion.signals]
+def _pose(criterion: BodyCriterion) -> list[str]:
+    """Return the columns of a body's position and quaternion (w, x, y, z)."""
     if criterion.body == BLOCK:
-        return poses[0][:, 9:12], poses[0][:, 12:16]
-    return poses[0], poses[1]
+        return POSE
+    sizes = zip(criterion.signals, (3, 4), strict=True)
+    return [f"{name}[{i}]" for name, size in sizes for i in range(1, size + 1)]

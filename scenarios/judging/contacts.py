@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import ELASTIC
 from ...plant.parameters import BLOCK, PlantParameters
@@ -38,23 +37,20 @@ class Touch:
 
 def unwanted_contacts(recording: Recording) -> dict[str, Any]:
     """Return the largest sum of the unwanted normal forces, and a `Touch` for each pair."""
-    force, time = recording[SIGNAL], recording.time
-    pairs: dict[tuple[str, str], list[int]] = {}
-    if force.any():
-        for row, pair in _pairs(recording, np.flatnonzero(force > 0.0)):
-            pairs.setdefault(pair, []).append(row)
-    touches = [
-        Touch(pair, float(time[rows[0]]), float(time[rows[-1]]), float(force[rows].max()))
-        for pair, rows in pairs.items()
-    ]
+    force = recording[SIGNAL]
+    touches: dict[tuple[str, str], Touch] = {}
+    for touch in _touches(recording) if force.any() else ():
+        first = touches.get(touch.bodies, touch)
+        most = max(first.force_N, touch.force_N)
+        touches[touch.bodies] = Touch(touch.bodies, first.time_s, touch.end_s, most)
     return {
         "unwanted_force_N": float(force.max(initial=0.0)),
-        "unwanted": [asdict(touch) for touch in touches],
+        "unwanted": [asdict(touch) for touch in touches.values()],
     }
 
 
-def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int, tuple[str, str]]]:
-    """Yield rows with the pairs of bodies whose contact nobody wants there.
+def _touches(recording: Recording) -> Iterator[Touch]:
+    """Yield the contacts that nobody wants, row by row.
 
     A force belongs to the step that ends in its row; its contacts are those of the step's start.
     """
@@ -62,19 +58,23 @@ def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int,
 
     from ...plant.contacts import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above
 
-    model, qpos = _model(recording), recording["plant.qpos"]
-    if model.nq != qpos.shape[1]:
-        return
+    model = _model(recording)
     kinds, data = kinds_of(model), mujoco.MjData(model)
-    for row in rows.tolist():
-        data.qpos[:] = qpos[max(row - 1, 0)]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        geoms = data.contact.geom.tolist()
-        for pair, kind in zip(geoms, contacts_of(kinds, data), strict=True):
-            if kind & UNWANTED:
-                first, second = sorted(_name(model, geom) for geom in pair)
-                yield row, (first, second)
+    signals = ("time", SIGNAL, "plant.qpos")
+    for number, (time, force, qpos) in enumerate(recording.in_blocks(*signals, before=1)):
+        if model.nq != qpos.shape[1]:
+            return
+        done = min(number, 1)  # a row of the block before
+        for row in (done + np.flatnonzero(force[done:] > 0.0)).tolist():
+            data.qpos[:] = qpos[max(row - 1, 0)]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            at, strength = float(time[row]), float(force[row])
+            geoms = data.contact.geom.tolist()
+            for pair, kind in zip(geoms, contacts_of(kinds, data), strict=True):
+                if kind & UNWANTED:
+                    first, second = sorted(_name(model, geom) for geom in pair)
+                    yield Touch((first, second), at, at, strength)
 
 
 def _model(recording: Recording) -> Any:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import Recording
+from ..recording import Recording, by_rows
 from ..scenario.criteria import HELD_FORCE, LIFTED
 
 Array = NDArray[np.float64]
@@ -70,8 +70,8 @@ def find_holds(recording: Rows) -> list[Hold]:
     spans = _spans(recording.time, recording[FORCE] > HELD_FORCE)
     if not spans:
         return []
-    block = np.column_stack([recording[name] for name in BLOCK])
-    opening = recording[OPENING] if OPENING in columns else np.zeros(len(block))
+    block = [recording[name] for name in BLOCK]
+    opening = recording[OPENING] if OPENING in columns else np.zeros(len(block[0]))
     return [_hold(block, opening, *span) for span in spans]
 
 
@@ -85,9 +85,10 @@ def _spans(time: Array, pressed: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(a, b) for a, b in spans if time[min(b, len(time) - 1)] - time[a] >= SHORT]
 
 
-def _hold(block: Array, opening: Array, grasp: int, end: int) -> Hold:
+def _hold(block: Sequence[Array], opening: Array, grasp: int, end: int) -> Hold:
     release_command = _release_command(opening, grasp, end)
-    way = np.linalg.norm(block[grasp : min(release_command + 1, end)] - block[grasp], axis=1)
+    held = np.column_stack([axis[grasp : min(release_command + 1, end)] for axis in block])
+    way = np.linalg.norm(held - held[0], axis=1)
     away = np.flatnonzero(way > LIFTED)
     return Hold(grasp, end, release_command, grasp + int(away[0]) if len(away) else None)
 
@@ -114,7 +115,7 @@ def events(recording: Recording, holds: Sequence[Hold]) -> Events:
     """Return the time of each event [s], or None if it did not happen; see `DEFINITIONS`."""
     time = recording.time
     released = last_release(holds, len(time))
-    moving = moving_rows(recording)
+    moving = np.flatnonzero(moving_rows(recording))
     rows: dict[str, int | None] = {
         "start": 0,
         "grasp": holds[0].grasp if holds else None,
@@ -123,7 +124,7 @@ def events(recording: Recording, holds: Sequence[Hold]) -> Events:
         "release": released.end if released else None,
         "placed": placed_row(time, holds),
         "command_end": int(moving[-1]) if len(moving) else None,
-        "at_rest": _rest(time, recording[HAND]) if HAND in recording else None,
+        "at_rest": _rest(recording, len(time)) if HAND in recording else None,
         "end": len(time) - 1,
     }
     return {
@@ -145,18 +146,25 @@ def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:
     return row if row < len(time) and not held else None
 
 
-def moving_rows(recording: Recording) -> NDArray[np.int64]:
-    """Return the rows at which the command moves: both rows of each change."""
-    if any(name not in recording for name in COMMAND):
-        return np.zeros(0, dtype=np.int64)
-    pose = np.hstack([recording[name] for name in COMMAND])
-    changes = np.flatnonzero(np.abs(np.diff(pose, axis=0)).max(axis=1) > 0.0)
-    return np.union1d(changes, changes + 1)
+def moving_rows(recording: Recording) -> NDArray[np.bool_]:
+    """Return whether the command moves at each row: both rows of each change."""
+    moving = np.zeros(recording.rows, dtype=bool)
+    if all(name in recording for name in COMMAND):
+
+        def step(*pose: Array) -> Any:
+            return np.abs(np.diff(np.hstack(pose), axis=0)).max(axis=1)
+
+        moving[1:] = by_rows(recording, step, *COMMAND, before=1) > 0.0
+        moving[:-1] |= moving[1:]
+    return moving
 
 
-def _rest(time: Array, hand: Array) -> int | None:
+def _rest(recording: Recording, rows: int) -> int | None:
     """Return the row from which on the hand rests, or None if it moves at the end."""
-    speed = np.linalg.norm(np.diff(hand, axis=0), axis=1) / np.diff(time)
-    fast = np.flatnonzero(~(speed < RESTING))
+
+    def speed(time: Array, hand: Array) -> Any:
+        return np.linalg.norm(np.diff(hand, axis=0), axis=1) / np.diff(time)
+
+    fast = np.flatnonzero(~(by_rows(recording, speed, "time", HAND, before=1) < RESTING))
     row = int(fast[-1]) + 1 if len(fast) else 0
-    return row if row < len(time) - 1 or not len(speed) else None
+    return row if row < rows - 1 or rows <= 1 else None

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.franka import Q_MAX, Q_MIN
-from ..recording import Recording
+from ..recording import Recording, by_rows
 from ..scenario.limits import LIMITS, METRICS, reference_rates, saturated, torque_rates
 
 Array = NDArray[np.float64]
 
+FORCE: Final = "plant.actuator_force"  # of the servos [N.m, N]
+REFERENCE: Final = "controller.qvel_ref"
 # Values 1 to 4 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk")
 
@@ -33,39 +35,46 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
         elif not len(recording.time):
             missing[key] = "no row is recorded"
         else:
-            shares[key] = (np.abs(used(recording)).max(axis=0) / limit).tolist()
+            columns = zip(used(recording), limit, strict=True)
+            shares[key] = [float(np.abs(column).max() / bound) for column, bound in columns]
     return shares | {"not_measured": missing}
 
 
-def _torque(recording: Recording) -> Array:
-    return recording["plant.actuator_force"][:, :7]
+Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
 
 
-def _reference_rates(recording: Recording) -> tuple[Array, Array]:
-    return reference_rates(recording["controller.qvel_ref"], recording.metadata)
+def _of(signal: str, first: int = 1, count: int = 7) -> Elements:
+    return lambda recording: (recording[f"{signal}[{first + i}]"] for i in range(count))
+
+
+def _torque_rates(recording: Recording) -> Iterable[Array]:
+    has_torque = by_rows(recording, lambda torque: torque[:, :7].any(axis=1), FORCE)
+    on = int(np.append(has_torque, True).argmax())
+    return (torque_rates(torque, on) for torque in _of(FORCE)(recording))
+
+
+def _reference_rates(order: int) -> Elements:
+    """Return acceleration (0) or jerk (1) of the reference, at the controller's updates."""
+    return lambda recording: (
+        reference_rates(velocity, recording.metadata, held=False)[order]
+        for velocity in _of(REFERENCE)(recording)
+    )
 
 
 _CENTRE: Final = (Q_MAX + Q_MIN) / 2
-_Q, _QD, _F, _REF = (
-    "plant.qpos[16]",
-    "plant.qvel[9]",
-    "plant.actuator_force[7]",
-    "controller.qvel_ref[7]",
-)
-# By metric: the signal that it needs, the limit, and what is compared with it (n, joints).
-_USES: Final[Mapping[str, tuple[str, Array, Callable[[Recording], Array]]]] = {
-    "position_share": (_Q, Q_MAX - _CENTRE, lambda r: r["plant.qpos"][:, :7] - _CENTRE),
-    "velocity_share": (_QD, LIMITS["velocity"].bound, lambda r: r["plant.qvel"][:, :7]),
-    "torque_share": (_F, LIMITS["torque"].bound, _torque),
-    "torque_rate_share": (_F, LIMITS["torque rate"].bound, lambda r: torque_rates(_torque(r))),
-    "finger_speed_share": (_QD, LIMITS["finger speed"].bound, lambda r: r["plant.qvel"][:, 7:9]),
-    "reference_velocity_share": (
-        _REF, LIMITS["velocity"].bound, lambda r: r["controller.qvel_ref"],
+_Q, _QD, _F, _REF = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]", f"{REFERENCE}[7]"
+# By metric: the signal that it needs, the limit, and what is compared with it, joint by joint.
+_USES: Final[Mapping[str, tuple[str, Array, Elements]]] = {
+    "position_share": (
+        _Q, Q_MAX - _CENTRE, lambda run: map(np.subtract, _of("plant.qpos")(run), _CENTRE)
     ),
-    "reference_acceleration_share": (
-        _REF, LIMITS["acceleration"].bound, lambda r: _reference_rates(r)[0],
-    ),
-    "reference_jerk_share": (_REF, LIMITS["jerk"].bound, lambda r: _reference_rates(r)[1]),
+    "velocity_share": (_QD, LIMITS["velocity"].bound, _of("plant.qvel")),
+    "torque_share": (_F, LIMITS["torque"].bound, _of(FORCE)),
+    "torque_rate_share": (_F, LIMITS["torque rate"].bound, _torque_rates),
+    "finger_speed_share": (_QD, LIMITS["finger speed"].bound, _of("plant.qvel", 8, 2)),
+    "reference_velocity_share": (_REF, LIMITS["velocity"].bound, _of(REFERENCE)),
+    "reference_acceleration_share": (_REF, LIMITS["acceleration"].bound, _reference_rates(0)),
+    "reference_jerk_share": (_REF, LIMITS["jerk"].bound, _reference_rates(1)),
 }  # fmt: skip
 
 
@@ -96,17 +105,18 @@ def first_limit(recording: Recording) -> dict[str, Any] | None:
 
     The kind is one of the controller's `KINDS`, or "torque" of a servo.
     """
-    kinds = np.zeros((len(recording.time), 7))
-    if "plant.actuator_force[7]" in recording:
-        plant = recording.metadata.get("parameters", {}).get("plant", {})
-        scale = [plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)]
-        kinds[saturated(_torque(recording), np.array(scale))] = len(KINDS) + 1
-    if "controller.limit" in recording:
-        limit = recording["controller.limit"]
-        kinds = np.where(limit > 0.0, limit, kinds)
-    bound = np.flatnonzero(kinds.any(axis=1))
-    if not len(bound):
-        return None
-    joint = int(np.flatnonzero(kinds[bound[0]])[0])
-    kind = (*KINDS, "torque")[int(kinds[bound[0], joint]) - 1]
-    return {"time_s": float(recording.time[bound[0]]), "joint": joint + 1, "kind": kind}
+    plant = recording.metadata.get("parameters", {}).get("plant", {})
+    scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
+    names = [name for name in (FORCE, "controller.limit") if name in recording]
+    for time, *signals in recording.in_blocks("time", *names):
+        by_name, kinds = dict(zip(names, signals, strict=True)), np.zeros((len(time), 7))
+        if FORCE in by_name:
+            kinds[saturated(by_name[FORCE][:, :7], scale)] = len(KINDS) + 1
+        if "controller.limit" in by_name:
+            limit = by_name["controller.limit"]
+            kinds = np.where(limit > 0.0, limit, kinds)
+        for row in np.flatnonzero(kinds.any(axis=1))[:1]:
+            joint = int(np.flatnonzero(kinds[row])[0])
+            kind = (*KINDS, "torque")[int(kinds[row, joint]) - 1]
+            return {"time_s": float(time[row]), "joint": joint + 1, "kind": kind}
+    return None

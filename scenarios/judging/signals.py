@@ -7,6 +7,7 @@ returns the number, or None if there is none. n is at least 1.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Final, cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..recording import Recording
+from ..recording import Recording, by_rows
 from ..recording.reader import shapes_of
 from ..scenario.criteria import SLACK, Instant, SignalCriterion, split_instant
 from .criterion import Criterion, Direction
@@ -71,11 +72,11 @@ def _measure(
     rows = (time >= start - SLACK) & (time <= stop + SLACK)
     if not rows.any():
         raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
-    signal = _evaluate(criterion, recording)[rows]
-    if not np.isfinite(signal).all():
+    signal = by_rows(recording, partial(_evaluate, criterion), *criterion.names)
+    if not np.isfinite(signal)[rows].all():
         raise UnmeasuredError("is not finite")
     within = time[rows]
-    values = [REDUCE[criterion.reduce](within, column, criterion) for column in signal.T]
+    values = [REDUCE[criterion.reduce](within, column[rows], criterion) for column in signal.T]
     if any(value is None for value in values):
         raise UnmeasuredError("has a window of one row, in which nothing settles")
     return cast("list[float]", values), float(within[-1] - within[0])
@@ -186,9 +187,9 @@ def _columns(
     return [c for c in units if c.startswith(f"{name}[")]
 
 
-def _evaluate(criterion: SignalCriterion, recording: Recording) -> Array:
+def _evaluate(criterion: SignalCriterion, *signals: Array) -> Array:
     """Return a criterion's signal (n, k), with one column per element."""
-    parts = [recording[name].reshape(recording.rows, -1) for name in criterion.names]
+    parts = [signal.reshape(len(signal), -1) for signal in signals]
     values: Array = parts[0] if len(parts) == 1 else parts[0] - parts[1]
     if not isinstance(criterion.signal, str) and criterion.signal[0] == "norm":
         values = np.linalg.norm(values, axis=1, keepdims=True)

@@ -4,8 +4,8 @@
 into `recording.parquet` at the end. `Recording` reads either.
 """
 
-from .reader import Recording
+from .reader import Recording, by_rows
 from .recorder import AnyRecorder, MemoryRecorder, Recorder
 from .storage import Column
 
-__all__ = ["AnyRecorder", "Column", "MemoryRecorder", "Recorder", "Recording"]
+__all__ = ["AnyRecorder", "Column", "MemoryRecorder", "Recorder", "Recording", "by_rows"]

@@ -3,9 +3,10 @@
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from importlib import import_module
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Self
 
@@ -113,15 +114,6 @@ class Recording:
             row = end
         return values.reshape(len(values), *self._shapes.get(name, ()))
 
-    def read(self, names: Sequence[str]) -> dict[str, Array]:
-        """Return columns (n,) by name; each is contiguous, and no others are read."""
-        values, row = {name: np.empty(self.rows) for name in names}, 0
-        for block in self._source.blocks(names):
-            for name, part in zip(names, block, strict=True):
-                values[name][row : row + len(part)] = part
-            row += len(block[0])
-        return values
-
     def __contains__(self, name: object) -> bool:
         """Whether there is a signal or element of that name."""
         return name in self._shapes or name in self.units
@@ -139,6 +131,25 @@ class Recording:
         """Yield all columns in blocks of rows, shape (k, columns), in bounded memory."""
         for block in self._source.blocks(self.columns):
             yield np.column_stack(block)
+
+    def in_blocks(self, *names: str, before: int = 0) -> Iterator[list[Array]]:
+        """Yield signals block by block, each (k, ...).
+
+        All blocks but the first begin with so many rows of the one before. The only block of a
+        recording without rows is empty.
+        """
+        columns = [self._elements(name) for name in names]
+        ends = [np.empty((0, *self._shapes.get(name, ()))) for name in names]
+        flat = list(chain.from_iterable(columns))
+        for block in self._source.blocks(flat) if self.rows else [[np.empty(0)] * len(flat)]:
+            parts = iter(block)
+            stacks = [np.column_stack(list(islice(parts, len(each)))) for each in columns]
+            signals = [
+                np.concatenate((end, stack.reshape(-1, *end.shape[1:])))
+                for end, stack in zip(ends, stacks, strict=True)
+            ]
+            ends = [signal[len(signal) - before :] for signal in signals]
+            yield signals
 
     def to_csv(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write all rows as CSV (RFC 4180), in full precision.
@@ -236,6 +247,22 @@ class Recording:
             raise InputError(f"{self.path}: the first column is not time")
         if len(self.units) != len(self.columns):
             raise InputError(f"{self.path}: two columns have the same name")
+
+
+def by_rows(
+    recording: Recording, function: Callable[..., NDArray[Any]], *names: str, before: int = 0
+) -> NDArray[Any]:
+    """Return what a function computes of each row of signals; no signal is whole in memory.
+
+    With `before`, the function also gets so many rows before each block but the first.
+    """
+    parts = (function(*signals) for signals in recording.in_blocks(*names, before=before))
+    first, row = next(parts), 0
+    values = np.empty((max(recording.rows - before, 0), *first.shape[1:]), first.dtype)
+    for part in chain([first], parts):
+        values[row : row + len(part)] = part
+        row += len(part)
+    return values
 
 
 def _library(name: str) -> Any:

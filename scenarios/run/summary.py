@@ -25,7 +25,7 @@ from ..judging.definitions import DEFINITIONS
 from ..judging.holds import COMMAND, Events, events, find_holds, moving_rows
 from ..judging.limits import first_limit, largest_share, limit_shares
 from ..judging.signals import judge_signals
-from ..recording import Recording
+from ..recording import Recording, by_rows
 from ..scenario.scenario import Scenario
 from ..scenario.success import Success
 
@@ -130,7 +130,8 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _tracking(recording: Recording) -> Metrics:
-    error = np.linalg.norm(recording["plant.hand_xpos"] - recording["controller.pos_cmd"], axis=1)
+    places = ("plant.hand_xpos", "controller.pos_cmd")
+    error = by_rows(recording, lambda hand, cmd: np.linalg.norm(hand - cmd, axis=1), *places)
     moving = error[moving_rows(recording)]
     return {
         "rms_mm": _scaled(_rms(error), 1e3),
@@ -141,16 +142,22 @@ def _tracking(recording: Recording) -> Metrics:
 
 
 def _orientation(recording: Recording) -> Metrics:
-    command, hand = recording["controller.quat_cmd"], recording["plant.hand_xquat"]
-    turn = rotations.log(rotations.multiply(command, rotations.conjugate(hand)))
-    angle = np.degrees(np.linalg.norm(turn, axis=1))
+
+    def between(command: Array, hand: Array) -> Any:
+        turn = rotations.log(rotations.multiply(command, rotations.conjugate(hand)))
+        return np.degrees(np.linalg.norm(turn, axis=1))
+
+    angle = by_rows(recording, between, "controller.quat_cmd", "plant.hand_xquat")
     return {"rms_deg": _rms(angle), "max_deg": _peak(angle)}
 
 
 def _energy(recording: Recording) -> Metrics:
     """Work of the arm's servos; braking does not recover energy."""
-    torque, speed = recording["plant.actuator_force"][:, :7], recording["plant.qvel"][:, :7]
-    power = np.maximum(torque * speed, 0.0).sum(axis=1)
+
+    def positive(torque: Array, speed: Array) -> Any:
+        return np.maximum(torque[:, :7] * speed[:, :7], 0.0).sum(axis=1)
+
+    power = by_rows(recording, positive, "plant.actuator_force", "plant.qvel")
     work = float(power[:-1] @ np.diff(recording.time)) if len(power) else None
     return {"arm_work_J": work, "peak_power_W": _peak(power)}
 

@@ -67,23 +67,26 @@ def saturated(torque: Array, scale: Array | float = 1.0) -> NDArray[np.bool_]:
     return full
 
 
-def torque_rates(torque: Array) -> Array:
+def torque_rates(torque: Array, on: int | None = None) -> Array:
     """Rate of the servos' torques (n, 7) [N.m/s]; 0 while the servos are switched on.
 
-    They are when a torque first differs from 0, and take up what they hold in that tick and the
-    next.
+    They are in row `on`, when a torque first differs from 0, and take up what they hold in that
+    tick and the next. With `on`, the torque may be that of one servo (n,).
     """
     rates = np.zeros_like(torque)
-    on = int(np.append(torque.any(axis=1), True).argmax())
+    on = int(np.append(torque.any(axis=1), True).argmax()) if on is None else on
     rates[on + 2 :] = np.diff(torque[on + 1 :], axis=0) / STEP_SIZE
     return rates
 
 
-def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array, Array]:
+def reference_rates(
+    velocity: Array, metadata: Mapping[str, Any], *, held: bool = True
+) -> tuple[Array, Array]:
     """Acceleration and jerk of the joint reference, each (n, 7) [rad/s^2], [rad/s^3].
 
-    They are finite differences of its velocity (n, 7) [rad/s] between the controller's updates, 0
-    before there are enough of them. The metadata has the controller's period and the coupling.
+    They are finite differences of its velocity (n, 7), or a joint's (n,) [rad/s], between the
+    controller's updates, 0 before there are enough of them; unless `held`, there is a row for each
+    update alone. The metadata has the controller's period and the coupling.
     """
     parameters = metadata.get("parameters", {}).get("controller", {})
     period = parameters.get("period", STEP_SIZE)
@@ -95,5 +98,7 @@ def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array
     acceleration, jerk = np.zeros_like(updates), np.zeros_like(updates)
     acceleration[1:] = np.diff(updates, axis=0) / period
     jerk[2:] = np.diff(acceleration[1:], axis=0) / period
-    held = np.maximum(np.arange(len(velocity)) - late, 0) // ticks
-    return acceleration[held], jerk[held]
+    if not held:
+        return acceleration, jerk
+    update = np.maximum(np.arange(len(velocity)) - late, 0) // ticks
+    return acceleration[update], jerk[update]
