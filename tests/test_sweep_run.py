@@ -193,7 +193,7 @@ def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path)
     # Half of the table is lost, and the search goes on from the other.
     for part in Store(out).parts()[1:]:
         part.unlink()
-    before = Store(out).done()
+    before = Store(out).done().tolist()
     assert 0 < len(before) < 30
     assert sum(sweep(definition, out, jobs=1).counts.values()) == 30
     again = {row["index"]: row for row in rows_of(out)}

@@ -90,7 +90,7 @@ def compare_with_reference(
         *guards.time_problems(time, reference),
         *guards.verdict_problems(summary, reference),
     ]
-    present = [name for name in reference.values if name in recording.units]
+    present = [name for name in reference.columns if name in recording.units]
     rows = matching_rows(time, reference)
     deviations = sorted(
         (_deviation(name, time, rows, recording[name], reference, tolerances) for name in present),
@@ -130,7 +130,7 @@ def tube_of(name: str, reference: Reference, tolerances: Tolerances) -> tuple[Ar
     """Return the edges of a column's tube, widened by the reference's rounding."""
     tolerance = tolerances.value(name, reference.units[name]) + reference.quanta[name] / 2
     ticks = round(tolerances.time / reference.step_size)
-    return tube(reference.values[name], tolerance, ticks)
+    return tube(reference.column(name), tolerance, ticks)
 
 
 def _deviation(  # noqa: PLR0913 - one column with all that it is held against
@@ -143,10 +143,10 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
 ) -> Deviation:
     unit = reference.units[name]
     tolerance = tolerances.value(name, unit)
-    lower, upper = tube_of(name, reference, tolerances)
     matched = rows >= 0
     own, place = values[matched], rows[matched]
-    distance = tolerance + np.maximum(own - upper[place], lower[place] - own)
+    lower, upper = (edge[place] for edge in tube_of(name, reference, tolerances))
+    distance = tolerance + np.maximum(own - upper, lower - own)
     distance = np.where(np.isfinite(own), np.maximum(distance, 0.0), np.inf)
     if not len(distance):
         return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0)

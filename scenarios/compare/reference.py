@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -43,33 +43,14 @@ _LARGEST = 2**31 - 1
 _KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
 
 
-@dataclass(frozen=True)
-class Columns(Mapping[str, Array]):
-    """Columns by name, each (n,), made anew whenever it is used: all would be 2 GB of an hour."""
-
-    names: Mapping[str, Any]
-    make: Callable[[str], Array]
-
-    def __getitem__(self, name: str) -> Array:
-        return self.make(name)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.names
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.names)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-
 @dataclass(frozen=True, eq=False)
 class Reference:
     """A reference recording, with which runs are compared."""
 
     rows: int  # ticks, both ends included
     step_size: float  # time between two ticks [s]
-    values: Columns  # the compared ones, each (rows,), in their units
+    # Makes a compared column (rows,), in its unit, whenever it is used; all of an hour are 2 GB.
+    column: Callable[[str], Array]
     quanta: Mapping[str, float]  # rounding step of each, in its unit
     units: Mapping[str, str]  # of every recorded column, compared or not
     digests: Mapping[str, str]  # of every recorded column's bits
@@ -84,7 +65,7 @@ class Reference:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the compared columns. The view reads a reference as it reads a recording."""
-        return tuple(self.values)
+        return tuple(self.quanta)
 
     @property
     def descriptions(self) -> dict[str, str]:
@@ -93,10 +74,10 @@ class Reference:
 
     def __getitem__(self, name: str) -> Array:
         """Return a column (n,), or a signal's columns side by side (n, k)."""
-        if name in self.values:
-            return self.values[name]
+        if name in self.quanta:
+            return self.column(name)
         return np.column_stack(
-            [self.values[column] for column in self.values if signal_of(column) == name]
+            [self.column(each) for each in self.columns if signal_of(each) == name]
         )
 
     @classmethod
@@ -114,7 +95,7 @@ class Reference:
         return cls(
             rows=recording.rows,
             step_size=float(recording.metadata["step_size"]),
-            values=Columns(quanta, lambda n: np.round(recording[n] / quanta[n]) * quanta[n]),
+            column=lambda n: np.round(recording[n] / quanta[n]) * quanta[n],
             quanta=quanta,
             units=units,
             digests={name: column_digest(recording[name]) for name in recording.columns},
@@ -124,8 +105,8 @@ class Reference:
 
     def write(self, path: Path) -> None:
         """Write the file atomically."""
-        arrays = [pa.array(self._second_differences(name)) for name in self.values]
-        table = pa.Table.from_arrays(arrays, schema=_schema(self.values))
+        arrays = [pa.array(self._second_differences(name)) for name in self.columns]
+        table = pa.Table.from_arrays(arrays, schema=_schema(self.columns))
         text = json.dumps(
             {
                 "format": FORMAT,
@@ -154,7 +135,7 @@ class Reference:
             writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
 
     def _second_differences(self, name: str) -> NDArray[np.int32]:
-        steps = np.round(self.values[name] / self.quanta[name])
+        steps = np.round(self.column(name) / self.quanta[name])
         differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)
         if np.abs(differences).max(initial=0.0) > _LARGEST:
             raise InputError(f"[regression] {name}: the tolerance is too small for its values")
@@ -170,7 +151,7 @@ class Reference:
         return cls(
             rows=description["rows"],
             step_size=metadata["step_size"],
-            values=Columns(quanta, lambda n: _integrate(_read(file, n).to_numpy(), quanta[n])),
+            column=lambda n: _integrate(_read(file, n).to_numpy(), quanta[n]),
             quanta=quanta,
             units={name: unit for name, (unit, _) in description["columns"].items()},
             digests={name: bits for name, (_, bits) in description["columns"].items()},

@@ -150,7 +150,7 @@ def _figure(
     run[rows[rows >= 0]] = recording[deviation.name][rows >= 0]
     lines = curve(
         deviation.unit,
-        {"reference": reference.values[deviation.name], "run": run},
+        {"reference": reference.column(deviation.name), "run": run},
         reference.time,
         deviation.time,
         tube_of(deviation.name, reference, outcome.tolerances),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.sources.targets import build
@@ -171,10 +172,9 @@ def _fill(
         store.add(part, columns)
 
 
-def _missing(design: Design, there: Collection[int]) -> Iterator[Task]:
-    for index in range(len(design)):
-        if index not in there:
-            yield Task(index, design.scenario(index), design.values(index))
+def _missing(design: Design, there: NDArray[np.int64]) -> Iterator[Task]:
+    for index in map(int, np.setdiff1d(np.arange(len(design)), there)):
+        yield Task(index, design.scenario(index), design.values(index))
 
 
 def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:

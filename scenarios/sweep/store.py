@@ -12,7 +12,6 @@ import json
 import os
 import platform
 import shutil
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -26,6 +25,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as pds
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from ...fmus.atomic import replacing
@@ -270,15 +270,15 @@ class Store:
         """Return columns, the index among them, of all rows in the order of their index."""
         return self.scan(columns=columns).sort_by("index")
 
-    def done(self) -> set[int]:
-        """Return the indices of the completed rows."""
-        return set(self.scan(columns=["index"])["index"].to_pylist()) if self.parts() else set()
+    def done(self) -> NDArray[np.int64]:
+        """Return the indices of the completed rows, in order."""
+        return self.table(["index"])["index"].to_numpy() if self.parts() else np.empty(0, np.int64)
 
     def row(self, index: int) -> Row:
         """Return one row."""
         rows = self.scan(filter=pds.field("index") == index).to_pylist()
         if not rows:
-            known = sorted(self.done())
+            known = self.done()
             raise InputError(
                 f"{self.folder}: has no row {index}; must be one of its {len(known)} rows, from "
                 f"{known[0]} to {known[-1]}"
@@ -289,7 +289,8 @@ class Store:
         """Return the number of rows by status."""
         if not self.parts():
             return {}
-        return dict(Counter(self.scan(columns=["status"])["status"].to_pylist()))
+        counts = self.scan(columns=["status"])["status"].value_counts().to_pylist()
+        return {each["values"]: each["counts"] for each in counts}
 
     def worst(self, number: int, keys: Sequence[str]) -> list[Row]:
         """Return the worst rows, with some varied values.
