@@ -119,7 +119,7 @@ def test_a_reference_too_coarse_for_the_tolerances_must_be_recorded_again(
 def test_a_comparison_of_no_signal_is_no_match(tmp_path: Path, reference: Reference) -> None:
     values = {name: columns()[name] for name in ("time", "plant.jac[1,1]")}
     run = record(tmp_path / "now", values)
-    empty = replace(reference, values={}, quanta={}, units={n: UNITS[n] for n in values})
+    empty = replace(reference, quanta={}, units={n: UNITS[n] for n in values})
     comparison = compare_with_reference(run, SUMMARY, empty, TOLERANCES)
     assert texts(comparison) == "no signal was compared"
     with pytest.raises(InputError, match="records none of the signals that are compared"):
