@@ -20,7 +20,7 @@ STEP, TICKS = 0.1, 10  # s
 
 pytestmark = [
     pytest.mark.fmu,
-    pytest.mark.skipif(not FOLDER.is_dir(), reason="needs REFERENCE_FMUS"),
+    pytest.mark.skipif(not (FOLDER / "fmi2").is_dir(), reason="needs REFERENCE_FMUS"),
 ]
 
 

@@ -107,7 +107,7 @@ def first_limit(recording: Recording) -> dict[str, Any] | None:
     """
     plant = recording.metadata.get("parameters", {}).get("plant", {})
     scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
-    names = [name for name in (FORCE, "controller.limit") if name in recording]
+    names = [name for name in (FORCE, "controller.limit") if f"{name}[7]" in recording]
     for time, *signals in recording.in_blocks("time", *names):
         by_name, kinds = dict(zip(names, signals, strict=True)), np.zeros((len(time), 7))
         if FORCE in by_name:

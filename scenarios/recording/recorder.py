@@ -4,6 +4,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -225,12 +226,13 @@ class MemoryRecorder(_Context):
         """Return what was recorded."""
         values = self._values[:, : self.rows]
         by_name = {column.name: values[i] for i, column in enumerate(self._columns)}
-
-        def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
-            yield [by_name[name] for name in names]
-
+        blocks = partial(_one_block, by_name)
         source = storage.Source(self._columns, self._metadata, self.rows, blocks)
         return Recording(self._path, source)
+
+
+def _one_block(columns: Mapping[str, Array], names: Sequence[str]) -> Iterator[list[Array]]:
+    yield [columns[name] for name in names]
 
 
 AnyRecorder = Recorder | MemoryRecorder
