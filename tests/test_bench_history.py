@@ -81,12 +81,6 @@ def test_the_plot_shows_runs_without_some_of_the_ratios(history: Path, tmp_path:
     assert plot_history(lines, tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.own_process
-@pytest.mark.fmu
-def test_set_up_is_measured_on_connected_fmus(tmp_path: Path) -> None:
-    assert 0.0 < growth.set_up(tmp_path / "small", 100) < growth.set_up(tmp_path / "large", 1000)
-
-
 @pytest.mark.long
 @pytest.mark.fmu
 def test_each_figure_is_measured(tmp_path: Path) -> None:

@@ -225,10 +225,11 @@ def prebuild() -> list[Path]:
 
 
 @cache
-def package_version(package: str) -> str:
+def package_version(name: str) -> str:
     """Version of a package; `metadata.version` would parse all of its description."""
-    text = distribution(package).read_text("METADATA") or ""
-    return text.partition("\nVersion: ")[2].partition("\n")[0]
+    package = distribution(name)
+    text = package.read_text("METADATA") or ""
+    return text.partition("\nVersion: ")[2].partition("\n")[0] or package.version
 
 
 def mujoco_version() -> str:
