@@ -60,6 +60,7 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "grip_force": (0.0, GRIP_FORCE_MAX),
     "grip_width": (0.0, OPENING_MAX),
     "grip_stiffness": (1.0, 1e6),
+    "reading_delay": (0.0, 0.02),
 }
 
 
@@ -99,6 +100,8 @@ class Gains:
     grip_force: float = 0.0
     grip_width: float = BLOCK_WIDTH  # [m] of what is held
     grip_stiffness: float = GRIP_STIFFNESS  # [N/m] of a finger's servo: an opening is a force
+    # [s] age of the readings. They are compared with the command and the reference of their time.
+    reading_delay: float = 0.0
 
     @property
     def law(self) -> str:

@@ -17,6 +17,7 @@ from .ik import (
     null_space_part,
     pose_error,
 )
+from .late import KEPT, Late
 from .limits import JointLimits, clamp, pull_from_ends, within
 from .linalg import damped_factor
 from .model import ArmModel
@@ -41,6 +42,9 @@ class ReferenceLaw:
         ctrl = q_ref + servo_lag qd + (bias + M qdd) / servo_stiffness + PID(q_ref - q)
         q_ref <- q_ref + T qd
 
+    Readings that are late by `reading_delay` are compared with what was commanded when they were
+    taken: e and q_ref - q take the pose command and q_ref of that update.
+
     The damping is 0 except near singularities (`singular_damping`) and where limits bind
     (`ik_damping`). N is the identity, except near singularities: there it keeps d out of the
     task (`null_space_part`).
@@ -54,6 +58,8 @@ class ReferenceLaw:
             ("twist_before", float, 6),  # [m/s, rad/s] commanded
             ("weak_direction", float, 6),  # see `singularity`
             ("pid", PID_STATE),
+            ("poses", float, (KEPT, 7)),  # commanded in the last updates, see `Late`
+            ("q_refs", float, (KEPT, 7)),  # of the last updates
         ]
     )
 
@@ -74,8 +80,11 @@ class ReferenceLaw:
             np.array(gains.gravity_feedforward),
             np.array(gains.inertia_feedforward),
         )
-        self._limits = JointLimits(gains.limit_share, gains.reference_lead, float(self._period))
-        self._pid = Pid(gains, float(self._period), self._state.pid)
+        period = float(self._period)
+        self._limits = JointLimits(gains.limit_share, gains.reference_lead, period)
+        self._pid = Pid(gains, period, self._state.pid)
+        self._poses = Late(self._state.poses, gains.reading_delay, period)
+        self._q_refs = Late(self._state.q_refs, gains.reading_delay, period)
 
     def start(self) -> None:
         """Start at the measured joints, and at their velocities."""
@@ -84,6 +93,8 @@ class ReferenceLaw:
         state.twist_before[:] = np.concatenate((x.vel_cmd, x.omega_cmd))
         state.weak_direction[:] = find_weak_direction(x.jac)
         self._pid.reset()
+        self._poses.reset(np.concatenate((x.pos_cmd, x.quat_cmd)))
+        self._q_refs.reset(x.qpos)
 
     def update(self) -> None:
         """Compute the outputs of one period, see the formulas above."""
@@ -91,7 +102,8 @@ class ReferenceLaw:
         q, jac, q_ref, qd_before = x.qpos, x.jac, state.q_ref, state.qd_before
 
         # Twist: the command, extrapolated to the middle of the period, and the correction.
-        error = pose_error(x.pos_cmd, x.quat_cmd, x.hand_xpos, x.hand_xquat)
+        pose = self._poses.recall(np.concatenate((x.pos_cmd, x.quat_cmd)))
+        error = pose_error(pose[:3], pose[3:], x.hand_xpos, x.hand_xquat)
         twist_cmd = np.concatenate((x.vel_cmd, x.omega_cmd))
         twist = 1.5 * twist_cmd - 0.5 * state.twist_before + correcting_twist(error, gains)
 
@@ -108,7 +120,7 @@ class ReferenceLaw:
         qd = damped_least_squares(jac, factor, twist, drift)
 
         # Limits of the joint reference: where one binds, least squares within its bounds.
-        dq = q_ref - q
+        dq = self._q_refs.recall(q_ref) - q
         y.limit[...] = 0.0
         if not self._limits.inactive(qd, q_ref, qd_before, state.qdd_before, dq):
             before = (q_ref, qd_before, state.qdd_before, dq)

@@ -8,6 +8,7 @@ import numpy as np
 
 from .gains import Gains
 from .ik import pose_error
+from .late import KEPT, Late
 from .linalg import cholesky_solve, damped_factor, mat_t_vec
 from .pid import PID_STATE, Pid
 from .signals import Layout, Views
@@ -17,7 +18,7 @@ from .singularity import manipulability
 class TutorialLaw:
     """No joint reference and no limits: ctrl = base_ctrl + PID(pinv(J) e), e the pose error."""
 
-    STATE: ClassVar[Layout] = np.dtype([("pid", PID_STATE)])
+    STATE: ClassVar[Layout] = np.dtype([("pid", PID_STATE), ("poses", float, (KEPT, 7))])
 
     def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
         self._inputs, self._outputs, self._state = inputs, outputs, state
@@ -27,17 +28,20 @@ class TutorialLaw:
         """Change the gains; allowed between any two updates."""
         self._base_ctrl = np.array(gains.base_ctrl)
         self._pid = Pid(gains, self._period, self._state.pid)
+        self._poses = Late(self._state.poses, gains.reading_delay, self._period)
 
     def start(self) -> None:
         """Start with empty PIDs; outputs that this law does not compute are 0."""
         y = self._outputs
         y.qvel_ref[:], y.singular[...], y.limit[:] = 0.0, 0.0, 0.0
         self._pid.reset()
+        self._poses.reset(np.concatenate((self._inputs.pos_cmd, self._inputs.quat_cmd)))
 
     def update(self) -> None:
         """Compute the outputs of one period."""
         x, y = self._inputs, self._outputs
-        error = pose_error(x.pos_cmd, x.quat_cmd, x.hand_xpos, x.hand_xquat)
+        pose = self._poses.recall(np.concatenate((x.pos_cmd, x.quat_cmd)))
+        error = pose_error(pose[:3], pose[3:], x.hand_xpos, x.hand_xquat)
         factor = damped_factor(x.jac, 0.0)
         dq = mat_t_vec(x.jac, cholesky_solve(factor, error))  # pinv(J) e
         y.manipulability[...] = manipulability(factor)

@@ -41,7 +41,7 @@ def test_a_key_takes_precedence_over_the_preset_and_the_plants_section_over_both
     scenario = replace(PUSH, mismatch=mismatch, plant={"payload": 2.0})
     values = start_values(scenario)
     assert {values["sensors"][f"joint_offset[{i}]"] for i in range(1, 8)} == {0.0}
-    assert values["sensors"]["delay"] == 0.001
+    assert values["sensors"]["delay"] == values["controller"]["reading_delay"] == 0.001
     assert values["sensors"]["hand_pose_source"] == "model"
     assert values["sensors"]["seed"] == 2.0
     assert values["plant"]["payload"] == 2.0
@@ -125,6 +125,26 @@ def record(folder: str) -> None:
     cases = {"plain": {}, "zero": {"dropout": 0.0}, "one": {"preset": "calibrated"}}
     for name, keys in (*cases.items(), ("again", cases["one"])):
         run_scenario(shortened(**keys), f"{folder}/{name}")
+
+
+def record_late(folder: str) -> None:
+    """A move with readings that are 3 ms late, of which the controller knows 0 or 3 ms."""
+    for known in (0.0, 0.003):
+        keys = {"mismatch.delay": 0.003, "controller.reading_delay": known}
+        run_scenario(with_values(PUSH, keys), f"{folder}/{known}")
+
+
+@pytest.mark.fmu
+def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path: Path) -> None:
+    """The hand is ahead by its speed times the delay, unless the controller knows the delay."""
+    in_process(record_late, str(tmp_path))
+    unknown, known = (Recording.open(tmp_path / f"{delay}") for delay in (0.0, 0.003))
+    for recording, delay in ((unknown, 0.003), (known, 0.0)):
+        ahead = recording["plant.hand_xpos"] - recording["controller.pos_cmd"]
+        expected = delay * recording["controller.vel_cmd"]  # m
+        before_the_push = recording["time"] < 0.3
+        assert np.abs(ahead - expected)[before_the_push].max() < 1e-4  # m
+    assert np.abs(unknown["controller.vel_cmd"]).max() > 0.1  # m/s
 
 
 @pytest.mark.fmu

@@ -6,7 +6,7 @@ from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ...controller.gains import RANGES, Gains
 from .plant import ROBOT
-from .variables import JAC_UNITS, Interface, Variable, held, input_, joints
+from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
 
 # The inputs that command the hand's motion; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
@@ -16,13 +16,13 @@ _GAINS = Gains()
 MOST = {"limit_share": 1.0}
 
 
-def _gain(name: str, unit: str, description: str) -> Variable:
-    """Return a tunable parameter that starts at its value in the default gains."""
+def _gain(name: str, unit: str, description: str, variability: Variability = "tunable") -> Variable:
+    """Return a parameter that starts at its value in the default gains."""
     start = getattr(_GAINS, name)
     shape = (7,) if isinstance(start, tuple) else ()
     low, high = RANGES[name]
     high = MOST.get(name, high)
-    return Variable(name, shape, unit, "parameter", "tunable", description, start, low, high)
+    return Variable(name, shape, unit, "parameter", variability, description, start, low, high)
 
 
 CONTROLLER = Interface(
@@ -93,6 +93,8 @@ CONTROLLER = Interface(
               "grip_width; 0: the fingers go to the opening"),
         _gain("grip_width", "m", "Width of what is held"),
         _gain("grip_stiffness", "N/m", "Stiffness of each finger's servo"),
+        _gain("reading_delay", "s", "Age of the measured inputs, to the nearest period; they are "
+              "compared with the command and the reference of their own time", "fixed"),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

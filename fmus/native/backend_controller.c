@@ -35,8 +35,9 @@ static const field FIELDS[] = {
     FIELD(gains., gravity_feedforward), FIELD(gains., inertia_feedforward), FIELD(gains., limit_share),
     FIELD(gains., reference_lead), FIELD(gains., finger_speed),
     FIELD(gains., grip_force), FIELD(gains., grip_width), FIELD(gains., grip_stiffness),
+    FIELD(gains., reading_delay),
     FIELD(, period)};
-enum { INPUTS = 0, OUTPUTS = 11, GAINS = 18, PERIOD = 45, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
+enum { INPUTS = 0, OUTPUTS = 11, GAINS = 18, PERIOD = 46, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
 _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 
 /* ---- an instance ---- */

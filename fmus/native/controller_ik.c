@@ -11,11 +11,12 @@ static const double MIN_PIVOT = 1e-20;
 static const double START_DIRECTION[TWIST] = {1.0, 2.0, 3.0, 4.0, 5.0, 6.0};
 enum { START_ITERATIONS = 50 };
 
-void pose_error(const controller_functions *mj, const controller_inputs *in, double error[TWIST])
+void pose_error(const controller_functions *mj, const double cmd[POSE], const controller_inputs *in,
+                double error[TWIST])
 {
     double in_hand[3];
-    for (int i = 0; i < 3; i++) error[i] = in->pos_cmd[i] - in->hand_xpos[i];
-    mj->mju_subQuat(in_hand, in->quat_cmd, in->hand_xquat);
+    for (int i = 0; i < 3; i++) error[i] = cmd[i] - in->hand_xpos[i];
+    mj->mju_subQuat(in_hand, cmd + 3, in->hand_xquat);
     mj->mju_rotVecQuat(error + 3, in_hand, in->hand_xquat);
 }
 

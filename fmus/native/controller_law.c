@@ -9,6 +9,39 @@
 static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0;
 static const double PULL_DAMPING = 0.05; /* see controller/ik.py */
 
+/* ---- late readings: controller/late.py ---- */
+
+static void reset_late(double rows[KEPT][JOINTS], const double now[JOINTS])
+{
+    for (int i = 0; i < KEPT; i++) memcpy(rows[i], now, sizeof rows[i]);
+}
+
+/* Keeps this update's vector, and gives that of the time when the readings were taken. */
+static void recall(const controller *c, double rows[KEPT][JOINTS], const double now[JOINTS], double due[JOINTS])
+{
+    const int age = (int)nearbyint(c->gains.reading_delay / c->period); /* updates */
+    memcpy(due, age ? rows[age - 1] : now, sizeof *rows);
+    if (age == 0) return;
+    memmove(rows[1], rows[0], (KEPT - 1) * sizeof *rows);
+    memcpy(rows[0], now, sizeof *rows);
+}
+
+static void get_pose_cmd(const controller_inputs *in, double pose[POSE])
+{
+    memcpy(pose, in->pos_cmd, sizeof in->pos_cmd);
+    memcpy(pose + 3, in->quat_cmd, sizeof in->quat_cmd);
+}
+
+/* Pose error (TWIST), by the command of the readings' time. */
+static void late_pose_error(controller *c, const controller_functions *mj, double poses[KEPT][POSE],
+                            double error[TWIST])
+{
+    double now[POSE], due[POSE];
+    get_pose_cmd(&c->inputs, now);
+    recall(c, poses, now, due);
+    pose_error(mj, due, &c->inputs, error);
+}
+
 /* ---- the reference law: controller/reference_law.py ---- */
 
 static void get_twist_cmd(const controller_inputs *in, double twist[TWIST])
@@ -25,6 +58,10 @@ static void start_reference_law(controller *c, const controller_functions *mj)
     get_twist_cmd(&c->inputs, c->state.reference.twist_before);
     find_weak_direction(mj, c->inputs.jac, c->state.reference.weak_direction);
     pid_reset(&c->state.reference.pid);
+    double pose[POSE];
+    get_pose_cmd(&c->inputs, pose);
+    reset_late(c->state.reference.poses, pose);
+    reset_late(c->state.reference.q_refs, c->inputs.qpos);
 }
 
 /* Inertia force M(q) qdd of the arm, with the fingers at rest. */
@@ -89,18 +126,19 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
 
     /* Twist: the command, extrapolated to the middle of the period, and the correction. */
     double error[TWIST], twist_cmd[TWIST], correction[TWIST], twist[TWIST];
-    pose_error(mj, x, error);
+    late_pose_error(c, mj, c->state.reference.poses, error);
     get_twist_cmd(x, twist_cmd);
     correcting_twist(mj, error, gains, correction);
     for (int i = 0; i < TWIST; i++)
         twist[i] = 1.5 * twist_cmd[i] - 0.5 * twist_before[i] + correction[i];
 
     /* Damped least squares; in the null space to the posture, and away from the joints' ends; limits. */
-    double drift[JOINTS], qd[JOINTS], dq[JOINTS];
+    double drift[JOINTS], qd[JOINTS], dq[JOINTS], q_due[JOINTS];
+    recall(c, c->state.reference.q_refs, q_ref, q_due);
     for (int i = 0; i < JOINTS; i++) {
         drift[i] =
             gains->posture_gain[i] * (gains->posture[i] - q_ref[i]) + pull_from_ends(i, q_ref[i]);
-        dq[i] = q_ref[i] - x->qpos[i];
+        dq[i] = q_due[i] - x->qpos[i];
     }
     const double damping = solve(c, mj, twist, drift, qd);
     limit(c, mj, twist, drift, dq, damping, qd);
@@ -135,12 +173,15 @@ static void start_tutorial_law(controller *c)
     memset(c->outputs.limit, 0, sizeof c->outputs.limit);
     c->outputs.singular = 0.0;
     pid_reset(&c->state.tutorial.pid);
+    double pose[POSE];
+    get_pose_cmd(&c->inputs, pose);
+    reset_late(c->state.tutorial.poses, pose);
 }
 
 static void update_tutorial_law(controller *c, const controller_functions *mj)
 {
     double error[TWIST], factor[TWIST * TWIST], solution[TWIST], dq[JOINTS], pid[JOINTS];
-    pose_error(mj, &c->inputs, error);
+    late_pose_error(c, mj, c->state.tutorial.poses, error);
     damped_factor(mj, c->inputs.jac, 0.0, factor);
     mj->mju_cholSolve(solution, factor, error, TWIST);
     mj->mju_mulMatTVec(dq, c->inputs.jac, solution, TWIST, JOINTS); /* pinv(J) e */

@@ -10,7 +10,8 @@
 
 #include <mujoco/mujoco.h>
 
-enum { JOINTS = 7, TWIST = 6, ARM_DOFS = 9 }; /* ARM_DOFS: joints and fingers */
+enum { JOINTS = 7, TWIST = 6, POSE = 7, ARM_DOFS = 9 }; /* ARM_DOFS: joints and fingers */
+enum { KEPT = 20 };                                    /* updates, see controller/late.py */
 
 /* controller/signals.py: INPUTS */
 typedef struct {
@@ -35,6 +36,7 @@ typedef struct {
     double gravity_feedforward[JOINTS], inertia_feedforward[JOINTS];
     double limit_share, reference_lead, finger_speed;
     double grip_force, grip_width, grip_stiffness;
+    double reading_delay;
 } controller_gains;
 
 typedef struct {
@@ -50,9 +52,11 @@ typedef struct {
         double q_ref[JOINTS], qd_before[JOINTS], qdd_before[JOINTS];
         double twist_before[TWIST], weak_direction[TWIST];
         controller_pid_state pid;
+        double poses[KEPT][POSE], q_refs[KEPT][JOINTS];
     } reference;
     struct {
         controller_pid_state pid;
+        double poses[KEPT][POSE];
     } tutorial;
 } controller_state;
 

@@ -11,7 +11,8 @@ static inline double larger(double a, double b) { return b > a ? b : a; }
 static inline double clamp(double x, double low, double high) { return smaller(larger(x, low), high); }
 
 /* controller_ik.c: controller/ik.py, linalg.py and singularity.py */
-void pose_error(const controller_functions *mj, const controller_inputs *in, double error[TWIST]);
+void pose_error(const controller_functions *mj, const double cmd[POSE], const controller_inputs *in,
+                double error[TWIST]);
 void correcting_twist(const controller_functions *mj, const double error[TWIST], const controller_gains *gains,
                       double twist[TWIST]);
 void damped_factor(const controller_functions *mj, const double *jac, double damping,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,8 @@ def start_values(
         if "plant" not in scenario.fmus:
             own["plant"] = {"scene": scenario.scene}
         if "controller" not in scenario.fmus:
-            own["controller"] = asdict(PRESETS[scenario.gains])
+            gains = replace(PRESETS[scenario.gains], reading_delay=scenario.mismatch.known_delay)
+            own["controller"] = asdict(gains)
     sections = {"plant": scenario.plant, "controller": scenario.controller}
     mismatch = scenario.mismatch.start_values()
     layers: list[Overrides] = [own, mismatch, sections, scenario.parameters, overrides or {}]

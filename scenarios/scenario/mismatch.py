@@ -140,6 +140,11 @@ class Mismatch:
         return drawn | {n: v for n, v in self.given.items() if n not in ("preset", "seed")}
 
     @property
+    def known_delay(self) -> float:
+        """Delay of the readings that the controller was set up for [s]: the preset's."""
+        return SIZES[self.preset].delay if self.preset in SIZES else 0.0
+
+    @property
     def has_sensors(self) -> bool:
         """Whether PandaSensors is connected between plant and controller."""
         return any(name in SENSOR_KEYS for name in self.values)

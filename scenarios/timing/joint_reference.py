@@ -57,6 +57,7 @@ def joint_reference(
 
     Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
     """
+    gains = replace(gains, reading_delay=0.0)  # readings are of their instant here
     controller = Controller(gains if limited else _without_limits(gains), STEP_SIZE)
     arm, inputs = ArmModel(), controller.inputs
     q, still = np.array(HOME_Q), np.zeros(7)
