@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import html
+import re
 import sys
 import zipfile
 from pathlib import Path
@@ -18,13 +20,15 @@ from fmu_support import in_fork
 from forked import command
 from lxml import etree
 from panda_cosim.controller import controller as controller_module
-from panda_cosim.fmus.build.description import shaped_name
+from panda_cosim.fmus.build.description import Layout, described
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.inside.base import LOG_CATEGORIES
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
-from panda_cosim.fmus.interface.variables import Causality
+from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.sources.targets import (
     Kind,
     Target,
@@ -80,19 +84,79 @@ def test_the_validator_and_the_schema_find_no_problem(path: Path, target: Target
 
 
 def test_the_description_says_what_the_table_says(path: Path, name: str, target: Target) -> None:
+    """Our master knows the elements of FMI 3.0's arrays by the names of FMI 2.0."""
     variables = Fmu(path).variables
     scalars = {s.name: s for s in TABLES[name].scalars()}
     assert [n for n in variables if n != "time"] == list(scalars)
     for n, s in scalars.items():
         v = variables[n]
         assert (v.variable.kind, v.variable.causality) == (s.variable.kind, s.variable.causality)
-        assert v.value_reference in (s.value_reference, s.value_reference - v.element)
-        assert v.variable.description == s.variable.description
-        if target.fmi == 2:  # an array of FMI 3.0 has one unit and bound, or none
-            assert (v.unit, v.minimum, v.maximum) == (s.unit, s.minimum, s.maximum)
-            assert v.unit or v.variable.kind != "Real"
+        assert s.value_reference == v.value_reference + (v.element if target.fmi == 3 else 0)
+        assert v.unit == s.unit
+        assert v.unit or v.variable.kind != "Real"
+        if target.fmi == 2 or not v.variable.shape:
+            assert (v.minimum, v.maximum) == (s.minimum, s.maximum)
+        elif s.minimum is not None:  # an array of FMI 3.0 has one pair of bounds
+            assert v.minimum <= s.minimum <= s.maximum <= v.maximum
         if s.start is not None:
             assert v.start_value() == v.converted(s.start)
+
+
+def test_arrays_of_fmi_3_have_one_unit_and_people_see_degrees_and_millimetres() -> None:
+    description = Fmu(build(("plant",), target=Target(fmi=3))["plant"]).description
+    shown = {v.name: (v.shape or (), v.unit, v.displayUnit) for v in description.modelVariables}
+    assert shown["qpos"] == shown["ctrl"] == ((7,), "rad", "deg")
+    assert (shown["qpos_fingers"], shown["qpos_block"]) == (((2,), "m", "mm"), ((3,), "m", "mm"))
+    assert shown["qpos_block_quat"] == ((4,), "1", None)
+    assert shown["ctrl_gripper"] == ((), "1", None)
+    assert (shown["jac"], shown["jac_angular"]) == (((3, 7), "m/rad", None), ((3, 7), "1", None))
+    factors = {u.name: [d.factor for d in u.displayUnits] for u in description.unitDefinitions}
+    assert [float(f) for f in (*factors["rad"], *factors["m"])] == [np.rad2deg(1.0), 1000.0]
+
+
+@pytest.mark.parametrize(
+    ("target", "name", "count"),
+    [(Target(scalars=True, fmi=3), "qpos[8]", 224), (Target(flat=True), "jac_6_7", 223),
+     (Target(flat=True, scalars=True, fmi=3), "qpos_8", 224)],
+)  # fmt: skip
+def test_importers_that_want_scalars_or_plain_names_get_them(
+    target: Target, name: str, count: int
+) -> None:
+    path = build(("plant",), target=target)["plant"]
+    assert validate_fmu(str(path)) == []
+    variables = {v.name: v for v in Fmu(path).description.modelVariables}
+    assert len(variables) == count
+    assert not any(v.shape for v in variables.values())
+    assert target.flat == all(n.isidentifier() for n in variables)
+    result = fmpy.simulate_fmu(str(path), stop_time=0.003, step_size=0.001, output=[name])
+    plain = build(("plant",))["plant"]
+    whole = fmpy.simulate_fmu(str(plain), stop_time=0.003, step_size=0.001,
+                              output=["qpos[8]", "jac[6,7]"])  # fmt: skip
+    assert list(result[name]) == list(whole["jac[6,7]" if name.startswith("jac") else "qpos[8]"])
+
+
+def test_names_that_would_be_equal_are_refused() -> None:
+    rows = tuple(
+        Variable(n, s, "m", "output", "continuous", "") for n, s in (("a", (2,)), ("a_1", ()))
+    )
+    with pytest.raises(InputError, match="two variables would have the name 'a_1'"):
+        described(Interface("M", "", rows), Layout(flat=True))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_importer_can_bind_all_functions_of_the_standard(version: int) -> None:
+    """Those for model exchange and events return an error."""
+    fmu = Fmu(build(("plant",), target=Target(fmi=version))["plant"])
+    header = Path(fmpy.__file__).parent / "c-code" / f"fmi{version}Functions.h"
+    pattern = rf"#define (fmi{version}\w+) +fmi{version}FullName"
+    names = re.findall(pattern, header.read_text())
+    assert len(names) > 40
+    slave = open_slave("it", fmu)
+    assert not [name for name in names if not hasattr(slave._instance.dll, name)]
+    for name in ("EnterEventMode", "EnterContinuousTimeMode"):
+        function = getattr(slave._instance.dll, f"fmi{version}{name}")
+        assert function(ctypes.c_void_p(slave.component)) == 3  # Error
+    slave.close()
 
 
 def test_no_output_depends_on_an_input_and_no_type_is_called_as_a_variable(path: Path) -> None:
@@ -132,8 +196,9 @@ def test_an_fmu_brings_its_documentation_and_picture(path: Path, name: str, targ
         icon = "model.png" if target.fmi == 2 else "terminalsAndIcons/icon.png"
         assert archive.read(icon).startswith(b"\x89PNG")
     for variable in TABLES[name].variables:
-        assert f"<td>{shaped_name(variable)}</td>" in page
-        assert variable.description in html.unescape(page)
+        for array in variable.arrays():
+            assert array.description in html.unescape(page)
+        assert f">{variable.name}" in page
     etree.fromstring(page.partition("\n")[2].replace('<meta charset="utf-8">', "").encode(),
                      etree.HTMLParser(recover=False))  # fmt: skip
 

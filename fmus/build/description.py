@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import distribution, version
 from inspect import cleandoc
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from ..errors import InputError
 from ..inside.base import LOG_CATEGORIES, TICK
 from ..interface.variables import Interface, Numbers, Scalar, Variable
 from ..messages import shown
@@ -35,6 +38,12 @@ BASE_UNITS: dict[str, dict[str, str]] = {
     "N.m/rad": {"kg": "1", "m": "2", "s": "-2", "rad": "-1"}, "N/m": {"kg": "1", "s": "-2"},
     "N.m.s/rad": {"kg": "1", "m": "2", "s": "-1", "rad": "-1"},
 }  # fmt: skip
+# Units for people, with the factor from the unit of the values.
+DISPLAY_UNITS: Final = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.0 / math.pi),
+                        "m": ("mm", 1000.0), "m/s": ("mm/s", 1000.0)}  # fmt: skip
+# Typical magnitudes by unit, for an arm of the size of a human's; of others it is 1.
+NOMINALS: Final = {"m": 0.1, "m/s": 0.1, "N": 10.0, "N.m": 10.0, "N/m": 1000.0, "N.m/rad": 1000.0,
+                   "s": 0.1, "m/s2": 10.0, "rad/s2": 10.0}  # fmt: skip
 _PART: Final = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED: Final = re.compile(rf"{_PART}(\.{_PART})*", re.A)  # as `arm.joint[3].angle`
 
@@ -51,13 +60,57 @@ class Identity:
     date: str = "2026-01-01T00:00:00Z"  # ISO 8601 in UTC; fixed: equal contents, equal bytes
 
 
-def model_description(interface: Interface, identity: Identity, fmi: int = 2) -> bytes:
+@dataclass(frozen=True)
+class Layout:
+    """How an FMU's description shows the variables."""
+
+    fmi: int = 2
+    scalars: bool = False  # FMI 3.0 without arrays; FMI 2.0 has none
+    flat: bool = False  # `q_1` instead of `q[1]`
+
+
+@dataclass(frozen=True)
+class Described:
+    """A variable as an FMU's description has it: an array of FMI 3.0, or a scalar."""
+
+    variable: Variable
+    reference: int
+    array: str  # name of the array of FMI 3.0 that it is, or belongs to
+    names: list[str]  # of its elements in our master and its recordings
+
+
+def described(interface: Interface, layout: Layout) -> list[Described]:
+    """Return the variables as a description has them; two must not get one name."""
+    rows: list[Described] = []
+    elements = iter(interface.scalars())
+    for array in (array for variable in interface.variables for array in variable.arrays()):
+        scalars = list(islice(elements, array.size))
+        if layout.fmi == 2 or layout.scalars:
+            rows += [Described(s.alone(), s.value_reference, array.name, [s.name]) for s in scalars]
+        else:
+            names = [s.name for s in scalars]
+            rows.append(Described(array, scalars[0].value_reference, array.name, names))
+    if layout.flat:
+        rows = [replace(r, variable=replace(r.variable, name=_flat(r.variable.name))) for r in rows]
+    counts = Counter(row.variable.name for row in rows)
+    for name in (name for name, count in counts.items() if count > 1):
+        raise InputError(f"{interface.model}: two variables would have the name {name!r}")
+    return rows
+
+
+def _flat(name: str) -> str:
+    return re.sub(r"\W+", "_", name, flags=re.A).strip("_")
+
+
+def model_description(
+    interface: Interface, identity: Identity, layout: Layout = Layout()
+) -> bytes:  # fmt: skip
     """Make modelDescription.xml of FMI 2.0 or 3.0, in UTF-8."""
-    scalars = interface.scalars()
-    first = {id(s.variable): s.value_reference for s in reversed(scalars)}
-    used = {s.unit for s in scalars if s.unit} | ({"s"} if fmi == 3 else set())
+    rows = described(interface, layout)
+    variables = [row.variable for row in rows]
+    used = {v.unit for v in variables if v.unit} | ({"s"} if layout.fmi == 3 else set())
     return render(
-        f"fmi{fmi}.xml.j2",
+        f"fmi{layout.fmi}.xml.j2",
         _FILTERS,
         **vars(identity),
         model=interface.model,
@@ -66,21 +119,27 @@ def model_description(interface: Interface, identity: Identity, fmi: int = 2) ->
         copyright=COPYRIGHT,
         license=LICENSE,
         log_categories=LOG_CATEGORIES,
-        naming=_naming_convention(interface),
-        units={name: BASE_UNITS[name] for name in sorted(used)},
-        enumerations=[v for v in interface.variables if v.kind == "Enumeration"],
-        scalars=scalars,
-        arrays=[(v, first[id(v)]) for v in interface.variables],
-        outputs=[s for s in scalars if s.variable.causality == "output"],
-        parameters=[s for s in scalars if s.variable.causality == "parameter"],
+        naming=_naming_convention(variables),
+        units={name: BASE_UNITS[name] for name in sorted(map(str, used))},
+        display_units=DISPLAY_UNITS,
+        enumerations=[v for v in variables if v.kind == "Enumeration"],
+        rows=rows,
+        size=len(interface.scalars()),
+        outputs=[row for row in rows if row.variable.causality == "output"],
+        parameters=[row for row in rows if row.variable.causality == "parameter"],
         # A user's slave, which has no internal step, may compute its first outputs from inputs.
         knows_dependencies=identity.step_size > 0.0,
     )
 
 
-def terminals(interface: Interface) -> bytes:
+def terminals(interface: Interface, layout: Layout) -> bytes:
     """Make terminalsAndIcons.xml of FMI 3.0."""
-    return render("terminals.xml.j2", {}, interface=interface)
+    rows = described(interface, layout)
+    members = {
+        name: [row.variable.name for array in arrays for row in rows if row.array == array]
+        for name, arrays in interface.terminals.items()
+    }
+    return render("terminals.xml.j2", {}, terminals=members)
 
 
 def _type_name(variable: Variable) -> str:
@@ -88,9 +147,9 @@ def _type_name(variable: Variable) -> str:
     return f"{variable.name}_type"
 
 
-def _naming_convention(interface: Interface) -> str:
+def _naming_convention(variables: Iterable[Variable]) -> str:
     """FMI's `variableNamingConvention`; a slave's variables may have any names."""
-    names = (variable.name for variable in interface.variables)
+    names = (variable.name for variable in variables)
     return "structured" if all(map(_STRUCTURED.fullmatch, names)) else "flat"
 
 
@@ -99,10 +158,6 @@ def literal(value: float | bool | str) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else repr(float(value))
-
-
-def _number(value: float | None) -> str | None:
-    return None if value is None or math.isinf(value) else repr(float(value))
 
 
 def _start(scalar: Scalar) -> str | None:
@@ -117,32 +172,34 @@ def _start(scalar: Scalar) -> str | None:
 
 
 def _starts(variable: Variable) -> str | None:
-    """Start values of an array."""
+    """Start value of a scalar, or those of an array."""
     starts = [_start(scalar) for scalar in variable.scalars(0)]
     return None if None in starts else " ".join(map(str, starts))
 
 
-def _common_unit(variable: Variable) -> str | None:
-    """Unit of an array, or None: FMI 3.0 cannot express several units in one array."""
-    units = set(variable.units)
-    return units.pop() or None if len(units) == 1 else None
+def _display_unit(variable: Variable) -> str | None:
+    return DISPLAY_UNITS.get(str(variable.unit), (None,))[0]
+
+
+def _nominal(variable: Variable) -> float | None:
+    return NOMINALS.get(str(variable.unit)) if variable.kind == "Real" else None
 
 
 def _extreme(pick: Callable[[Iterable[float]], float], bound: Numbers | None) -> str | None:
     """Bound of an array: the lowest or highest of its elements' bounds."""
-    return None if bound is None else _number(pick(_parts(bound)))
+    extreme = math.inf if bound is None else pick(_parts(bound))
+    return None if math.isinf(extreme) else repr(float(extreme))
 
 
 def _parts(bound: Numbers | None) -> tuple[float, ...]:
     return bound if isinstance(bound, tuple) else () if bound is None else (bound,)
 
 
-_FILTERS: Final[Mapping[str, Callable[..., str | None]]] = {
-    "number": _number,
+_FILTERS: Final[Mapping[str, Callable[..., object]]] = {
     "type_name": _type_name,
-    "start": _start,
     "starts": _starts,
-    "common_unit": _common_unit,
+    "display_unit": _display_unit,
+    "nominal": _nominal,
     "lowest": partial(_extreme, min),
     "highest": partial(_extreme, max),
 }
@@ -161,7 +218,7 @@ _HEADERS: Final = "FMI headers (BSD-2-Clause, Modelica Association), compiled in
 
 
 def documents(  # noqa: PLR0913 - the FMU, its identity and its version
-    interface: Interface, identity: Identity, fmi: int, law: str, needs: tuple[str, ...],
+    interface: Interface, identity: Identity, layout: Layout, law: str, needs: tuple[str, ...],
     backend: str,
 ) -> dict[str, bytes]:  # fmt: skip
     """Return the members of an FMU that are for human readers, by path."""
@@ -170,7 +227,9 @@ def documents(  # noqa: PLR0913 - the FMU, its identity and its version
     systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."
     folder = "documentation/licenses"
     members = {
-        "documentation/index.html": documentation(interface, identity, fmi, law, (*needs, systems)),
+        "documentation/index.html": documentation(
+            interface, identity, layout, law, (*needs, systems)
+        ),
         "documentation/externalDependencies.txt": "\n".join((*needs, systems, "")).encode(),
         **{f"{folder}/{name}": text for name, text in own_licences().items()},
         f"{folder}/third_party.txt": _third_party(backend).encode(),
@@ -180,25 +239,33 @@ def documents(  # noqa: PLR0913 - the FMU, its identity and its version
             members[f"{folder}/{MUJOCO}-{file.stem}.txt"] = licence(MUJOCO, file.name)
     picture = PICTURES.get(interface.model)
     if picture:
-        place = "model.png" if fmi == 2 else "terminalsAndIcons/icon.png"
+        place = "model.png" if layout.fmi == 2 else "terminalsAndIcons/icon.png"
         members[place] = Path(__file__).with_name(picture).read_bytes()
     return members
 
 
 def documentation(
-    interface: Interface, identity: Identity, fmi: int, law: str, needs: tuple[str, ...]
+    interface: Interface, identity: Identity, layout: Layout, law: str, needs: tuple[str, ...]
 ) -> bytes:
     """Make documentation/index.html."""
+    tables: dict[str, list[tuple[str, Variable]]] = {}
+    names = {r.reference: r.variable.name for r in described(interface, layout)}
+    for row in described(interface, replace(layout, fmi=3, scalars=False)):
+        last = names.get(row.reference + row.variable.size - 1)
+        label = names[row.reference] + (f" to {last}" if last and row.variable.size > 1 else "")
+        tables.setdefault(row.variable.causality, []).append((label, row.variable))
     return render(
         "documentation.html.j2",
-        {"listed": listed, "shaped_name": shaped_name, "units": units, "range": value_range},
+        {"listed": listed, "units": units, "choices": _choices},
         interface=interface,
+        tables=tables,
         token=identity.token,
         step_size=f"{identity.step_size:g}",
-        fmi=fmi,
+        fmi=layout.fmi,
         law=cleandoc(law),
-        needs=needs,
+        formulas=None if law else f"{interface.model}.html.j2",  # of our own FMUs
         coupled=interface.model in PICTURES,
+        needs=needs,
     )
 
 
@@ -215,33 +282,22 @@ def _third_party(backend: str) -> str:
     return f"In this FMU:\n  {_HEADERS}  {engine}"
 
 
-def shaped_name(variable: Variable) -> str:
-    """Name with the ranges of its indices, such as `jac[1..6,1..7]`."""
-    indices = ",".join(f"1..{n}" for n in variable.shape)
-    return f"{variable.name}[{indices}]" if indices else variable.name
-
-
 def units(variable: Variable) -> str:
     """Units of a variable, each once; its type if it has no unit."""
     return ", ".join(dict.fromkeys(filter(None, variable.units))) or variable.kind
 
 
 def listed(value: object) -> str:
-    """Format a value, or several; shortens long lists."""
-    if value is None:
-        return ""
+    """Format a value, or several; none and infinite bounds as "". Shortens long lists."""
     values = value if isinstance(value, tuple) else (value,)
+    if all(v is None or v in (math.inf, -math.inf) for v in values):
+        return ""
     shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in values[:_FEW]]
     return ", ".join(shown) + ", ..." * (len(values) > _FEW)
 
 
-def value_range(variable: Variable) -> str:
-    """Range of valid values, or "" if all are valid."""
-    if variable.choices:
-        return ", ".join(f"{i}: {name}" for i, name in enumerate(variable.choices, 1))
-    bounds = (variable.minimum, variable.maximum)
-    written = [listed(bound) if any(map(math.isfinite, _parts(bound))) else "" for bound in bounds]
-    return " to ".join(written) if any(written) else ""
+def _choices(variable: Variable) -> str:
+    return ", ".join(f"{i}: {name}" for i, name in enumerate(variable.choices, 1))
 
 
 def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any) -> bytes:

@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from ..inside.base import TICK
 from ..interface.variables import Interface, Numbers, Variable
-from .description import NOTHING, Identity, documents, model_description, terminals
+from .description import NOTHING, Identity, Layout, documents, model_description, terminals
 from .libraries import NEED_MUJOCO, PLATFORMS, code_digest, digest, library, mujoco_library
 
 TABLE_NAME: Final = "variables.txt"
@@ -48,24 +48,24 @@ class NativeFmu:
         parts = (self.interface, self.backend, self.law, self.options, self.step_size)
         return digest(code_digest(), repr(parts), self.resources)
 
-    def build(self, fmi: int, platforms: Sequence[str]) -> bytes:
+    def build(self, layout: Layout, platforms: Sequence[str]) -> bytes:
         """Make the .fmu file: description, documentation, resources, and libraries."""
         project, token = (
             version("panda-cosim"),
             f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}",
         )
         identity = Identity(token, project, f"panda-cosim {project}", self.step_size)
-        members = documents(self.interface, identity, fmi, self.law, self.needs, self.backend)
-        members["modelDescription.xml"] = model_description(self.interface, identity, fmi)
-        if fmi == 3 and self.interface.terminals:
-            members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(self.interface)
+        members = documents(self.interface, identity, layout, self.law, self.needs, self.backend)
+        members["modelDescription.xml"] = model_description(self.interface, identity, layout)
+        if layout.fmi == 3 and self.interface.terminals:
+            members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(self.interface, layout)
         options = (*self.options, *self.recorded)
-        written = table(self.interface, token, self.step_size, options)
+        written = table(self.interface, token, self.step_size, options, scalars=layout.scalars)
         for name, content in {TABLE_NAME: written, **self.resources}.items():
             members[f"resources/{name}"] = content
         for name in platforms:
             platform = PLATFORMS[name]
-            folder = f"binaries/{platform.fmi2 if fmi == 2 else platform.fmi3}"
+            folder = f"binaries/{platform.fmi2 if layout.fmi == 2 else platform.fmi3}"
             content = library(self.backend, name).read_bytes()
             members[f"{folder}/{self.model}{platform.suffix}"] = content
             if self.backend in NEED_MUJOCO:
@@ -86,16 +86,21 @@ def archive(members: Mapping[str, bytes]) -> bytes:
     return packed.getvalue()
 
 
-def table(interface: Interface, token: str, step_size: float, options: Iterable[Option]) -> bytes:
+def table(
+    interface: Interface, token: str, step_size: float, options: Iterable[Option], *,
+    scalars: bool = False,
+) -> bytes:  # fmt: skip
     """Make `resources/variables.txt`, which `fmus/native/README.md` describes."""
-    lines = [["fmu", "1"], ["token", token], ["step", bits(step_size)]]
+    lines = [["fmu", "2"], ["token", token], ["step", bits(step_size)]]
     lines += [["option", key, text(value)] for key, value in options]
     reference = 0
     for variable in interface.variables:
-        lines.append(["variable", str(reference), *_fields(variable)])
+        sizes = [1] * variable.size if scalars else [array.size for array in variable.arrays()]
+        arrays = " ".join(map(str, sizes)) if len(sizes) > 1 else "-"
+        lines.append(["variable", str(reference), *_fields(variable), arrays])
         reference += variable.size
     time = [str(reference), "-", "independent", "continuous", "Real", interface.time_name]
-    lines.append(["variable", *time, "-", "-", "-", "-"])
+    lines.append(["variable", *time, *["-"] * 5])
     return "".join("\t".join(fields) + "\n" for fields in lines).encode()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ...controller.gains import RANGES, Gains
-from .plant import ROBOT
+from .plant import CTRL_PARTS, JAC_PARTS, ROBOT
 from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
 
 # The inputs that command the hand's motion; the others are measured.
@@ -44,13 +44,13 @@ CONTROLLER = Interface(
         input_("hand_xquat", (4,), "1", "Measured orientation of the hand body, world frame, "
                "(w, x, y, z)", HOME_XQUAT),
         input_("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin by the arm's joints, "
-               "world axes; rows 1-3 linear, 4-6 angular", 0.0),
+               "world axes; rows 1-3 linear, 4-6 angular", 0.0, parts=JAC_PARTS),
         input_("qpos", (7,), "rad", "Measured joint positions", HOME_Q),
         input_("qvel", (7,), "rad/s", "Measured joint velocities", 0.0),
         input_("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
                0.0),
         held("ctrl", (8,), joints("rad", "1"), "Servo targets: seven joint angles, then the "
-             "gripper, 0 (closed) to 255 (open)"),
+             "gripper, 0 (closed) to 255 (open)", parts=CTRL_PARTS),
         held("dq", (7,), "rad", "Joint error that the PIDs act on"),
         held("qpos_ref", (7,), "rad", "Joint position reference"),
         held("qvel_ref", (7,), "rad/s", "Velocity of the joint reference"),

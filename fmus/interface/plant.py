@@ -26,9 +26,33 @@ FORCE_MAX = 1000.0  # [N] far above any realistic push
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
 CTRL_MIN = (*Q_MIN.tolist(), 0.0)
 CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)
-# What plant and controller exchange.
-ROBOT = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias", "ctrl")
+# What plant and controller exchange, by the names of FMI 3.0.
+ROBOT = ("hand_xpos", "hand_xquat", "jac", "jac_angular", "qpos", "qvel", "qfrc_bias", "ctrl",
+         "ctrl_gripper")  # fmt: skip
 _CTRL_UNITS = joints("rad", "1")
+# Arrays of FMI 3.0, which have one unit each.
+CTRL_PARTS = (
+    ("ctrl", 7, "Servo targets of the arm's joints"),
+    ("ctrl_gripper", 1, "Servo target of the gripper, 0 (closed) to 255 (open)"),
+)
+_QPOS_PARTS = (
+    ("qpos", 7, "Positions of the arm's joints"),
+    ("qpos_fingers", 2, "Positions of the fingers"),
+    ("qpos_block", 3, "Block's centre, world frame"),
+    ("qpos_block_quat", 4, "Block's orientation, world frame, (w, x, y, z)"),
+)
+_QVEL_PARTS = (
+    ("qvel", 7, "Velocities of the arm's joints"),
+    ("qvel_fingers", 2, "Velocities of the fingers"),
+    ("qvel_block", 3, "Velocity of the block's centre, world frame"),
+    ("qvel_block_omega", 3, "Angular velocity of the block, in its own frame"),
+)
+_FORCE_PARTS = (
+    ("actuator_force", 7, "Torques of the arm's servos during the last step"),
+    ("actuator_force_gripper", 1, "Force of the gripper's tendon during the last step"),
+)
+_JAC = "of the Jacobian of the hand body's origin by the arm's joints, world axes"
+JAC_PARTS = (("jac", 3, f"Linear rows {_JAC}"), ("jac_angular", 3, f"Angular rows {_JAC}"))
 _BLOCK = PlantParameters()
 _TOUCHING = " ".join((BLOCK, *FINGERS, *ARM_AND_PALM))
 _LINKS = " ".join(f"link{i}" for i in range(1, 8))
@@ -48,7 +72,8 @@ PLANT = Interface(
     "Franka Emika Panda with gripper, table and block, simulated by MuJoCo at 1 ms",
     (
         input_("ctrl", (8,), _CTRL_UNITS, "Servo targets: seven joint angles, then the gripper, "
-               "0 (closed) to 255 (open)", HOME_CTRL, CTRL_MIN, CTRL_MAX, source="ctrl"),
+               "0 (closed) to 255 (open)", HOME_CTRL, CTRL_MIN, CTRL_MAX, source="ctrl",
+               parts=CTRL_PARTS),
         input_("push_force", (3,), "N", "Force that pushes the hand at its centre of mass, "
                "world frame", 0.0, -FORCE_MAX, FORCE_MAX, source="body hand force"),
         input_("block_force", (3,), "N", "Force that pushes the block at its centre, world frame",
@@ -58,10 +83,10 @@ PLANT = Interface(
                tuple(TORQUE_MAX.tolist()), source="motors"),
         output("qpos", (16,), joints("rad", *"mmmmm1111"), "MuJoCo positions: 7 arm joints, 2 "
                 "fingers, block centre in the world frame, block quaternion (w, x, y, z)",
-                source="qpos"),
+                source="qpos", parts=_QPOS_PARTS),
         output("qvel", (15,), joints("rad/s", *["m/s"] * 5, *["rad/s"] * 3), "MuJoCo velocities: "
                 "7 arm joints, 2 fingers, block linear in the world frame, block angular in its "
-                "own frame", source="qvel"),
+                "own frame", source="qvel", parts=_QVEL_PARTS),
         output("hand_xpos", (3,), "m", "Origin of the hand body, world frame",
                 source="body hand xpos"),
         output("hand_xquat", (4,), "1", "Orientation of the hand body, world frame, (w, x, y, z)",
@@ -72,11 +97,12 @@ PLANT = Interface(
                 source="site target xmat"),
         output("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin by the arm's "
                 "joints, world axes; rows 1-3 linear, 4-6 angular",
-                source=f"body hand jacobian {' '.join(ARM_JOINTS)}"),
+                source=f"body hand jacobian {' '.join(ARM_JOINTS)}", parts=JAC_PARTS),
         output("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
                 source="qfrc_bias"),
         output("actuator_force", (8,), joints("N.m", "N"), "Forces of the actuators during the "
-                "last step: seven joints, gripper tendon", source="actuator_force"),
+                "last step: seven joints, gripper tendon", source="actuator_force",
+                parts=_FORCE_PARTS),
         output("contact_force", (), "N", "Total normal force of the fingers on the block during "
                 "the last step",
                 source="contact_sensors left_finger_contact right_finger_contact"),

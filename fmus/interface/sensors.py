@@ -40,12 +40,17 @@ def _truth(name: str) -> Variable:
     like = PLANT.variable(name) if name in SEEN else CONTROLLER.variable(name)
     start = _STARTS.get(name, like.start)
     assert isinstance(start, (float, tuple))
-    return input_(name, like.shape, like.unit, f"True {_WORDS[name]}", start)
+    words = f"True {_WORDS[name]}"
+    return input_(name, like.shape, like.unit, words, start, parts=like.parts)
 
 
 def _reading(name: str) -> Variable:
     like = PLANT.variable(name) if name in SEEN else CONTROLLER.variable(name)
-    return output(measurement_of(name), like.shape, like.unit, f"Measured {_WORDS[name]}")
+    parts = tuple(
+        (measurement_of(part), rows, f"Measured: {text}") for part, rows, text in like.parts
+    )
+    words = f"Measured {_WORDS[name]}"
+    return output(measurement_of(name), like.shape, like.unit, words, parts=parts)
 
 
 def _error(  # noqa: PLR0913 - a row has this many columns

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
+from itertools import groupby, product
 from typing import Any, Final, Literal
 
 from ..errors import InputError
@@ -24,6 +24,7 @@ Kind = Literal["Real", "Float32", "Integer", "Boolean", "Enumeration", "String",
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
 Unit = str | tuple[str, ...]
+Part = tuple[str, int, str]  # name, number of rows, and description of an array
 MULTIPLE_TOLERANCE: Final = 1e-6  # relative to the `multiple_of` of a variable
 # Bits of integers, and whether one is the sign's, by FMI type; FMI 2.0's one type is Integer.
 INTEGERS: Final = {
@@ -122,6 +123,13 @@ class Scalar:
                 return int(value)
         return float(value)
 
+    def alone(self) -> Variable:
+        """Return this scalar as a variable of its own."""
+        return replace(
+            self.variable, name=self.name, shape=(), parts=(), unit=self.unit, start=self.start,
+            minimum=self.minimum, maximum=self.maximum,
+        )  # fmt: skip
+
     def start_value(self) -> Value:
         """Start value as an FMU takes it; zero or empty if there is none."""
         if self.start is not None:
@@ -150,6 +158,7 @@ class Variable:
     source: str = ""  # where a native FMU finds it, in its backend's notation; "": by its name
     on_request: bool = False  # recorded only where a connection or a criterion needs it
     fmi_type: str = ""  # as the FMU's own version of FMI names it; "": not read from an FMU
+    parts: tuple[Part, ...] = ()  # arrays that FMI 3.0 has instead, row by row
 
     def number_of(self, choice: str) -> int:
         """Return the number of a choice."""
@@ -182,6 +191,41 @@ class Variable:
     def _names(self) -> tuple[str, ...]:
         indices = product(*(range(1, n + 1) for n in self.shape))
         return tuple(f"{self.name}[{','.join(map(str, index))}]" for index in indices)
+
+    def arrays(self) -> Iterator[Variable]:
+        """Yield the arrays of one unit each that FMI 3.0 has instead.
+
+        A row of several units has none in FMI 3.0.
+        """
+        first, width = 0, self.size // self._rows
+        columns = (self.unit, self.start, self.minimum, self.maximum)
+        for name, rows, description in self._all_parts():
+            elements = slice(first * width, (first + rows) * width)
+            unit, start, low, high = (_cut(values, elements) for values in columns)
+            is_scalar = len(self.shape) == 1 and rows == 1 < self.size
+            yield replace(
+                self, name=name, description=description, parts=(), start=start, minimum=low,
+                shape=(rows, *self.shape[1:]) if self.shape and not is_scalar else (),
+                unit="" if isinstance(unit, tuple) else unit, maximum=high,
+            )  # fmt: skip
+            first += rows
+
+    @property
+    def _rows(self) -> int:
+        return self.shape[0] if self.shape else 1
+
+    def _all_parts(self) -> Iterator[Part]:
+        """Yield `parts`; then, named by their indices, arrays of what these leave over."""
+        yield from self.parts
+        first = sum(rows for _, rows, _ in self.parts)
+        units = self.unit if isinstance(self.unit, tuple) else (self.unit,) * self.size
+        width = self.size // self._rows
+        by_row = [units[i * width : (i + 1) * width] for i in range(first, self._rows)]
+        for _, group in groupby(by_row):
+            rows = len(list(group))
+            indices = f"_{first + 1}" + f"_to_{first + rows}" * (rows > 1)
+            yield f"{self.name}{indices * (first > 0)}", rows, self.description
+            first += rows
 
     def scalars(self, first_reference: int, stride: int = 1) -> Iterator[Scalar]:
         """Yield the scalars; value references count by `stride`, 0 in FMI 3.0."""
@@ -235,10 +279,7 @@ class Interface:
         scalar = None if whole else self._elements.get(name)
         if scalar is None or scalar.variable.causality != causality:
             return whole
-        return replace(
-            scalar.variable, name=name, shape=(), unit=scalar.unit, start=scalar.start,
-            minimum=scalar.minimum, maximum=scalar.maximum,
-        )  # fmt: skip
+        return scalar.alone()
 
     @cached_property
     def _by_name(self) -> dict[str, Variable]:
@@ -256,16 +297,22 @@ class Interface:
         return {scalar.name: scalar for scalar in self._scalars if scalar.variable.shape}
 
 
+def _cut(values: Any, elements: slice) -> Any:
+    """Values of some elements; one alone if all of them are equal."""
+    parts = values[elements] if isinstance(values, tuple) else (values,)
+    return parts[0] if all(part == parts[0] for part in parts) else parts
+
+
 # Rows of a table, by their first columns: name, shape, unit and description.
 
 
 def input_(  # noqa: PLR0913 - a row has this many columns
     name: str, shape: tuple[int, ...], unit: Unit, description: str, start: Numbers,
-    minimum: Numbers | None = None, maximum: Numbers | None = None, source: str = "",
+    minimum: Numbers | None = None, maximum: Numbers | None = None, **more: Any,
 ) -> Variable:  # fmt: skip
     """Return an input."""
     return Variable(name, shape, unit, "input", "continuous", description, start, minimum,
-                    maximum, source=source)  # fmt: skip
+                    maximum, **more)  # fmt: skip
 
 
 def output(
@@ -275,9 +322,9 @@ def output(
     return Variable(name, shape, unit, "output", "continuous", description, **more)
 
 
-def held(name: str, shape: tuple[int, ...], unit: Unit, description: str) -> Variable:
+def held(name: str, shape: tuple[int, ...], unit: Unit, description: str, **more: Any) -> Variable:
     """Return an output that changes at the controller's updates only."""
-    return Variable(name, shape, unit, "output", "discrete", description)
+    return Variable(name, shape, unit, "output", "discrete", description, **more)
 
 
 def joints(arm: str, *others: str) -> tuple[str, ...]:

@@ -108,7 +108,7 @@ class FmuSlave(ABC):
         """Set whole arrays; elements that are not named get their start values."""
         arrays = {v.name: v for v in (self.fmu.variable(name).variable for name in values)}
         for name, array in arrays.items():
-            scalars = [self.fmu.variables[each] for each in array.names()]
+            scalars = [self.fmu.variable(each) for each in array.names()]
             content = [
                 s.converted(values[s.name]) if s.name in values else s.start_value()
                 for s in scalars

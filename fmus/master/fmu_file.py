@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
@@ -25,6 +25,7 @@ _KINDS: Final = {
 TEXTS: Final = ("String", "Binary", "Clock")  # kinds whose start value is kept as it is written
 _NUMBERS: Final = ("Real", "Float32", "Integer")  # an interface table's Real
 _SHOWN: Final = ("input", "output", "parameter")
+_NAMES_NOTE: Final = "Annotations/Annotation[@type='org.panda-cosim.names']"
 _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
 
@@ -33,7 +34,8 @@ class Fmu:
 
     description: Any  # FMPy's `ModelDescription`
     fmi: int  # major version of FMI, 2 or 3
-    variables: dict[str, Scalar]  # by name, including the elements of FMI 3.0 arrays
+    variables: dict[str, Scalar]  # by name, including the elements of FMI 3.0 arrays; those of an
+    # FMU of ours have the same names in FMI 2.0 and 3.0
 
     def __init__(self, path: Path, label: str = "") -> None:
         self.path, self.label = path, label or str(path)
@@ -42,7 +44,11 @@ class Fmu:
         self.description = _read_description(path, self.folder)
         self.fmi = VERSIONS[self.description.fmiVersion]
         scalars = _scalars(f"{path}: modelDescription.xml", self.description.modelVariables)
-        self.variables = {scalar.name: scalar for scalar in scalars}
+        self._described = {scalar.name: scalar for scalar in scalars}
+        names = _noted_names(path, self.folder) if self.fmi == 3 else {}
+        renamed = [_renamed(scalar, names) for scalar in self._described.values()]
+        self.variables = {scalar.name: scalar for scalar in renamed}
+        self._described |= dict(zip(self._described, renamed, strict=True))
         # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
         if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
             raise InputError(
@@ -62,8 +68,9 @@ class Fmu:
 
     def variable(self, name: str) -> Scalar:
         """Return a scalar; raises InputError if there is no variable of this name."""
-        if name in self.variables:
-            return self.variables[name]
+        scalar = self.variables.get(name) or self._described.get(name)
+        if scalar is not None:
+            return scalar
         raise InputError(f"{self.label}: no variable {name!r}{did_you_mean(name, self.variables)}")
 
 
@@ -142,6 +149,18 @@ def _scalars(place: str, described: Sequence[Any]) -> Iterator[Scalar]:
     """Yield the scalars of FMPy's `ModelVariable`s."""
     for each in described:
         yield from _variable(f"{place}: {each.name!a}", each).scalars(each.valueReference, stride=0)
+
+
+def _noted_names(path: Path, folder: Path) -> dict[str, list[str]]:
+    """Names in FMI 2.0 of the elements of an array, by its name in an FMU of ours."""
+    root = read_xml(folder / "modelDescription.xml", f"{path}: modelDescription.xml")
+    notes = {v.get("name", ""): v.find(_NAMES_NOTE) for v in root.iterfind("ModelVariables/*")}
+    return {name: (note.text or "").split() for name, note in notes.items() if note is not None}
+
+
+def _renamed(scalar: Scalar, names: Mapping[str, list[str]]) -> Scalar:
+    noted = names.get(scalar.variable.name, [])
+    return replace(scalar, name=noted[scalar.element]) if scalar.element < len(noted) else scalar
 
 
 def _variable(place: str, described: Any) -> Variable:

@@ -134,3 +134,18 @@ UNSUPPORTED(fmi2SetRealInputDerivatives, "canInterpolateInputs is false", REFERE
             const fmi2Real value[])
 UNSUPPORTED(fmi2GetRealOutputDerivatives, "maxOutputDerivativeOrder is 0", REFERENCES,
             const fmi2Integer order[], fmi2Real value[])
+
+/* For importers that require all functions of the standard. */
+#define NO_MODEL_EXCHANGE(name, ...) \
+    UNSUPPORTED(name, "this FMU is for co-simulation, not for model exchange", __VA_ARGS__)
+NO_MODEL_EXCHANGE(fmi2EnterEventMode, fmi2Component c)
+NO_MODEL_EXCHANGE(fmi2NewDiscreteStates, fmi2Component c, fmi2EventInfo *eventInfo)
+NO_MODEL_EXCHANGE(fmi2EnterContinuousTimeMode, fmi2Component c)
+NO_MODEL_EXCHANGE(fmi2CompletedIntegratorStep, fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
+                  fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation)
+NO_MODEL_EXCHANGE(fmi2SetTime, fmi2Component c, fmi2Real time)
+NO_MODEL_EXCHANGE(fmi2SetContinuousStates, fmi2Component c, const fmi2Real x[], size_t nx)
+NO_MODEL_EXCHANGE(fmi2GetDerivatives, fmi2Component c, fmi2Real derivatives[], size_t nx)
+NO_MODEL_EXCHANGE(fmi2GetEventIndicators, fmi2Component c, fmi2Real eventIndicators[], size_t ni)
+NO_MODEL_EXCHANGE(fmi2GetContinuousStates, fmi2Component c, fmi2Real x[], size_t nx)
+NO_MODEL_EXCHANGE(fmi2GetNominalsOfContinuousStates, fmi2Component c, fmi2Real nominals[], size_t nx)

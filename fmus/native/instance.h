@@ -84,7 +84,7 @@ fmu_status instance_terminate(instance *c);
 /* step.c */
 fmu_status instance_step(instance *c, double time, double size);
 
-/* values.c. In FMI 2.0 a reference means an element, in FMI 3.0 a whole variable. */
+/* values.c. In FMI 2.0 a reference means an element, in FMI 3.0 a whole array. */
 fmu_status instance_get(instance *c, fmu_type type, value_format format, const unsigned *references,
                         size_t count, void *values, size_t value_count);
 fmu_status instance_set(instance *c, fmu_type type, value_format format, const unsigned *references,

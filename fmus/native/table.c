@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LARGEST = 10000000, FIELDS = 11 };
+enum { LARGEST = 10000000, FIELDS = 12 };
 
 static const char *const CAUSALITIES[] = {"input", "output", "parameter", "local", "independent"};
 static const char *const VARIABILITIES[] = {"constant", "fixed", "tunable", "discrete", "continuous"};
@@ -127,7 +127,7 @@ static const char *read_variable(fmu_table *t, char **fields, int count)
     fmu_variable *v = &t->variables[t->count];
     char *end;
     int causality, variability, type;
-    if (count != FIELDS) return "a variable has 10 fields";
+    if (count != FIELDS) return "a variable has 11 fields";
     const unsigned long reference = strtoul(fields[1], &end, 10);
     if (*end || reference != t->size) return "value references have no gaps";
     if (!read_shape(fields[2], v) || t->size + v->size > LARGEST) return "the shape";
@@ -140,6 +140,7 @@ static const char *read_variable(fmu_table *t, char **fields, int count)
     v->type = (fmu_type)type;
     v->name = fields[6];
     v->source = strcmp(fields[10], "-") ? fields[10] : "";
+    v->arrays = strcmp(fields[11], "-") ? fields[11] : "";
     v->start_text = type == FMU_STRING ? (strcmp(fields[7], "-") ? fields[7] : "") : NULL;
     if (!fmu_decode(fields[6]) || !fmu_decode(fields[10])) return "a text";
     if (type == FMU_STRING && !fmu_decode(fields[7])) return "the start value";
@@ -166,7 +167,7 @@ static const char *read_record(fmu_table *t, char *line)
             fields[count++] = c + 1;
         }
     if (!strcmp(line, "variable")) return read_variable(t, fields, count);
-    if (!strcmp(line, "fmu")) return count == 2 && !strcmp(fields[1], "1") ? NULL : "another format";
+    if (!strcmp(line, "fmu")) return count == 2 && !strcmp(fields[1], "2") ? NULL : "another format";
     if (!strcmp(line, "token")) return count == 2 ? t->token = fields[1], NULL : "the token";
     if (!strcmp(line, "step"))
         return count == 2 && read_number(fields[1], &t->step, &end) && t->step >= 0.0 &&
@@ -177,13 +178,30 @@ static const char *read_record(fmu_table *t, char *line)
     return NULL;
 }
 
+/* Notes the sizes of a variable's arrays in FMI 3.0 where they begin; false if they do not fill it. */
+static bool find_arrays(fmu_table *t, const fmu_variable *v)
+{
+    const char *text = v->arrays;
+    unsigned at = 0;
+    int size;
+    if (!*text) return t->array_at[v->reference] = v->size, true;
+    for (; fmu_next_int(&text, &size); at += (unsigned)size) {
+        if (size < 1 || (unsigned)size > v->size - at) return false;
+        t->array_at[v->reference + at] = (unsigned)size;
+    }
+    return at == v->size;
+}
+
 static bool find_elements(fmu_table *t)
 {
     t->variable_at = calloc((size_t)t->size + 1, sizeof *t->variable_at);
-    if (!t->variable_at) return false;
-    for (unsigned i = 0; i < t->count; i++)
+    t->array_at = calloc((size_t)t->size + 1, sizeof *t->array_at);
+    if (!t->variable_at || !t->array_at) return false;
+    for (unsigned i = 0; i < t->count; i++) {
         for (unsigned k = 0; k < t->variables[i].size; k++)
             t->variable_at[t->variables[i].reference + k] = i;
+        if (!find_arrays(t, &t->variables[i])) return false;
+    }
     return true;
 }
 
@@ -208,7 +226,7 @@ bool fmu_table_read(fmu_table *t, char *text, size_t size, char *why, size_t why
         return false;
     }
     if (!t->token || !(t->step >= 0.0) || !t->size || !find_elements(t)) {
-        snprintf(why, why_size, "it has no token, no step or no variables");
+        snprintf(why, why_size, "it has no token, no step, no variables, or arrays that do not fill one");
         return false;
     }
     return true;
@@ -219,6 +237,7 @@ void fmu_table_free(fmu_table *t)
     for (unsigned i = 0; i < t->count; i++) free(t->variables[i].start);
     free(t->variables);
     free(t->variable_at);
+    free(t->array_at);
     free(t->options);
     free(t->text);
     *t = (fmu_table){0};

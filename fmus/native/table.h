@@ -24,6 +24,7 @@ typedef struct {
     double *start, *minimum, *maximum;  /* of each element; +-HUGE_VAL: unbounded */
     const char *start_text;             /* of a String */
     const char *source;      /* read by the backend, "" if none */
+    const char *arrays;      /* sizes of the arrays that FMI 3.0 has instead; "": one of all elements */
 } fmu_variable;
 
 typedef struct {
@@ -37,6 +38,7 @@ typedef struct {
     unsigned count;         /* number of variables */
     fmu_variable *variables;
     unsigned *variable_at;  /* index of the variable that has an element at a reference */
+    unsigned *array_at;     /* size of the array of FMI 3.0 that begins at a reference; 0: none does */
     unsigned option_count;
     fmu_option *options;
     uint64_t hash;          /* of the file */

@@ -63,14 +63,14 @@ static const fmu_variable *look_up(instance *c, fmu_type type, unsigned referenc
         fmu_error(&c->f, "%s (value reference %u) is of type %s", v->name, reference, NAMES[v->type]);
         return NULL;
     }
-    if (c->version == 3 && reference != v->reference) {
+    if (c->version == 3 && !c->table.array_at[reference]) {
         fmu_error(&c->f, "the value reference %u is not that of a variable, but inside %s", reference, v->name);
         return NULL;
     }
     return v;
 }
 
-/* Takes the next references: in FMI 3.0 one, for the whole variable; in FMI 2.0 as many as are consecutive in
+/* Takes the next references: in FMI 3.0 one, for a whole array; in FMI 2.0 as many as are consecutive in
  * one variable. */
 static bool next_span(instance *c, fmu_type type, const unsigned *references, size_t count, size_t *at, span *s)
 {
@@ -78,7 +78,7 @@ static bool next_span(instance *c, fmu_type type, const unsigned *references, si
     s->variable = look_up(c, type, s->reference);
     if (!s->variable) return false;
     const unsigned end = s->variable->reference + s->variable->size;
-    s->size = c->version == 3 ? s->variable->size : 1;
+    s->size = c->version == 3 ? c->table.array_at[s->reference] : 1;
     ++*at;
     while (c->version == 2 && *at < count && s->reference + s->size < end &&
            references[*at] == s->reference + s->size) {

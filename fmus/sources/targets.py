@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ...assets import SCENES
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
+from ..build.description import Layout
 from ..build.libraries import code_digest, digest, own_licences, this_platform
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
@@ -36,6 +36,8 @@ class Target:
     kind: Kind = "native"  # compiled, and needs nothing; "python": runs this project's Python code
     fmi: int = 2  # major version of FMI, 2 or 3
     platforms: tuple[str, ...] = ()  # keys of `libraries.PLATFORMS`; empty: this one
+    scalars: bool = False  # FMI 3.0 without arrays
+    flat: bool = False  # names such as `q_1` instead of `q[1]`
 
     def in_python(self, name: str) -> bool:
         """Whether one of the project's own FMUs runs Python code; the sensors do in either kind."""
@@ -43,7 +45,8 @@ class Target:
 
     def make(self, fmu: NativeFmu) -> bytes:
         """Make the .fmu file."""
-        return fmu.build(self.fmi, self.platforms or (this_platform(),))
+        layout = Layout(self.fmi, self.scalars, self.flat)
+        return fmu.build(layout, self.platforms or (this_platform(),))
 
 
 def build(
@@ -98,8 +101,8 @@ def _own_place(name: str, target: Target, commands: bytes = b"") -> Path:
 
 def _place(model: str, target: Target, *content: str | bytes) -> Path:
     """Place in the cache of an FMU that depends on the content."""
-    platforms = target.platforms or (this_platform(),)
-    name = digest(model, repr((target.fmi, platforms)), own_licences(), *content)
+    shape = (target.fmi, target.platforms or (this_platform(),), target.scalars, target.flat)
+    name = digest(model, repr(shape), own_licences(), *content)
     return cache_folder() / name[:24] / f"{model}.fmu"
 
 
@@ -121,19 +124,15 @@ class Own:
 
     interface: Interface
     slave: tuple[str, str]  # module and class of the slave in Python
-    law: tuple[str, str]  # module and class whose docstring says what the FMU computes
     assets: tuple[str, ...] = ("arm.xml", "panda.xml", "shells.xml")  # that the slave needs
     needs: tuple[str, ...] = ("numpy", "mujoco")  # packages that the slave needs
 
 
-_TRAJECTORY_SLAVE: Final = ("fmus.inside.trajectory", "TrajectorySlave")
 OWN: Final = MappingProxyType({
-    "plant": Own(PLANT, ("fmus.inside.plant", "PlantSlave"), ("plant.plant", "Plant"), ("*.xml",)),
-    "controller": Own(CONTROLLER, ("fmus.inside.controller", "ControllerSlave"),
-                      ("controller.controller", "Controller")),
-    "sensors": Own(SENSORS, ("fmus.inside.sensors", "SensorsSlave"),
-                   ("controller.sensors", "Sensors")),
-    "trajectory": Own(TRAJECTORY, _TRAJECTORY_SLAVE, _TRAJECTORY_SLAVE, (), ("numpy",)),
+    "plant": Own(PLANT, ("fmus.inside.plant", "PlantSlave"), ("*.xml",)),
+    "controller": Own(CONTROLLER, ("fmus.inside.controller", "ControllerSlave")),
+    "sensors": Own(SENSORS, ("fmus.inside.sensors", "SensorsSlave")),
+    "trajectory": Own(TRAJECTORY, ("fmus.inside.trajectory", "TrajectorySlave"), (), ("numpy",)),
 })  # fmt: skip
 
 
@@ -142,27 +141,26 @@ def own_fmu(
 ) -> NativeFmu:
     """Describe one of the project's own FMUs."""
     # These modules take time to import, and are needed only for what the cache has not.
-    own, (module, law) = OWN[name], OWN[name].law
-    text = getattr(import_module(f"panda_cosim.{module}"), law).__doc__ or ""
+    own = OWN[name]
     table = {TABLE_FILE: commands} if commands else {}
     if in_python:
         from .python_fmu import python_fmu  # noqa: PLC0415 - see above
 
         code = own_code(name) | dict(changed or {})
-        return python_fmu(own.interface, text, code, own.slave, own.needs, resources=table)
+        return python_fmu(own.interface, "", code, own.slave, own.needs, resources=table)
     if name == "plant":
         from ...plant.scene import load_scene  # noqa: PLC0415 - see above
         from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above
 
         models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
-        return mujoco_fmu(PLANT, models, text, "home")
+        return mujoco_fmu(PLANT, models, "", "home")
     from ..build.native import NativeFmu  # noqa: PLC0415 - see above
 
     if name == "controller":
         from ...controller.model import arm_mjb  # noqa: PLC0415 - see above
 
-        return NativeFmu(CONTROLLER, "controller", text, {"arm.mjb": arm_mjb()})
-    return NativeFmu(TRAJECTORY, "player", text, table, (("table", TABLE_FILE),))
+        return NativeFmu(CONTROLLER, "controller", "", {"arm.mjb": arm_mjb()})
+    return NativeFmu(TRAJECTORY, "player", "", table, (("table", TABLE_FILE),))
 
 
 def own_code(name: str) -> dict[str, bytes]:
