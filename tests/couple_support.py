@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import accumulate, groupby
 from pathlib import Path
 from typing import Any
 
@@ -119,12 +120,16 @@ def _source(instance: str, variable: str) -> str:
     return f"{'plant' if instance == 'controller' else 'controller'}.{variable}"
 
 
+def _begins(variable: Any) -> set[int]:
+    """Elements with which the arrays of FMI 3.0 begin."""
+    rows = [0, *(rows for _, rows, _ in variable.parts)][: len(variable.parts) or 1]
+    width = math.prod(variable.shape[1:])
+    return {width * row for row in accumulate(rows)}
+
+
 def _references(scalars: Sequence[Any], fmi: int) -> str:
     """How many references, and these: of scalars in FMI 2.0, of whole arrays in FMI 3.0."""
-    found = [s.value_reference for s in scalars]
-    if fmi == 3:
-        groups = groupby(scalars, key=lambda s: s.variable.name)
-        found = [next(group).value_reference for _, group in groups]
+    found = [s.value_reference for s in scalars if fmi == 2 or s.element in _begins(s.variable)]
     return " ".join(map(str, (len(found), *found)))
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from ctypes import byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import accumulate
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -43,11 +44,18 @@ class Row:
     kind: str
     name: str
     start: tuple[float, ...]
+    sizes: tuple[int, ...]  # of its arrays in FMI 3.0
 
     @property
     def size(self) -> int:
         """Number of elements."""
         return prod(self.shape)
+
+    @property
+    def arrays(self) -> list[tuple[int, int]]:
+        """Reference and size of each array in FMI 3.0."""
+        firsts = accumulate(self.sizes, initial=self.reference)
+        return list(zip(firsts, self.sizes, strict=False))
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ class Unpacked:
     @cached_property
     def rows(self) -> dict[str, Row]:
         """Variables by name."""
-        rows = [_row(*fields[:7]) for fields in self._records("variable")]
+        rows = [_row(fields[10], *fields[:7]) for fields in self._records("variable")]
         return {row.name: row for row in rows}
 
     def names(self, causality: str) -> list[str]:
@@ -102,7 +110,8 @@ class Unpacked:
     def reals(self, causality: str) -> str:
         """Variables of type Real, as `reference:size,...`."""
         rows = [self.rows[name] for name in self.names(causality)]
-        return ",".join(f"{row.reference}:{row.size}" for row in rows)
+        wholes = [[(row.reference, row.size)] if self.version == 2 else row.arrays for row in rows]
+        return ",".join(f"{first}:{size}" for whole in wholes for first, size in whole)
 
     @property
     def size(self) -> int:
@@ -118,13 +127,21 @@ class Unpacked:
 
 
 def _row(
-    reference: str, shape: str, causality: str, variability: str, kind: str, name: str, start: str
+    arrays: str,
+    reference: str,
+    shape: str,
+    causality: str,
+    variability: str,
+    kind: str,
+    name: str,
+    start: str,
 ) -> Row:
     sizes = () if shape == "-" else tuple(map(int, shape.split("x")))
     numbers = [] if start == "-" or kind == "String" else start.split()
     values = tuple(struct.unpack(">d", bytes.fromhex(number))[0] for number in numbers)
     values = values * prod(sizes) if len(values) == 1 else values
-    return Row(int(reference), sizes, causality, variability, kind, name, values)
+    parts = (prod(sizes),) if arrays == "-" else tuple(map(int, arrays.split()))
+    return Row(int(reference), sizes, causality, variability, kind, name, values, parts)
 
 
 @cache
@@ -298,7 +315,9 @@ class Instance:
 
     def _references(self, name: str) -> list[int]:
         row = self.fmu.rows[name]
-        return [row.reference + i for i in range(row.size if self.version == 2 else 1)]
+        if self.version == 3:
+            return [first for first, _ in row.arrays]
+        return [row.reference + i for i in range(row.size)]
 
     def outputs(self) -> list[float]:
         """Values of all outputs of type Real."""

@@ -111,7 +111,7 @@ BAD_INTERFACES = {
     '[parameters]\nx = { source = "body post free_xy" }': "has no free joint",
     '[parameters]\nx = { source = "body box free_xy sit" }': "start rule 'sit'; valid:",
     '[parameters]\nx = { source = "body box free_xy stand flor" }': "did you mean 'floor'",
-    '[inputs]\nx = { source = "ctrl", start = 5 }': "start: 5.0 is out of range; must",
+    '[inputs]\nx = { source = "ctrl", start = 5 }': "start: 5.0 N.m is out of range; must",
     '[inputs]\nx = { source = "ctrl", max = -0.5 }': "must be between -1 and -0.5",
     '[parameters]\nx = { source = "gravity", tunable = "yes" }': "tunable: must be true or false",
     '[inputs]\nx = { source = "ctrl", tunable = true }': "tunable: only parameters have this",

@@ -94,7 +94,7 @@ def test_a_source_that_does_not_fit_the_model_is_refused(tmp_path: Path, source:
     def change(table: str) -> str:
         lines = [line.split("\t") for line in table.splitlines(keepends=True)]
         (line,) = (fields for fields in lines if "hand_xpos" in fields)
-        line[-1] = f"{source}\n"
+        line[-2] = source
         return "".join(map("\t".join, lines))
 
     place = unpacked("native", "plant", 2).copy(tmp_path / "fmu", change)

@@ -91,14 +91,17 @@ def described(interface: Interface, layout: Layout) -> list[Described]:
             names = [s.name for s in scalars]
             rows.append(Described(array, scalars[0].value_reference, array.name, names))
     if layout.flat:
-        rows = [replace(r, variable=replace(r.variable, name=_flat(r.variable.name))) for r in rows]
+        rows = [
+            replace(r, variable=replace(r.variable, name=flat_name(r.variable.name))) for r in rows
+        ]
     counts = Counter(row.variable.name for row in rows)
     for name in (name for name, count in counts.items() if count > 1):
         raise InputError(f"{interface.model}: two variables would have the name {name!r}")
     return rows
 
 
-def _flat(name: str) -> str:
+def flat_name(name: str) -> str:
+    """Return a name without brackets and dots: `jac_1_2` for `jac[1,2]`."""
     return re.sub(r"\W+", "_", name, flags=re.A).strip("_")
 
 

@@ -10,12 +10,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
-from typing import Final
+from typing import IO, Final
 from urllib.parse import quote
 
 from ..inside.base import TICK
 from ..interface.variables import Interface, Numbers, Variable
-from .description import NOTHING, Identity, Layout, documents, model_description, terminals
+from .description import (
+    NOTHING,
+    STOP_TIME,
+    Identity,
+    Layout,
+    documents,
+    model_description,
+    terminals,
+)
 from .libraries import NEED_MUJOCO, PLATFORMS, code_digest, digest, library, mujoco_library
 
 TABLE_NAME: Final = "variables.txt"
@@ -36,6 +44,7 @@ class NativeFmu:
     recorded: tuple[Option, ...] = ()  # options that depend on this machine
     needs: tuple[str, ...] = (NOTHING,)  # run-time requirements, one paragraph each
     step_size: float = TICK  # internal step [s]
+    stop_time: float = STOP_TIME  # of the default experiment [s]
 
     @property
     def model(self) -> str:
@@ -45,7 +54,8 @@ class NativeFmu:
     @cached_property
     def digest(self) -> str:
         """Hash of everything that the FMU depends on, apart from this machine."""
-        parts = (self.interface, self.backend, self.law, self.options, self.step_size)
+        times = (self.step_size, self.stop_time)
+        parts = (self.interface, self.backend, self.law, self.options, *times)
         return digest(code_digest(), repr(parts), self.resources)
 
     def build(self, layout: Layout, platforms: Sequence[str]) -> bytes:
@@ -54,7 +64,9 @@ class NativeFmu:
             version("panda-cosim"),
             f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}",
         )
-        identity = Identity(token, project, f"panda-cosim {project}", self.step_size)
+        identity = Identity(
+            token, project, f"panda-cosim {project}", self.step_size, self.stop_time
+        )
         members = documents(self.interface, identity, layout, self.law, self.needs, self.backend)
         members["modelDescription.xml"] = model_description(self.interface, identity, layout)
         if layout.fmi == 3 and self.interface.terminals:
@@ -76,14 +88,19 @@ class NativeFmu:
 def archive(members: Mapping[str, bytes]) -> bytes:
     """Return a zip file with its members in alphabetical order; equal contents, equal bytes."""
     packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as file:
+    add_members(packed, members)
+    return packed.getvalue()
+
+
+def add_members(packed: IO[bytes], members: Mapping[str, bytes]) -> None:
+    """Add members to a zip file, which may be empty, as `archive` does."""
+    with zipfile.ZipFile(packed, "a") as file:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, FIXED_DATE)
             info.create_system = 3  # Unix, on every platform
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             method = zipfile.ZIP_STORED if name.endswith(_COMPRESSED) else zipfile.ZIP_DEFLATED
             file.writestr(info, members[name], method, compresslevel=9)
-    return packed.getvalue()
 
 
 def table(

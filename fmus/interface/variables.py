@@ -125,9 +125,11 @@ class Scalar:
 
     def alone(self) -> Variable:
         """Return this scalar as a variable of its own."""
+        details = self.variable.details
         return replace(
             self.variable, name=self.name, shape=(), parts=(), unit=self.unit, start=self.start,
-            minimum=self.minimum, maximum=self.maximum,
+            minimum=self.minimum, maximum=self.maximum, details=(),
+            description=details[self.element] if details else self.variable.description,
         )  # fmt: skip
 
     def start_value(self) -> Value:
@@ -158,6 +160,7 @@ class Variable:
     source: str = ""  # where a native FMU finds it, in its backend's notation; "": by its name
     on_request: bool = False  # recorded only where a connection or a criterion needs it
     fmi_type: str = ""  # as the FMU's own version of FMI names it; "": not read from an FMU
+    details: tuple[str, ...] = ()  # description of each scalar; (): that of the variable
     parts: tuple[Part, ...] = ()  # arrays that FMI 3.0 has instead, row by row
 
     def number_of(self, choice: str) -> int:
@@ -202,9 +205,12 @@ class Variable:
         for name, rows, description in self._all_parts():
             elements = slice(first * width, (first + rows) * width)
             unit, start, low, high = (_cut(values, elements) for values in columns)
+            details = self.details[elements]
+            text = f"{description}: {', '.join(details)}" if details else description
             is_scalar = len(self.shape) == 1 and rows == 1 < self.size
             yield replace(
-                self, name=name, description=description, parts=(), start=start, minimum=low,
+                self, name=name, description=text, parts=(), start=start, minimum=low,
+                details=details,
                 shape=(rows, *self.shape[1:]) if self.shape and not is_scalar else (),
                 unit="" if isinstance(unit, tuple) else unit, maximum=high,
             )  # fmt: skip

@@ -68,21 +68,23 @@ static void destroy(fmu *f)
 
 /* ---- start ---- */
 
-/* Index of the scene chosen by the parameter, from 0. */
-static int chosen_scene(const fmu *f, const mujoco_model *model)
+/* Index, from 0, of what an enumeration parameter of this kind chooses. */
+static int chosen(const fmu *f, const mujoco_model *model, source_kind kind, int otherwise)
 {
     for (int i = 0; i < model->source_count; i++)
-        if (model->sources[i].kind == SOURCE_SCENE)
+        if (model->sources[i].kind == kind)
             return (int)f->values[model->sources[i].variable->reference] - 1;
-    return 0;
+    return otherwise;
 }
 
 static fmu_status make(fmu *f, void *unused)
 {
     mujoco_model *model = f->model;
-    const int scene = chosen_scene(f, model);
+    const int scene = chosen(f, model, SOURCE_SCENE, 0);
     if (scene < 0 || scene >= model->scene_count)
         return fmu_error(f, "there are %d models, but model %d is chosen", model->scene_count, scene + 1);
+    model->key = chosen(f, model, SOURCE_KEYFRAME, model->key + 1) - 1; /* the first choice is qpos0 */
+    if (model->key >= model->scenes[scene]->nkey) return fmu_error(f, "there is no keyframe %d", model->key + 1);
     drop_copy(f, NULL);
     model->m = mj.mj_copyModel(NULL, model->scenes[scene]);
     model->d = model->m ? mj.mj_makeData(model->m) : NULL;

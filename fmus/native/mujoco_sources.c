@@ -23,6 +23,7 @@ static const struct {
     [SOURCE_MOTORS] = {"motors", "n", true, false, false},
     [SOURCE_MODEL] = {"model", "fn", false, true, true},
     [SOURCE_SCENE] = {"scene", "", false, false, true},
+    [SOURCE_KEYFRAME] = {"keyframe", "", false, false, true},
     [SOURCE_BODY_MASS] = {"body_mass", "n", false, false, true},
     [SOURCE_QPOS] = {"qpos", "n", false, false, true},
     [SOURCE_QVEL] = {"qvel", "n", false, false, true},
@@ -196,7 +197,7 @@ static bool bind(source *s, mujoco_model *model)
         return is_within(s->first, m->nbody) && are_within(s, m->nbody) && size == 1;
     case SOURCE_UNWANTED_CONTACTS: case SOURCE_SUPPORT_CONTACTS: return bind_ranks(s, m);
     case SOURCE_MOTORS: return s->first >= 0 && s->first + size <= m->nu;
-    case SOURCE_SCENE: return size == 1;
+    case SOURCE_SCENE: case SOURCE_KEYFRAME: return size == 1;
     case SOURCE_BODY_MASS: return is_within(s->first, m->nbody) && m->body_mass[s->first] > 0.0 && size == 1;
     case SOURCE_QPOS: return s->first >= 0 && s->first + size <= m->nq;
     case SOURCE_QVEL: return s->first >= 0 && s->first + size <= m->nv;

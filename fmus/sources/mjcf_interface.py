@@ -69,7 +69,15 @@ class Description:
 def variable_name(source: str) -> str:
     """Name of a variable by its source: hand_xpos for `body hand xpos`, gyro for `sensor gyro`."""
     words = words_of(source)
-    if len(words) > 1 and words[0] in ("body", "joint", "geom", "site", "sensor", "actuator"):
+    if len(words) > 1 and words[0] in (
+        "body",
+        "joint",
+        "geom",
+        "site",
+        "sensor",
+        "actuator",
+        "equality",
+    ):
         words = words[1:3]
     name = re.sub(r"\W+", "_", "_".join(words), flags=re.A)
     return name if IDENTIFIER.fullmatch(name) else f"_{name}"
@@ -81,7 +89,7 @@ def default_description(model: Any, name: str) -> Description:
     fields = [("inputs", "ctrl", model.nu), ("outputs", "qpos", model.nq),
               ("outputs", "qvel", model.nv), ("outputs", "act", model.na),
               ("outputs", "qfrc_bias", model.nv), ("outputs", "actuator_force", model.nu),
-              ("parameters", "gravity", 3)]  # fmt: skip
+              ("parameters", "gravity", 3), ("parameters", "keyframe", model.nkey)]  # fmt: skip
     for section, source, size in fields:
         if size:
             description.add(section, source)
@@ -254,6 +262,7 @@ def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> 
         unit=row.unit if unit is None else unit,
         variability="tunable" if keys.get("tunable") else row.variability,
         description=keys.get("description", row.description),
+        details=() if "description" in keys else row.details,
         start=None if row.causality == "output" else start,
         minimum=_numbers(place, "min", keys, row.size, row.minimum),
         maximum=_numbers(place, "max", keys, row.size, row.maximum),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..interface.variables import Causality, Variable
 from ..messages import did_you_mean
+from .mjcf_elements import DOF, FREE, QPOS, descriptions, units
 
 Array = NDArray[np.float64]
 # Kinds of objects: MuJoCo's number of the kind, and the model's field with their number.
@@ -29,6 +30,7 @@ OBJECTS: Final = {
     "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
     "sensor": (mujoco.mjtObj.mjOBJ_SENSOR, "nsensor"),
     "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nu"),
+    "equality": (mujoco.mjtObj.mjOBJ_EQUALITY, "neq"),
 }
 # An object's properties: the field that has them, with the numbers per object and their unit.
 PROPERTIES: Final = {
@@ -41,8 +43,10 @@ PROPERTIES: Final = {
     ("output", "geom", "xmat"): ("data geom_xmat", 9, "1"),
     ("output", "site", "xpos"): ("data site_xpos", 3, "m"),
     ("output", "site", "xmat"): ("data site_xmat", 9, "1"),
-    ("output", "actuator", "force"): ("held actuator_force", 1, ""),
     ("parameter", "geom", "friction"): ("model geom_friction", 3, "1"),
+    ("parameter", "equality", "solref"): ("model eq_solref", 2, ""),
+    ("parameter", "equality", "solimp"): ("model eq_solimp", 5, ""),
+    ("parameter", "equality", "data"): ("model eq_data", 11, ""),
 }
 # A joint's, with one number for each degree of freedom, or element of qpos.
 JOINT_PROPERTIES: Final = {
@@ -64,12 +68,6 @@ CONTACTS: Final = {"contact_sensors": "sensor", "contact_bodies": "body",
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
 
 Units = tuple[str, ...]
-FREE: Final = 0  # mjtJoint
-_HINGE, _SLIDE, _BALL = 3, 2, 1
-_QPOS: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("1",) * 4, FREE: (*"mmm", *"1111")}
-_DOF: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("rad",) * 3, FREE: (*"mmm", *["rad"] * 3)}
-_FORCE: Final = {"rad": "N.m", "m": "N"}
-_FIELDS: Final = {"mocap_pos": "m", "mocap_quat": "1", "xpos": "m", "xquat": "1", "site_xpos": "m"}
 _SENSORS: Final = {
     "touch": "N", "accelerometer": "m/s2", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
     "torque": "N.m", "rangefinder": "m", "tendonpos": "m", "tendonvel": "m/s", "ballquat": "1",
@@ -95,9 +93,6 @@ class Sources:
                 raise InputError(f"no keyframe {keyframe!r}; valid: {valid}")
             self.key = names.index(keyframe)
             mujoco.mj_resetDataKeyframe(model, self.data, self.key)
-        joints = [int(kind) for kind in model.jnt_type]
-        self._qpos: Units = tuple(unit for kind in joints for unit in _QPOS[kind])
-        self._dof: Units = tuple(unit for kind in joints for unit in _DOF[kind])
 
     def find(self, causality: Causality, source: str) -> Variable:
         """Look a source up; a name with spaces stands in quotes."""
@@ -109,10 +104,18 @@ class Sources:
             row = getattr(self, f"_{causality}")(words)
         if row is None:
             raise InputError(f"source {source!r}: no such {causality} of a MuJoCo model; {_LISTED}")
-        row = replace(row, causality=causality, description=source)
+        row = replace(row, causality=causality, description=source, details=self._details(row))
         if causality == "output":
             return replace(row, start=None, minimum=None, maximum=None)
         return replace(row, variability="fixed") if causality == "parameter" else row
+
+    def _details(self, row: Variable) -> tuple[str, ...]:
+        """Descriptions of the elements, if these are of joints or actuators."""
+        words = row.source.split()
+        if words[0] not in ("data", "held"):
+            return ()
+        first = int(words[2])
+        return descriptions(self.model, words[1])[first : first + row.size]
 
     # Sources of the whole model.
 
@@ -140,8 +143,8 @@ class Sources:
 
     def _parameter(self, words: list[str]) -> Variable | None:
         name, *rest = words
-        if words == ["scene"]:
-            return _values("scene", [1.0], "")
+        if words in (["scene"], ["keyframe"]):
+            return self._choice(name)
         if name in OPTIONS and not rest:
             values = np.atleast_1d(getattr(self.model.opt, name))
             return _values(f"model {name} 0", values, OPTIONS[name])
@@ -155,6 +158,14 @@ class Sources:
             row = self._raw(name, words)
             return row and replace(row, start=(0.0,) * row.size)
         return self._raw("model", words)
+
+    def _choice(self, name: str) -> Variable | None:
+        """An enumeration: the scene, or the keyframe to start from."""
+        row, count = _values(name, [1.0], ""), self.model.nkey
+        if name == "scene":
+            return row
+        names = ("qpos0", *(self.model.key(i).name or f"key_{i + 1}" for i in range(count)))
+        return replace(row, start=names[self.key + 1], kind="Enumeration", choices=names)
 
     def _raw(self, kind: str, words: list[str]) -> Variable | None:
         """`data FIELD FIRST COUNT`, or `model` or `added` in place of `data`."""
@@ -171,7 +182,7 @@ class Sources:
         values = self._array(self.data, name)
         if not values.size:
             raise InputError(f"source {name!r}: this model has no {name}")
-        return _values(f"{kind} {name} 0", values, self._units(name))
+        return _values(f"{kind} {name} 0", values, units(self.model, name))
 
     def _array(self, holder: Any, name: str) -> Array:
         values = getattr(holder, name, None) if name.isidentifier() else None
@@ -180,16 +191,6 @@ class Sources:
             near = did_you_mean(name, [n for n in dir(holder) if not n.startswith("_")])
             raise InputError(f"source {name!r}: no field of {kind}{near or f'; {_LISTED}'}")
         return np.ravel(values)
-
-    def _units(self, field: str) -> str | Units:
-        """Units of a field of mjData."""
-        if field == "qpos":
-            return self._qpos
-        if field in ("qvel", "qacc"):
-            return tuple(f"{unit}/s{'2' * (field == 'qacc')}" for unit in self._dof)
-        if field.startswith("qfrc_"):
-            return tuple(_FORCE[unit] for unit in self._dof)
-        return _FIELDS.get(field, "")
 
     # Sources of one object.
 
@@ -213,10 +214,9 @@ class Sources:
             case "input", "body", "mocap_pos" | "mocap_quat" if self.model.body_mocapid[i] >= 0:
                 width = 3 if what == "mocap_pos" else 4
                 first = width * int(self.model.body_mocapid[i])
-                row = self._elements(f"data {what}", first, width, _FIELDS[what])
-            case "input", "actuator", "ctrl":
-                (low, high), ctrl = self._limits(i), self._elements("data ctrl", i, 1, "")
-                row = replace(ctrl, minimum=(low,), maximum=(high,))
+                row = self._elements(f"data {what}", first, width, units(self.model, what))
+            case _, "actuator", _:
+                row = self._actuator(causality, i, what)
             case "parameter", "body", "mass":
                 mass = _values(f"body_mass {i}", [self.model.body_mass[i]], "kg")
                 row = replace(mass, minimum=(1e-12,))
@@ -227,6 +227,21 @@ class Sources:
                 row = self._elements(field, width * i, width, unit)
         return row
 
+    def _actuator(self, causality: Causality, i: int, what: str) -> Variable | None:
+        match causality, what:
+            case "input", "ctrl":
+                low, high = self._limits(i)
+                ctrl = self._elements("data ctrl", i, 1, units(self.model, "ctrl")[i])
+                return replace(ctrl, minimum=(low,), maximum=(high,))
+            case "output", "force":
+                unit = units(self.model, "actuator_force")[i]
+                return self._elements("held actuator_force", i, 1, unit)
+            case "parameter", "gain":
+                return self._elements("model actuator_gainprm", mujoco.mjNGAIN * i, 1, "")
+            case "parameter", "bias":  # constant, by length and by velocity
+                return self._elements("model actuator_biasprm", mujoco.mjNBIAS * i, 3, "")
+        return None
+
     def _elements(self, source: str, first: int, count: int, units: str | Units) -> Variable:
         """Elements of a field, whose name is the last word of the source."""
         holder = self.model if source.startswith("model") else self.data
@@ -236,9 +251,9 @@ class Sources:
     def _joint(self, i: int, source: str) -> Variable:
         field, kind = source.rsplit(maxsplit=1)[-1], int(self.model.jnt_type[i])
         addresses = self.model.jnt_qposadr if field == "qpos" else self.model.jnt_dofadr
-        first, count = int(addresses[i]), len((_QPOS if field == "qpos" else _DOF)[kind])
-        units = self._units(field)
-        return self._elements(source, first, count, units and units[first : first + count])
+        first, count = int(addresses[i]), len((QPOS if field == "qpos" else DOF)[kind])
+        whole = units(self.model, field)
+        return self._elements(source, first, count, whole and whole[first : first + count])
 
     def _free(self, body: int, what: str, flags: Sequence[str]) -> Variable:
         model, joint = self.model, int(self.model.body_jntadr[body])
@@ -264,14 +279,15 @@ class Sources:
         kind: str = mujoco.mjtSensor(int(model.sensor_type[i])).name[7:].lower()
         unit = _SENSORS.get(kind, "")
         if kind in ("jointpos", "jointvel"):  # of a hinge or a slide
-            unit = _DOF[int(model.jnt_type[model.sensor_objid[i]])][0] + "/s" * (kind == "jointvel")
+            unit = DOF[int(model.jnt_type[model.sensor_objid[i]])][0] + "/s" * (kind == "jointvel")
         source, first = f"{'held' if late else 'data'} sensordata", int(model.sensor_adr[i])
         return self._elements(source, first, int(model.sensor_dim[i]), unit)
 
     def _jacobian(self, kind: str, i: int, joints: Sequence[str]) -> Variable:
         dofs = self._dofs(joints)
-        linear = ["m/rad" if self._dof[dof] == "rad" else "1" for dof in dofs]
-        angular = ["1" if self._dof[dof] == "rad" else "rad/m" for dof in dofs]
+        by_dof = [unit for kind in self.model.jnt_type for unit in DOF[int(kind)]]
+        linear = ["m/rad" if by_dof[dof] == "rad" else "1" for dof in dofs]
+        angular = ["1" if by_dof[dof] == "rad" else "rad/m" for dof in dofs]
         units = (*linear * 3, *angular * 3)
         return _matrix(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
 
@@ -282,7 +298,7 @@ class Sources:
         dofs: list[int] = []
         for i in self._ids("joint", joints):
             first = int(self.model.jnt_dofadr[i])
-            dofs += range(first, first + len(_DOF[int(self.model.jnt_type[i])]))
+            dofs += range(first, first + len(DOF[int(self.model.jnt_type[i])]))
         return dofs
 
     def _limits(self, actuator: int) -> tuple[float, float]:

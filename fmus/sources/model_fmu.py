@@ -36,6 +36,8 @@ from .mjcf_sources import Sources
 
 Warn = Callable[[str], object]
 MODEL_SUFFIX: Final = ".mjb"
+STEPS: Final = 1000  # of a model's default experiment
+LONGEST_STEP: Final = 1.0  # [s]
 LAW: Final = """\
 The MuJoCo model that is packed in resources/, stepped at its own time step.
 
@@ -54,13 +56,20 @@ class ModelOptions:
     outputs: Sequence[str] = ()  # sources of further outputs
     parameters: Sequence[str] = ()  # sources of further parameters
     interface: Path | None = None  # TOML file with the interface, instead of the default one
+    step: float = 0.0  # [s]; 0: the model's own
 
 
 def model_fmu(
     path: Path, options: ModelOptions, name: str = "", warn: Warn | None = None
 ) -> NativeFmu:
     """Describe the FMU of a model."""
-    return _fmu(load(path, warn), options, name or path.stem)
+    if not 0.0 <= options.step <= LONGEST_STEP:
+        raise InputError(
+            f"--step {options.step:g} s; must be above 0, and at most {LONGEST_STEP:g}"
+        )
+    model = load(path, warn)
+    model.opt.timestep = options.step or model.opt.timestep
+    return _fmu(model, options, name or path.stem)
 
 
 def model_part(path: Path) -> NativeFmu:
@@ -104,8 +113,9 @@ def _described(model: Any, options: ModelOptions, stem: str) -> Description:
 
 
 def mujoco_fmu(
-    interface: Interface, models: Mapping[str, Any], law: str, keyframe: str = ""
-) -> NativeFmu:
+    interface: Interface, models: Mapping[str, Any], law: str, keyframe: str = "",
+    stop_time: float = 0.0,
+) -> NativeFmu:  # fmt: skip
     """Describe an FMU that steps a MuJoCo model."""
     for name, model in models.items():
         if model.nplugin:
@@ -117,7 +127,8 @@ def mujoco_fmu(
     options += [("key", str(key))] if key >= 0 else []
     files = {f"{name}{MODEL_SUFFIX}": _saved(model) for name, model in models.items()}
     resolved = replace(interface, variables=variables)
-    return NativeFmu(resolved, "mujoco", law, files, tuple(options), step_size=step)
+    return NativeFmu(resolved, "mujoco", law, files, tuple(options), step_size=step,
+                     stop_time=stop_time or STEPS * step)  # fmt: skip
 
 
 def _saved(model: Any) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from ...assets import SCENES
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
-from ..build.description import Layout
+from ..build.description import STOP_TIME, Layout
 from ..build.libraries import code_digest, digest, own_licences, this_platform
+from ..inside.base import TICK
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.sensors import SENSORS
@@ -84,7 +85,9 @@ def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> 
 
 def _own(name: str, target: Target, commands: bytes = b"") -> Path:
     def make() -> bytes:
-        return target.make(own_fmu(name, in_python=target.in_python(name), commands=commands))
+        fmu = own_fmu(name, in_python=target.in_python(name), commands=commands)
+        rows = len(commands) // (8 * sum(v.size for v in TRAJECTORY.of("output")))
+        return target.make(replace(fmu, stop_time=(rows - 1) * TICK) if rows > 1 else fmu)
 
     return cached(_own_place(name, target, commands), make)
 
@@ -153,7 +156,7 @@ def own_fmu(
         from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above
 
         models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
-        return mujoco_fmu(PLANT, models, "", "home")
+        return mujoco_fmu(PLANT, models, "", "home", STOP_TIME)
     from ..build.native import NativeFmu  # noqa: PLC0415 - see above
 
     if name == "controller":

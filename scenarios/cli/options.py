@@ -22,6 +22,7 @@ from .console import tell, warn
 
 DEFAULT_SCENARIO = "pick_and_place"
 FmiVersion = Literal["2", "3"]
+Names = Literal["structured", "flat"]
 Meshes = Literal["never", "auto", "always"]
 
 
@@ -73,14 +74,26 @@ PLATFORM = option(
 )
 
 
-def target_of(kind: Kind = "native", fmi: str = "2", platforms: str = "") -> Target:
+SCALARS = option(
+    "--scalars", "FMI 3.0 without arrays, for importers that read only scalars.", False
+)
+NAMES = option("--names", "Names of elements: q[1,2], or q_1_2 for tools without brackets.",
+               "structured")  # fmt: skip
+
+
+def target_of(
+    kind: Kind = "native", fmi: str = "2", platforms: str = "", *, scalars: bool = False,
+    names: Names = "structured",
+) -> Target:  # fmt: skip
     """Return what FMUs are built for."""
-    names = tuple(name.strip() for name in platforms.split(",")) if platforms.strip() else ()
-    for name in names:
+    if scalars and fmi == "2":
+        raise InputError("--scalars: needs --fmi 3; FMI 2.0 has no arrays")
+    keys = tuple(name.strip() for name in platforms.split(",")) if platforms.strip() else ()
+    for name in keys:
         if name not in PLATFORMS:
             valid = ", ".join(PLATFORMS)
             raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
-    return Target(kind, int(fmi), names)
+    return Target(kind, int(fmi), keys, scalars, names == "flat")
 
 
 def find_scenario(name: str) -> Scenario:

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import typer
 
 from ....fmus.errors import InputError
 from ...check.check import check_folder
+from ...check.experiments import check_experiments
 from ...run.options import TOP, split_settings
 from ...scenario.scenario import Scenario
 from ...system.assembly import instances
 from ..console import show, show_json
 from ..options import JSON, SETTINGS, argument, overrides
+from ..outcome import NOT_A_SUCCESS
 
 STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
 
 
 def command(
-    folder: Path = argument("FOLDER", "Folder of a scenario."),
+    folder: Path = argument("FOLDER", "Folder of a scenario, or an .fmu file."),
     assignments: list[str] | None = SETTINGS,
     json: bool = JSON,
 ) -> None:
@@ -33,11 +36,21 @@ def command(
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
     criterion could not be measured.
 
+    Of an .fmu, the reference experiments are run that are in it (FMI-LS-REF; `build` and `mjcf2fmu`
+    put one in), and the largest difference is printed. Exit code 3: it is beyond the tolerance.
+    Exit code 2: nothing could be compared.
+
     ```
     panda-cosim check my-scenarios/lift
     panda-cosim check my-scenarios/lift --set plant.block_mass=2 --set mismatch.preset=worn
+    panda-cosim check Feedthrough.fmu
     ```
     """
+    if folder.suffix == ".fmu":
+        if assignments:
+            raise InputError("--set: not with an .fmu, whose experiments have their own values")
+        _check_fmu(folder, as_json=json)
+        return
     settings, parameters = split_settings(assignments or ())
     names: tuple[str, ...] = ()
     with suppress(InputError):  # a scenario that cannot be read: the check explains why
@@ -51,3 +64,19 @@ def command(
             show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
     if wrong:
         raise typer.Exit(InputError.exit_code)
+
+
+def _check_fmu(path: Path, *, as_json: bool) -> None:
+    """Run the experiments in an FMU, and print how far it is from their references."""
+    outcomes = check_experiments(path)
+    if as_json:
+        found = [{**asdict(each), "ok": each.ok} for each in outcomes]
+        show_json({"fmu": path, "ok": all(each.ok for each in outcomes), "experiments": found})
+    for each in () if as_json else outcomes:
+        level = "good" if each.ok else "wrong"
+        show(f"{level:<6} {each}", STYLES[level])
+    if not all(each.values for each in outcomes) or not outcomes:
+        what = "an experiment has no references at its instants" if outcomes else "no experiments"
+        raise InputError(f"{path}: {what}, so that nothing was compared")
+    if not all(each.ok for each in outcomes):
+        raise typer.Exit(NOT_A_SUCCESS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import typer
@@ -11,14 +12,32 @@ from ....fmus.errors import InputError
 from ....fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from ....fmus.sources.targets import build_fmu
 from ..console import show_file, warn
-from ..options import FMI, OVERWRITE, PLATFORM, FmiVersion, argument, option, target_of
+from ..options import (
+    FMI,
+    NAMES,
+    OVERWRITE,
+    PLATFORM,
+    SCALARS,
+    FmiVersion,
+    Names,
+    argument,
+    option,
+    target_of,
+)
+from .build import put_reference
 
 
 def command(  # noqa: PLR0913 - one for each option
-    model: Path = argument("MODEL.xml", "MJCF, MJB or URDF file."),
-    out: Path | None = option("--out -o NAME.fmu", "File to write. Default: MODEL.fmu."),
+    models: list[Path] = argument("MODEL.xml...", "MJCF, MJB or URDF files."),
+    out: Path | None = option(
+        "--out -o PATH",
+        "File NAME.fmu to write, or a folder. Default: MODEL.fmu in this folder.",
+    ),
     fmi: FmiVersion = FMI,
     platform: str = PLATFORM,
+    scalars: bool = SCALARS,
+    names: Names = NAMES,
+    step: float = option("--step SECONDS", "Internal step. Default: the model's own.", 0.0),
     key: str = option("--key NAME", "Keyframe to start from. Default: qpos0.", ""),
     inputs: list[str] | None = option(
         "--input SOURCE", 'Further input, such as "body hand force"; may be repeated.'
@@ -51,23 +70,41 @@ def command(  # noqa: PLR0913 - one for each option
       xpos | xmat | jacobian; joint NAME qpos | qvel; actuator NAME force; sensor NAME;
       mass_matrix [JOINT ...]; contact_bodies BODY BODY ...; any field of mjData, such as qacc
     - parameter: body NAME mass | added_mass | free_xy | free_yaw; geom NAME friction; joint NAME
-      qpos | qvel | damping | armature | frictionloss; qpos; qvel; gravity; wind
+      qpos | qvel | damping | armature | frictionloss; actuator NAME gain | bias; equality NAME
+      solref | solimp | data; qpos; qvel; gravity; wind; keyframe
 
     ```
     panda-cosim mjcf2fmu humanoid.xml --output "body torso xpos" --parameter "body torso mass"
     panda-cosim mjcf2fmu humanoid.xml --print-interface > humanoid.toml
     panda-cosim mjcf2fmu humanoid.xml --interface humanoid.toml --fmi 3 --out Humanoid.fmu
+    panda-cosim mjcf2fmu humanoid.xml ant.xml --step 0.001 --names flat
     ```
     """
-    options = ModelOptions(
-        key, tuple(inputs or ()), tuple(outputs or ()), tuple(parameters or ()), interface
-    )
+    given = (tuple(inputs or ()), tuple(outputs or ()), tuple(parameters or ()))
+    options = ModelOptions(key, *given, interface, step)
     if print_interface:
-        typer.echo(describe(model, options, warn), nl=False)
+        for model in models:
+            typer.echo(describe(model, options, warn), nl=False)
         return
-    path = out if out is not None else Path(f"{model.stem}.fmu")
-    if path.suffix != ".fmu":
-        raise InputError(f"--out {path}: must end in .fmu")
-    check_replaceable(path, overwrite=overwrite)
-    fmu = model_fmu(model, options, path.stem, warn)
-    show_file(build_fmu(fmu, path, target_of("native", fmi, platform)))
+    target = target_of("native", fmi, platform, scalars=scalars, names=names)
+    paths = _paths(models, out)
+    check_replaceable(*paths.values(), overwrite=overwrite)
+    fmus = {path: model_fmu(model, options, path.stem, warn) for model, path in paths.items()}
+    for path, fmu in fmus.items():
+        build_fmu(fmu, path, target)
+        put_reference(path)
+        show_file(path)
+
+
+def _paths(models: Sequence[Path], out: Path | None) -> dict[Path, Path]:
+    """Where the FMU of each model is written."""
+    if len(models) == 1 and out is not None and not out.is_dir():
+        if out.suffix != ".fmu":
+            raise InputError(f"--out {out}: must end in .fmu, or be a folder")
+        return {models[0]: out}
+    paths = {model: (out or Path()) / f"{model.stem}.fmu" for model in models}
+    if len(set(paths.values())) < len(models) or (out is not None and not out.is_dir()):
+        raise InputError(
+            f"{len(models)} models: --out must be a folder, and their file names must differ"
+        )
+    return paths

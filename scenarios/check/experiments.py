@@ -1,0 +1,366 @@
+"""Reference experiments inside FMUs: written into those that we build, and run by `check`.
+
+The format is FMI-LS-REF 1.0.0-beta.1, with experiments as MA-HS-Experiments describes them. Both
+still move, so that nothing else knows them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import unquote
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.atomic import replacing
+from ...fmus.build.description import flat_name, literal
+from ...fmus.build.native import add_members
+from ...fmus.errors import InputError
+from ...fmus.interface.variables import Scalar, Value
+from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
+from ...fmus.master.system import System, open_system
+from ...fmus.reading import finite_number, open_regular, read_xml
+from ..run.options import Options
+from ..run.prepare import prepare
+from ..scenario.scenario import Scenario
+from .rehearsal import rehearse
+
+Array = NDArray[np.float64]
+Series = dict[str, Array]  # scalar variables over time (n,), after "time" [s]; linear in between
+
+FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST: Final = "fmi-ls-manifest.xml"
+_FMI_LS: Final = "http://fmi-standard.org/fmi-ls-manifest"
+_SSV: Final = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+ET.register_namespace("fmi-ls", _FMI_LS)
+ET.register_namespace("ssv", _SSV)
+_KEYS: Final = {"startTime": "start", "stopTime": "stop", "stepSize": "step",
+                "tolerance": "tolerance"}  # fmt: skip
+TOLERANCE: Final = 1e-6  # of an experiment that names none, relative to values above 1
+# Of what is written: more values of a stimulus are thinned; rows of references.
+MOST_CELLS, MOST_REFERENCES = 60_000, 200
+MOST_COMPARED: Final = 10  # outputs, as the cross-check rules recommend
+_ON_TICK: Final = 1e-6  # of a step, by which a reference may be off an instant
+_IT: Final = "fmu"  # the instance
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What an FMU is driven with, and what it should answer."""
+
+    name: str
+    start: float  # [s]
+    stop: float
+    step: float
+    tolerance: float = TOLERANCE
+    description: str = "All inputs keep their start values"
+    parameters: Mapping[str, Value] = field(default_factory=dict)  # by scalar variable
+    stimuli: Series = field(default_factory=dict)
+    references: Series = field(default_factory=dict)
+
+    @property
+    def times(self) -> Array:
+        """Instants of the communication [s]."""
+        ticks: Array = np.arange(round((self.stop - self.start) / self.step) + 1.0)
+        return self.start + self.step * ticks
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How far an FMU is from the references of an experiment."""
+
+    experiment: str
+    tolerance: float
+    values: int = 0  # that were compared
+    largest_difference: float = math.nan  # relative to reference values above 1
+    variable: str = ""
+    time: float = math.nan  # [s]
+
+    @property
+    def ok(self) -> bool:
+        """Whether something was compared, and all of it is within the tolerance."""
+        return self.largest_difference <= self.tolerance
+
+    def __str__(self) -> str:
+        if not self.values:
+            return f"{self.experiment}: nothing could be compared"
+        largest = f"{self.largest_difference:.3g} ({self.variable} at t = {self.time:g} s)"
+        return (
+            f"{self.experiment}: {self.values} values, largest difference {largest}, tolerance "
+            f"{self.tolerance:g}"
+        )
+
+
+# Run.
+
+
+def check_experiments(path: Path) -> list[Outcome]:
+    """Run the experiments that are in an FMU; none if there are none."""
+    fmu = read_fmu(path)
+    return [_outcome(fmu, experiment) for experiment in _experiments(fmu)]
+
+
+def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
+    times, *expected = experiment.references.values() or [np.zeros(0)]
+    ticks = (times - experiment.start) / experiment.step
+    is_tick = (np.abs(ticks - np.rint(ticks)) <= _ON_TICK) & (ticks < len(experiment.times) - 0.5)
+    if not is_tick.any() or not expected:
+        return Outcome(experiment.name, experiment.tolerance)
+    names = list(experiment.references)[1:]
+    answers = _simulate(fmu, experiment, names)[np.rint(ticks[is_tick]).astype(int)]
+    references = np.stack(expected, axis=1)[is_tick]
+    errors = np.abs(answers - references) / np.maximum(np.abs(references), 1.0)
+    row, column = divmod(int(errors.argmax()), errors.shape[1])
+    return Outcome(experiment.name, experiment.tolerance, errors.size, float(errors[row, column]),
+                   names[column], float(times[is_tick][row]))  # fmt: skip
+
+
+def _simulate(fmu: Fmu, experiment: Experiment, outputs: list[str]) -> Array:
+    """Values of outputs at all instants (n, len(outputs))."""
+    times, names = experiment.times, list(experiment.stimuli)[1:]
+    external = np.zeros((len(times), len(names)))
+    for i, name in enumerate(names):
+        external[:, i] = np.interp(times, experiment.stimuli["time"], experiment.stimuli[name])
+    starts = dict(zip(names, external[0].tolist(), strict=True)) | dict(experiment.parameters)
+    system = System({_IT: fmu.path}, (), [(_IT, n) for n in names], {_IT: outputs})
+    rows: list[Array] = []
+    with open_system(system, {_IT: starts}, stop=experiment.stop, start=experiment.start,
+                     step_size=experiment.step) as opened:  # fmt: skip
+        opened.master.run(len(times) - 1, external, lambda block: rows.append(block.copy()))
+        columns = [1 + opened.master.columns.index((_IT, name)) for name in outputs]
+    return np.concatenate(rows)[:, columns]
+
+
+# Read.
+
+
+def _experiments(fmu: Fmu) -> list[Experiment]:
+    """Experiments of an FMU; if it only has results, these are of its default experiment."""
+    manifest = fmu.folder / FOLDER / MANIFEST
+    found: dict[str, list[Experiment]] = {"experiment": [], "result": []}
+    for related in read_xml(manifest, str(manifest)).iter("Related") if manifest.is_file() else ():
+        role, source = related.get("role", "").partition("/")[0], related.get("source", "")
+        if role == "experiment":
+            found[role] += _listed(fmu, _member(fmu, manifest.parent, source))
+        elif role == "result" and source.endswith(".csv"):
+            references = _series(fmu, _member(fmu, manifest.parent, source))
+            found[role].append(_experiment(fmu, source, {}, references=references))
+    return found["experiment"] or found["result"]
+
+
+def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
+    for element in read_xml(file, str(file)).iter("Experiment"):
+        parts = {part.tag: part.get("source", "") for part in element if part.get("source")}
+        files = {tag: _member(fmu, file.parent, source) for tag, source in parts.items()}
+        series = {n: _series(fmu, files[n]) for n in ("Stimuli", "References") if n in files}
+        settings = {**element.attrib}
+        for transient in element.iter("TransientSimulation"):  # where the newest draft has them
+            settings |= transient.attrib
+        values = _parameters(fmu, files["Parameters"]) if "Parameters" in files else {}
+        yield replace(
+            _experiment(fmu, element.get("name", ""), settings, series.get("References", {})),
+            parameters=values, stimuli=series.get("Stimuli", {}),
+        )  # fmt: skip
+
+
+def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Series) -> Experiment:
+    """Return an experiment; what it does not set, the FMU's default experiment does."""
+    default, times = fmu.description.defaultExperiment, references.get("time", np.array([0.0, 1.0]))
+    spacing = float(np.diff(times).min()) if len(times) > 1 else 0.001
+    numbers = []
+    for key, otherwise in zip(_KEYS, (0.0, float(times[-1]), spacing), strict=False):
+        text = settings.get(key) or getattr(default, key, None) or str(otherwise)
+        number = finite_number(text)
+        if number is None or (key == "stepSize" and number <= 0.0):
+            raise InputError(f"{fmu.label}: experiment {name!r}: {key} {text!r}; must be a number")
+        numbers.append(number)
+    tolerance = finite_number(settings.get("tolerance", "")) or TOLERANCE
+    start, stop, step = numbers
+    return Experiment(name, start, stop, step, tolerance, references=references)
+
+
+def _member(fmu: Fmu, folder: Path, source: str) -> Path:
+    """Path of a file that is named relative to a folder of the FMU, and must be inside the FMU."""
+    path = (folder / unquote(source)).resolve()
+    if not path.is_relative_to(fmu.folder.resolve()) or not path.is_file():
+        raise InputError(f"{fmu.label}: source {source!r}; must be a file inside the FMU")
+    return path
+
+
+def _series(fmu: Fmu, file: Path) -> Series:
+    """Read a CSV; a cell of an array has all its elements. Texts are left out."""
+    arrays: dict[str, list[Scalar]] = {}  # by the FMU's own names
+    for scalar in fmu.variables.values():
+        arrays.setdefault(scalar.variable.name, []).append(scalar)
+    with open_regular(file) as raw:
+        head, *rows = csv.reader(io.TextIOWrapper(raw, "utf-8-sig"))
+    columns = {i: arrays.get(name) or [fmu.variable(name)] for i, name in enumerate(head[1:], 1)}
+    columns = {i: each for i, each in columns.items() if each[0].variable.kind not in TEXTS}
+    names = ["time", *(s.name for each in columns.values() for s in each)]
+    try:
+        cells = [[row[0], *(cell for i in columns for cell in row[i].split())] for row in rows]
+        switches = {"true": "1", "false": "0"}
+        values = np.array([[switches.get(cell, cell) for cell in row] for row in cells], float)
+        return dict(zip(names, values.reshape(len(rows), len(names)).T, strict=True))
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            f"{fmu.label}: {file.name}: must have a number for each variable in each row"
+        ) from error
+
+
+def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
+    """Read a parameter set (SSV)."""
+    values = {}
+    for parameter in read_xml(file, str(file)).iter(f"{{{_SSV}}}Parameter"):
+        scalar = fmu.variable(parameter.get("name", ""))
+        text = parameter[0].get("value", "") if len(parameter) else ""
+        place = f"{fmu.label}: {file.name}: {scalar.name} ="
+        values[scalar.name] = read_value(place, scalar.variable, text)
+    return values
+
+
+# Write.
+
+
+def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
+    """Run a scenario in memory; by instance, what drives each FMU as it was driven there."""
+    prepared = prepare(scenario, Options())
+    recording, assembly = rehearse(prepared).recording, prepared.assembly
+    feeding = {c.target: ".".join(c.source) for c in assembly.connections}
+    experiments = {}
+    for instance, interface in assembly.interfaces.items():
+        names = [name for variable in interface.of("input") for name in variable.names()]
+        sources = {n: feeding.get((instance, n), f"{instance}.{n}") for n in names}
+        driven = {name: source for name, source in sources.items() if source in recording}
+        columns = recording.read(list(dict.fromkeys(driven.values())))
+        stimuli = {"time": recording.time, **{n: columns[source] for n, source in driven.items()}}
+        every = math.ceil(recording.rows * len(driven) / MOST_CELLS) or 1
+        rows = np.unique([*range(0, recording.rows, every), recording.rows - 1])
+        starts = {s.name: s.start for s in interface.scalars()}
+        values = prepared.values.get(instance, {})
+        experiments[instance] = Experiment(
+            scenario.name, recording.time[0], recording.time[-1], scenario.step,
+            description=f"{interface.model} as driven in the scenario {scenario.name}",
+            parameters={name: value for name, value in values.items() if value != starts[name]},
+            stimuli={name: column[rows] for name, column in stimuli.items()} if driven else {},
+        )  # fmt: skip
+    return experiments
+
+
+def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
+    """Put an experiment into an FMU's file, with what the FMU answers now as references.
+
+    Without one, it is the FMU's default experiment.
+    """
+    fmu = read_fmu(path)
+    driven = experiment or _experiment(fmu, "default", {}, {})
+    driven = replace(driven, parameters=_own_names(fmu, driven.parameters),
+                     stimuli=_own_names(fmu, driven.stimuli))  # fmt: skip
+    outputs = [s for s in fmu.variables.values() if s.variable.causality == "output"]
+    names = [scalar.name for scalar in outputs if scalar.variable.kind not in TEXTS]
+    every = math.ceil(len(driven.times) / MOST_REFERENCES)
+    answers = zip(names, _simulate(fmu, driven, names)[::every].T, strict=True)
+    whole = replace(driven, references={"time": driven.times[::every], **dict(answers)})
+    files = {f"{FOLDER}/{name}": content for name, content in _files(fmu, whole).items()}
+    with replacing(path) as partial:
+        partial.write_bytes(path.read_bytes())
+        with partial.open("r+b") as file:
+            add_members(file, files)
+    return whole
+
+
+def _own_names(fmu: Fmu, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by the names of an FMU that may have been built with flat ones."""
+    known = {"time", *fmu.variables}
+    return {name if name in known else flat_name(name): v for name, v in values.items()}
+
+
+def _settings(experiment: Experiment) -> dict[str, str]:
+    return {key: literal(getattr(experiment, name)) for key, name in _KEYS.items()}
+
+
+def _files(fmu: Fmu, experiment: Experiment) -> dict[str, bytes]:
+    """Manifest, experiment, parameters and CSV files, by name."""
+    name, words = experiment.name, experiment.description
+    files = {"references.csv": csv_text(fmu, experiment.references)}
+    if experiment.stimuli:
+        files["stimuli.csv"] = csv_text(fmu, experiment.stimuli)
+    if experiment.parameters:
+        files["parameters.ssv"] = _parameter_set(fmu, experiment)
+    root = ET.Element("Experiments", name=name)
+    element = ET.SubElement(
+        root, "Experiment", {"name": name, "description": words, **_settings(experiment)}
+    )
+    for file in sorted(files, key=["parameters.ssv", "stimuli.csv", "references.csv"].index):
+        ET.SubElement(element, file.partition(".")[0].capitalize(), source=file)
+    about = {"name": "org.fmi-standard.fmi-ls-ref", "version": "1.0.0-beta.1",
+             "description": "Related files of this FMU"}  # fmt: skip
+    manifest = ET.Element(
+        "fmiReferences", {f"{{{_FMI_LS}}}fmi-ls-{key}": text for key, text in about.items()}
+    )
+    related = {"type": "application/x-ma-hs-experiments", "source": "reference.exp",
+               "role": "experiment/smoke-test", "description": words}  # fmt: skip
+    ET.SubElement(manifest, "Related", related)
+    return files | {"reference.exp": _xml(root), MANIFEST: _xml(manifest)}
+
+
+def _parameter_set(fmu: Fmu, experiment: Experiment) -> bytes:
+    root = ET.Element(f"{{{_SSV}}}ParameterSet", version="1.0", name=experiment.name)
+    parameters = ET.SubElement(root, f"{{{_SSV}}}Parameters")
+    for name, value in experiment.parameters.items():
+        scalar = fmu.variable(name)
+        kind, number = str(scalar.variable.kind), scalar.converted(value)
+        tag = "Integer" if kind == "Enumeration" else kind
+        parameter = ET.SubElement(parameters, f"{{{_SSV}}}Parameter", name=name)
+        text = str(number) if tag == "Integer" else literal(number)
+        ET.SubElement(parameter, f"{{{_SSV}}}{tag}", value=text)
+    return _xml(root)
+
+
+def _xml(root: ET.Element) -> bytes:
+    ET.indent(root)
+    text: bytes = ET.tostring(root, "UTF-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def csv_text(fmu: Fmu, series: Series) -> bytes:
+    """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
+    columns: dict[str, list[list[float]]] = {"time": [series["time"].tolist()]}
+    for name, values in list(series.items())[1:]:
+        columns.setdefault(fmu.variables[name].variable.name, []).append(values.tolist())
+    lines = [",".join(f'"{name}"' for name in columns)]
+    for row in zip(*(zip(*each, strict=True) for each in columns.values()), strict=True):
+        lines.append(",".join(" ".join(map(repr, cell)) for cell in row))
+    return ("\n".join(lines) + "\n").encode()
+
+
+def write_compatibility(path: Path, experiment: Experiment) -> None:
+    """Write a folder with an FMU and the files that the FMI cross-check rules ask for."""
+    fmu, folder, name = read_fmu(path), path.with_suffix(""), path.stem
+    compared = dict(list(experiment.references.items())[: 1 + MOST_COMPARED])
+    settings = _settings(experiment)
+    settings["relTol"] = settings.pop("tolerance")
+    options = "".join(f"{key[0].upper()}{key[1:]}, {text}\n" for key, text in settings.items())
+    lines = (
+        f"{name}.fmu: {fmu.description.description}.", f"{experiment.description}.",
+        f"{name}_in.csv: inputs, linear in between. {name}_ref.csv: the first outputs at some of",
+        f"the instants, with the options of {name}_ref.opt, by {fmu.description.generationTool}.",
+    )  # fmt: skip
+    files = {
+        f"{name}.fmu": path.read_bytes(),
+        f"{name}_ref.csv": csv_text(fmu, compared),
+        f"{name}_ref.opt": options.encode(),
+        "ReadMe.txt": "\n".join((*lines, "")).encode(),
+    }
+    if experiment.stimuli:
+        files[f"{name}_in.csv"] = csv_text(fmu, experiment.stimuli)
+    for member, content in files.items():
+        with replacing(folder / member) as partial:
+            partial.write_bytes(content)
