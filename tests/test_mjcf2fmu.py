@@ -211,3 +211,66 @@ def test_a_damaged_compiled_model_is_refused_in_a_line(
         describe(path, ModelOptions())
     assert "\n" not in str(refused.value)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+@pytest.mark.fmu
+@pytest.mark.own_process
+def test_elements_are_named_after_joints_and_actuators(box: Path, tmp_path: Path) -> None:
+    file = write(box, tmp_path / "box.fmu", ModelOptions(step=0.0005))
+    variables = {v.name: v for v in Fmu(file).description.modelVariables}
+    assert variables["qpos[3]"].description == "Position z of joint free"
+    assert variables["qpos[8]"].description == "Angle of joint turn"
+    assert variables["qvel[4]"].description == "Velocity about x of joint free"
+    assert variables["ctrl"].description == "Control of actuator turn"
+    assert variables["ctrl"].unit == variables["actuator_force"].unit == "N.m"
+    experiment = Fmu(file).description.defaultExperiment
+    assert (float(experiment.stepSize), float(experiment.stopTime)) == (0.0005, 0.5)
+    with pytest.raises(InputError, match=r"--step 2 s; must be above 0, and at most 1"):
+        model_fmu(box, ModelOptions(step=2.0))
+
+
+ACTUATORS = """<mujoco><worldbody><body><joint name="h" type="hinge"/><geom size="1" mass="1"/>
+<body><joint name="s" type="slide"/><geom size="1" mass="1"/></body></body></worldbody><actuator>
+<motor joint="h"/><motor joint="s"/><position joint="h" kp="9" kv="1"/><position joint="s" kp="9"/>
+<velocity joint="h" kv="2"/><velocity joint="s" kv="2"/><general joint="h" gainprm="3"/>
+<intvelocity joint="h" kp="5" actrange="0 1"/></actuator></mujoco>"""
+
+
+def test_units_of_actuators_follow_their_joints(tmp_path: Path) -> None:
+    model = tmp_path / "arm.xml"
+    model.write_text(ACTUATORS)
+    units = {s.name: s.unit for s in model_fmu(model, ModelOptions()).interface.scalars()}
+    controls = ["N.m", "N", "rad", "m", "rad/s", "m/s", "", ""]
+    assert [units[f"ctrl[{i}]"] for i in range(1, 9)] == controls
+    forces = [units[f"actuator_force[{i}]"] for i in range(1, 9)]
+    assert forces == ["N.m", "N", "N.m", "N", "N.m", "N", "N.m", "N.m"]
+
+
+@pytest.mark.fmu
+@pytest.mark.own_process
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_keyframe_and_gains_are_parameters(box: Path, tmp_path: Path, fmi: int) -> None:
+    fmu = model_fmu(box, ModelOptions(parameters=["actuator turn gain"]), "Other")
+    place = with_content(fmu, tmp_path / "fmu", fmi)
+    it = Instance(place).start({"keyframe": [2], "turn_gain": [3.0], "ctrl": [0.5]})
+    assert it.get("qpos")[7] == it.get("angle")[0] == 0.5
+    assert it.step(0.0, 0.002) == 0
+    assert it.get("actuator_force") == [1.5]
+    assert Instance(place).start({"keyframe": [1]}).get("qpos")[7] == 0.0
+    other = Instance(place)
+    assert other.set("keyframe", 3) == 3
+    assert "out of range" in other.messages()
+
+
+def test_a_weld_is_as_soft_as_its_parameter(tmp_path: Path) -> None:
+    model = tmp_path / "pair.xml"
+    body = '<body name="{0}" pos="0 0 {1}"><freejoint/><geom size=".1" mass="1"/></body>'
+    model.write_text(
+        f"<mujoco><worldbody>{body.format('a', 1)}{body.format('b', 2)}</worldbody><equality>"
+        '<connect name="hold" body1="a" body2="b" anchor="0 0 0"/></equality></mujoco>'
+    )
+    options = ModelOptions(parameters=["equality hold solref", "equality hold solimp"])
+    starts = {s.name: s.start for s in model_fmu(model, options).interface.scalars()}
+    compiled = mujoco.MjModel.from_xml_path(str(model))
+    assert [starts[f"hold_solref[{i}]"] for i in (1, 2)] == compiled.eq_solref[0].tolist()
+    assert [starts[f"hold_solimp[{i}]"] for i in range(1, 6)] == compiled.eq_solimp[0].tolist()

@@ -172,10 +172,11 @@ def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
 
 def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Series) -> Experiment:
     """Return an experiment; what it does not set, the FMU's default experiment does."""
-    default, times = fmu.description.defaultExperiment, references.get("time", np.array([0.0, 1.0]))
+    default, times = fmu.description.defaultExperiment, references.get("time", np.zeros(0))
     spacing = float(np.diff(times).min()) if len(times) > 1 else 0.001
+    last = float(times[-1]) if len(times) else 1.0
     numbers = []
-    for key, otherwise in zip(_KEYS, (0.0, float(times[-1]), spacing), strict=False):
+    for key, otherwise in zip(_KEYS, (0.0, last, spacing), strict=False):
         text = settings.get(key) or getattr(default, key, None) or str(otherwise)
         number = finite_number(text)
         if number is None or (key == "stepSize" and number <= 0.0):

@@ -1,0 +1,186 @@
+"""Reference experiments in FMUs: what is written, and what `check` makes of those of others."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from forked import command
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.run.run import run_scenario
+
+pytestmark = pytest.mark.fmu
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+MJCF = Path(__file__).parent / "mjcf" / "box.xml"
+SHARED = Path(os.environ.get("REFERENCE_FMUS", "/nonexistent"))
+ROUNDING = 1e-9  # [1] of FMPy, which interpolates inputs in its own way
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("built")
+    done = command("build", "--scenario", "push", "--compatibility", "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("models")
+    shutil.copy(MJCF, folder / "other.xml")
+    done = command("mjcf2fmu", MJCF, folder / "other.xml", "--step", 0.0005, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "other.fmu").is_file()
+    return folder / "box.fmu"
+
+
+def table(path: Path, name: str) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(path) as archive:
+        text = archive.read(f"{FOLDER}/{name}").decode()
+    head, *rows = csv.reader(io.StringIO(text))
+    return dict(zip(head, np.array(rows, float).T, strict=True))
+
+
+def changed(path: Path, to: Path, **changes: Callable[[str], str] | str | None) -> Path:
+    """Copy an FMU with other members in its folder of experiments; None leaves one out."""
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(to, "w") as new:
+        for name in old.namelist():
+            change = changes.get(Path(name).stem.replace("-", "_"), str)
+            if not name.startswith(FOLDER) or callable(change):
+                text = old.read(name)
+                is_text = name.startswith(FOLDER) and change is not str
+                new.writestr(name, change(text.decode()) if is_text else text)  # type: ignore[operator]
+            elif change is not None:
+                new.writestr(name, change)
+    return to
+
+
+@pytest.mark.own_process
+def test_the_plants_references_are_the_run_and_what_fmpy_makes_of_the_stimulus(
+    built: Path, tmp_path: Path
+) -> None:
+    path = built / "PandaPlant.fmu"
+    assert validate_fmu(str(path)) == []
+    stimuli, references = table(path, "stimuli.csv"), table(path, "references.csv")
+    names = list(references)[1:]
+    recording = Recording.open(run_scenario("push", tmp_path / "run").recording.path)
+    rows = np.rint(references["time"] * 1000).astype(int)
+    recorded = recording.read([f"plant.{n}" for n in names if f"plant.{n}" in recording.units])
+    assert len(recorded) > 100
+    for name, values in recorded.items():
+        np.testing.assert_array_equal(values[rows], references[name.removeprefix("plant.")])
+    inputs = np.array(list(zip(*stimuli.values(), strict=True)),
+                      dtype=[(name, float) for name in stimuli])  # fmt: skip
+    alone = fmpy.simulate_fmu(str(path), stop_time=2.5, step_size=0.001, output_interval=0.001,
+                              input=inputs, output=names)  # fmt: skip
+    for name in names:
+        np.testing.assert_allclose(alone[name][rows], references[name], ROUNDING, ROUNDING)
+
+
+@pytest.mark.parametrize("name", ["PandaPlant", "PandaController", "PandaTrajectory"])
+def test_check_finds_the_references_and_a_change(built: Path, tmp_path: Path, name: str) -> None:
+    path = built / f"{name}.fmu"
+    done = command("check", path)
+    assert done.returncode == 0, done.stderr
+    assert "largest difference 0 " in done.stdout
+    last = list(table(path, "references.csv"))[-1]
+
+    def shift(text: str) -> str:  # the last value of the last row
+        lines = text.splitlines()
+        before, _, value = lines[-1].rpartition(",")
+        return "\n".join(
+            [*lines[:-1], f"{before},{float(value) + 0.25 * max(1, abs(float(value)))}"]
+        )
+
+    done = command("check", changed(path, tmp_path / "x.fmu", references=shift))
+    assert done.returncode == 3
+    end = table(path, "references.csv")["time"][-1]
+    assert f"({last} at t = {end:g} s)" in done.stdout
+    assert done.stdout.startswith("wrong ")
+
+
+def test_the_files_of_the_cross_check_are_written(built: Path) -> None:
+    folder = built / "PandaPlant"
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "PandaPlant.fmu", "PandaPlant_in.csv", "PandaPlant_ref.csv", "PandaPlant_ref.opt",
+        "ReadMe.txt",
+    ]  # fmt: skip
+    options = (folder / "PandaPlant_ref.opt").read_text().splitlines()
+    assert options == ["StartTime, 0.0", "StopTime, 2.5", "StepSize, 0.001", "RelTol, 1e-06"]
+    head = (folder / "PandaPlant_ref.csv").read_text().splitlines()[0]
+    assert head == ",".join(f'"{n}"' for n in ("time", *(f"qpos[{i}]" for i in range(1, 11))))
+    assert (folder / "PandaPlant_in.csv").stat().st_size < 1_000_000
+
+
+# An experiment of others: the box without gravity, which stays where it is.
+FALL = """<Experiments name="x"><Experiment name="{name}"{times} tolerance="1e-12">{transient}
+<Parameters source="p.ssv"/><References source="references.csv"/></Experiment></Experiments>"""
+SSV = """<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+version="1.0" name="p"><ssv:Parameters><ssv:Parameter name="gravity[3]"><ssv:Real value="0"/>
+</ssv:Parameter></ssv:Parameters></ssv:ParameterSet>"""
+TIMES = ' startTime="0" stopTime="0.1" stepSize="0.002"'
+
+
+def with_files(path: Path, to: Path, **files: str) -> Path:
+    changed(path, to, reference=files.pop("exp"), references=files.pop("csv"))
+    with zipfile.ZipFile(to, "a") as archive:
+        for name, text in files.items():
+            archive.writestr(f"{FOLDER}/{name}.ssv", text)
+    return to
+
+
+@pytest.mark.parametrize("is_new", [False, True])
+def test_experiments_of_others_are_run_with_their_parameters(
+    box: Path, tmp_path: Path, *, is_new: bool
+) -> None:
+    transient = f"<TransientSimulation{TIMES}/>" if is_new else ""
+    exp = FALL.format(name="floats", times="" if is_new else TIMES, transient=transient)
+    rows = "time,qpos[3],angle\n0,1,0\n0.1,1.0,0\n5,7,1\n"  # the last is after the end
+    path = with_files(box, tmp_path / "x.fmu", exp=exp, csv=rows, p=SSV)
+    done = command("check", path, "--json")
+    assert done.returncode == 0, done.stderr
+    (found,) = json.loads(done.stdout)["experiments"]
+    assert (found["experiment"], found["values"], found["largest_difference"]) == ("floats", 4, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [({"fmi_ls_manifest": None}, 2, "no experiments, so that nothing was compared"),
+     ({"references": "time,qpos[3]\n"}, 2, "nothing was compared"),
+     ({"references": "time,qpos[9]\n0,1\n"}, 2, r"no variable 'qpos[9]'"),
+     ({"references": "time,qpos[3]\n0,one\n"}, 2, "references.csv: must have a number for each"),
+     ({"references": "time,qpos[3]\n0\n"}, 2, "references.csv: must have a number for each"),
+     ({"reference": lambda text: text.replace('stepSize="0.0005"', 'stepSize="0"')}, 2,
+      "stepSize '0'"),
+     ({"fmi_ls_manifest": lambda text: text.replace("reference.exp", "../../../x.exp")}, 2,
+      "must be a file inside the FMU")],
+)  # fmt: skip
+def test_where_nothing_can_be_compared_check_is_not_content(
+    box: Path, tmp_path: Path, changes: dict[str, str], code: int, words: str
+) -> None:
+    done = command("check", changed(box, tmp_path / "x.fmu", **changes))
+    assert done.returncode == code
+    assert words in done.stderr
+    assert "good" not in done.stdout
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs REFERENCE_FMUS")
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("fmi2/BouncingBall", 602), ("fmi3/BouncingBall", 602), ("fmi2/VanDerPol", 4002),
+     ("fmi3/Dahlquist", 101), ("fmi3/Feedthrough", 294), ("fmi3/StateSpace", 33)],
+)  # fmt: skip
+def test_results_in_the_reference_fmus_are_found(name: str, values: int) -> None:
+    done = command("check", SHARED / f"{name}.fmu")
+    assert done.returncode == 0, done.stderr
+    assert f" {values} values, largest difference " in done.stdout
