@@ -74,10 +74,10 @@ def path(target: Target, name: str) -> Path:
 def test_the_validator_and_the_schema_find_no_problem(path: Path, target: Target) -> None:
     assert validate_fmu(str(path)) == []
     with zipfile.ZipFile(path) as archive:
-        if target.fmi == 2:
-            schema = etree.XMLSchema(etree.parse(SCHEMAS / "fmi2" / "fmi2ModelDescription.xsd"))
-            schema.assertValid(etree.fromstring(archive.read("modelDescription.xml")))
-        else:
+        place = SCHEMAS / f"fmi{target.fmi}" / f"fmi{target.fmi}ModelDescription.xsd"
+        schema = etree.XMLSchema(etree.parse(place))
+        schema.assertValid(etree.fromstring(archive.read("modelDescription.xml")))
+        if target.fmi == 3:
             schema = etree.XMLSchema(etree.parse(SCHEMAS / "fmi3" / "fmi3TerminalsAndIcons.xsd"))
             terminals = archive.read("terminalsAndIcons/terminalsAndIcons.xml")
             schema.assertValid(etree.fromstring(terminals))

@@ -14,13 +14,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote
-from xml.etree import ElementTree as ET
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.atomic import replacing
-from ...fmus.build.description import flat_name, literal
+from ...fmus.build.description import flat_name, literal, render
 from ...fmus.build.native import add_members
 from ...fmus.errors import InputError
 from ...fmus.interface.variables import Scalar, Value
@@ -37,12 +36,6 @@ Series = dict[str, Array]  # scalar variables over time (n,), after "time" [s]; 
 
 FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST: Final = "fmi-ls-manifest.xml"
-_FMI_LS: Final = "http://fmi-standard.org/fmi-ls-manifest"
-_SSV: Final = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
-ET.register_namespace("fmi-ls", _FMI_LS)
-ET.register_namespace("ssv", _SSV)
-_KEYS: Final = {"startTime": "start", "stopTime": "stop", "stepSize": "step",
-                "tolerance": "tolerance"}  # fmt: skip
 TOLERANCE: Final = 1e-6  # of an experiment that names none, relative to values above 1
 # Of what is written: more values of a stimulus are thinned; rows of references.
 MOST_CELLS, MOST_REFERENCES = 60_000, 200
@@ -60,7 +53,7 @@ class Experiment:
     stop: float
     step: float
     tolerance: float = TOLERANCE
-    description: str = "All inputs keep their start values"
+    description: str = "The default experiment; inputs keep their start values"
     parameters: Mapping[str, Value] = field(default_factory=dict)  # by scalar variable
     stimuli: Series = field(default_factory=dict)
     references: Series = field(default_factory=dict)
@@ -110,7 +103,8 @@ def check_experiments(path: Path) -> list[Outcome]:
 def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
     times, *expected = experiment.references.values() or [np.zeros(0)]
     ticks = (times - experiment.start) / experiment.step
-    is_tick = (np.abs(ticks - np.rint(ticks)) <= _ON_TICK) & (ticks < len(experiment.times) - 0.5)
+    is_within = (ticks > -0.5) & (ticks < len(experiment.times) - 0.5)
+    is_tick = is_within & (np.abs(ticks - np.rint(ticks)) <= _ON_TICK)
     if not is_tick.any() or not expected:
         return Outcome(experiment.name, experiment.tolerance)
     names = list(experiment.references)[1:]
@@ -175,15 +169,15 @@ def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Se
     default, times = fmu.description.defaultExperiment, references.get("time", np.zeros(0))
     spacing = float(np.diff(times).min()) if len(times) > 1 else 0.001
     last = float(times[-1]) if len(times) else 1.0
-    numbers = []
-    for key, otherwise in zip(_KEYS, (0.0, last, spacing), strict=False):
+    numbers = {"startTime": 0.0, "stopTime": last, "stepSize": spacing}
+    for key, otherwise in numbers.items():
         text = settings.get(key) or getattr(default, key, None) or str(otherwise)
         number = finite_number(text)
         if number is None or (key == "stepSize" and number <= 0.0):
             raise InputError(f"{fmu.label}: experiment {name!r}: {key} {text!r}; must be a number")
-        numbers.append(number)
+        numbers[key] = number
     tolerance = finite_number(settings.get("tolerance", "")) or TOLERANCE
-    start, stop, step = numbers
+    start, stop, step = numbers.values()
     return Experiment(name, start, stop, step, tolerance, references=references)
 
 
@@ -201,7 +195,8 @@ def _series(fmu: Fmu, file: Path) -> Series:
     for scalar in fmu.variables.values():
         arrays.setdefault(scalar.variable.name, []).append(scalar)
     with open_regular(file) as raw:
-        head, *rows = csv.reader(io.TextIOWrapper(raw, "utf-8-sig"))
+        lines = [row for row in csv.reader(io.TextIOWrapper(raw, "utf-8-sig")) if row]
+    head, rows = lines[0] if lines else ["time"], lines[1:]
     columns = {i: arrays.get(name) or [fmu.variable(name)] for i, name in enumerate(head[1:], 1)}
     columns = {i: each for i, each in columns.items() if each[0].variable.kind not in TEXTS}
     names = ["time", *(s.name for each in columns.values() for s in each)]
@@ -219,7 +214,7 @@ def _series(fmu: Fmu, file: Path) -> Series:
 def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
     """Read a parameter set (SSV)."""
     values = {}
-    for parameter in read_xml(file, str(file)).iter(f"{{{_SSV}}}Parameter"):
+    for parameter in read_xml(file, str(file)).iterfind(".//{*}Parameter"):
         scalar = fmu.variable(parameter.get("name", ""))
         text = parameter[0].get("value", "") if len(parameter) else ""
         place = f"{fmu.label}: {file.name}: {scalar.name} ="
@@ -283,52 +278,27 @@ def _own_names(fmu: Fmu, values: Mapping[str, Any]) -> dict[str, Any]:
     return {name if name in known else flat_name(name): v for name, v in values.items()}
 
 
-def _settings(experiment: Experiment) -> dict[str, str]:
-    return {key: literal(getattr(experiment, name)) for key, name in _KEYS.items()}
-
-
 def _files(fmu: Fmu, experiment: Experiment) -> dict[str, bytes]:
     """Manifest, experiment, parameters and CSV files, by name."""
-    name, words = experiment.name, experiment.description
-    files = {"references.csv": csv_text(fmu, experiment.references)}
-    if experiment.stimuli:
-        files["stimuli.csv"] = csv_text(fmu, experiment.stimuli)
-    if experiment.parameters:
-        files["parameters.ssv"] = _parameter_set(fmu, experiment)
-    root = ET.Element("Experiments", name=name)
-    element = ET.SubElement(
-        root, "Experiment", {"name": name, "description": words, **_settings(experiment)}
-    )
-    for file in sorted(files, key=["parameters.ssv", "stimuli.csv", "references.csv"].index):
-        ET.SubElement(element, file.partition(".")[0].capitalize(), source=file)
-    about = {"name": "org.fmi-standard.fmi-ls-ref", "version": "1.0.0-beta.1",
-             "description": "Related files of this FMU"}  # fmt: skip
-    manifest = ET.Element(
-        "fmiReferences", {f"{{{_FMI_LS}}}fmi-ls-{key}": text for key, text in about.items()}
-    )
-    related = {"type": "application/x-ma-hs-experiments", "source": "reference.exp",
-               "role": "experiment/smoke-test", "description": words}  # fmt: skip
-    ET.SubElement(manifest, "Related", related)
-    return files | {"reference.exp": _xml(root), MANIFEST: _xml(manifest)}
-
-
-def _parameter_set(fmu: Fmu, experiment: Experiment) -> bytes:
-    root = ET.Element(f"{{{_SSV}}}ParameterSet", version="1.0", name=experiment.name)
-    parameters = ET.SubElement(root, f"{{{_SSV}}}Parameters")
+    parameters = []
     for name, value in experiment.parameters.items():
         scalar = fmu.variable(name)
-        kind, number = str(scalar.variable.kind), scalar.converted(value)
-        tag = "Integer" if kind == "Enumeration" else kind
-        parameter = ET.SubElement(parameters, f"{{{_SSV}}}Parameter", name=name)
-        text = str(number) if tag == "Integer" else literal(number)
-        ET.SubElement(parameter, f"{{{_SSV}}}{tag}", value=text)
-    return _xml(root)
-
-
-def _xml(root: ET.Element) -> bytes:
-    ET.indent(root)
-    text: bytes = ET.tostring(root, "UTF-8", xml_declaration=True)
-    return text + b"\n"
+        kind, number = scalar.variable.kind, scalar.converted(value)
+        is_whole = kind in ("Integer", "Enumeration")  # an enumeration's number
+        text = str(number) if is_whole else literal(number)
+        parameters.append((name, "Integer" if is_whole else kind, text))
+    files = {
+        MANIFEST: render("experiment.manifest.j2", {}, it=experiment),
+        "reference.exp": render("experiment.exp.j2", {}, it=experiment),
+        "references.csv": csv_text(fmu, experiment.references),
+    }
+    if parameters:
+        files["parameters.ssv"] = render(
+            "experiment.ssv.j2", {}, it=experiment, parameters=parameters
+        )
+    if experiment.stimuli:
+        files["stimuli.csv"] = csv_text(fmu, experiment.stimuli)
+    return files
 
 
 def csv_text(fmu: Fmu, series: Series) -> bytes:
@@ -344,24 +314,17 @@ def csv_text(fmu: Fmu, series: Series) -> bytes:
 
 def write_compatibility(path: Path, experiment: Experiment) -> None:
     """Write a folder with an FMU and the files that the FMI cross-check rules ask for."""
-    fmu, folder, name = read_fmu(path), path.with_suffix(""), path.stem
+    fmu, name = read_fmu(path), path.stem
     compared = dict(list(experiment.references.items())[: 1 + MOST_COMPARED])
-    settings = _settings(experiment)
-    settings["relTol"] = settings.pop("tolerance")
-    options = "".join(f"{key[0].upper()}{key[1:]}, {text}\n" for key, text in settings.items())
-    lines = (
-        f"{name}.fmu: {fmu.description.description}.", f"{experiment.description}.",
-        f"{name}_in.csv: inputs, linear in between. {name}_ref.csv: the first outputs at some of",
-        f"the instants, with the options of {name}_ref.opt, by {fmu.description.generationTool}.",
-    )  # fmt: skip
+    texts = {"it": experiment, "model": name, "about": fmu.description}
     files = {
         f"{name}.fmu": path.read_bytes(),
         f"{name}_ref.csv": csv_text(fmu, compared),
-        f"{name}_ref.opt": options.encode(),
-        "ReadMe.txt": "\n".join((*lines, "")).encode(),
+        f"{name}_ref.opt": render("experiment.opt.j2", {}, it=experiment),
+        "ReadMe.txt": render("experiment.txt.j2", {}, **texts),
     }
     if experiment.stimuli:
         files[f"{name}_in.csv"] = csv_text(fmu, experiment.stimuli)
     for member, content in files.items():
-        with replacing(folder / member) as partial:
+        with replacing(path.with_suffix("") / member) as partial:
             partial.write_bytes(content)
