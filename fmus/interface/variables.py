@@ -224,9 +224,8 @@ class Variable:
         """Yield `parts`; then, named by their indices, arrays of what these leave over."""
         yield from self.parts
         first = sum(rows for _, rows, _ in self.parts)
-        units = self.unit if isinstance(self.unit, tuple) else (self.unit,) * self.size
         width = self.size // self._rows
-        by_row = [units[i * width : (i + 1) * width] for i in range(first, self._rows)]
+        by_row = [self.units[i * width : (i + 1) * width] for i in range(first, self._rows)]
         for _, group in groupby(by_row):
             rows = len(list(group))
             indices = f"_{first + 1}" + f"_to_{first + rows}" * (rows > 1)
