@@ -45,10 +45,13 @@ def systems(draw: st.DrawFn) -> dict[str, Any]:
     fed = draw(st.lists(ends, unique=True, max_size=12))
     outside = [name for name in fed if draw(st.booleans())]
     sources = st.tuples(st.sampled_from(instances), ELEMENTS.map("y{}".format))
+    conversions = st.sampled_from([(), (0.1, 0.0), (1.0, -0.3), (1 / 3, 0.7)])
     return {
         "versions": versions,
         "external": outside,
-        "connections": [(draw(sources), name) for name in fed if name not in outside],
+        "connections": [
+            (draw(sources), name, *draw(conversions)) for name in fed if name not in outside
+        ],
         "outputs": {name: [f"y{i}" for i in draw(st.permutations(INDICES))] for name in instances},
         "start": {name: {"k": draw(st.sampled_from([-1.5, 0.3, 0.9]))} for name in instances},
         "coupling": draw(st.sampled_from(["gauss-seidel", "jacobi"])),
@@ -67,7 +70,7 @@ def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
     rows: list[str] = []
     system = System(
         {n: folder / f"{v}.fmu" for n, v in zip(instances, plan["versions"], strict=True)},
-        [Connection(tuple(source), tuple(target)) for source, target in plan["connections"]],
+        [Connection(tuple(s), tuple(t), *linear) for s, t, *linear in plan["connections"]],
         [tuple(name) for name in plan["external"]],
         plan["outputs"],
         refuses_non_finite=plan["checked_late"],

@@ -18,10 +18,13 @@ ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY, SENSORS)
 
 @dataclass(frozen=True)
 class Connection:
-    """One scalar output that feeds one scalar input."""
+    """One scalar output that feeds one scalar input, with factor * value + offset."""
 
     source: tuple[str, str]  # instance and output, such as ("plant", "jac[1,2]")
     target: tuple[str, str]  # instance and input
+    factor: float = 1.0
+    offset: float = 0.0  # in the target's unit
+    converts_units: bool = True  # first, if the FMUs declare different ones
 
 
 def _measured() -> list[Connection]:

@@ -17,6 +17,7 @@ from typing import Any, Final, Literal
 
 from ..errors import InputError
 from ..messages import did_you_mean, excerpt
+from .units import Units
 
 Causality = Literal["input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable", "constant"]
@@ -250,6 +251,7 @@ class Interface:
     description: str  # one line
     variables: tuple[Variable, ...]  # inputs, then outputs, then parameters
     terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # connected together
+    units: Units = field(default_factory=dict)  # that an FMU from elsewhere defines, by name
 
     def scalars(self) -> list[Scalar]:
         """All scalar variables, in the order of their value references, which count from 0."""

@@ -12,9 +12,10 @@ from typing import Any, Final, cast
 
 from ..atomic import cache_folder
 from ..errors import InputError
+from ..interface.units import BASES, Unit, Units
 from ..interface.variables import Interface, Kind, Scalar, Value, Variability, Variable
 from ..messages import did_you_mean, excerpt, one_line
-from ..reading import file_digest, read_xml, unpack
+from ..reading import file_digest, finite_number, read_xml, unpack
 
 VERSIONS: Final = {"2.0": 2, "3.0": 3}
 # FMI 3.0's types by the names of FMI 2.0, if the master treats them alike.
@@ -26,6 +27,7 @@ TEXTS: Final = ("String", "Binary", "Clock")  # kinds whose start value is kept 
 _NUMBERS: Final = ("Real", "Float32", "Integer")  # an interface table's Real
 _SHOWN: Final = ("input", "output", "parameter")
 _NAMES_NOTE: Final = "Annotations/Annotation[@type='org.panda-cosim.names']"
+_LINEAR: Final = ("factor", "offset")  # attributes of a BaseUnit beside the exponents
 _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
 
@@ -36,6 +38,7 @@ class Fmu:
     fmi: int  # major version of FMI, 2 or 3
     variables: dict[str, Scalar]  # by name, including the elements of FMI 3.0 arrays; those of an
     # FMU of ours have the same names in FMI 2.0 and 3.0
+    units: Units
 
     def __init__(self, path: Path, label: str = "") -> None:
         self.path, self.label = path, label or str(path)
@@ -49,6 +52,7 @@ class Fmu:
         renamed = [_renamed(scalar, names) for scalar in self._described.values()]
         self.variables = {scalar.name: scalar for scalar in renamed}
         self._described |= dict(zip(self._described, renamed, strict=True))
+        self.units = _units(f"{path}: modelDescription.xml", self.description.unitDefinitions)
         # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
         if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
             raise InputError(
@@ -145,6 +149,21 @@ def _read_description(path: Path, folder: Path) -> Any:
     return description
 
 
+def _units(place: str, definitions: Sequence[Any]) -> Units:
+    """Units that define their base units, from FMPy's `Unit`s."""
+    units = {}
+    for name, base in ((each.name, each.baseUnit) for each in definitions if each.baseUnit):
+        numbers = {key: finite_number(str(getattr(base, key))) for key in (*BASES, *_LINEAR)}
+        if None in numbers.values() or not numbers["factor"]:
+            raise InputError(
+                f"{place}: BaseUnit of {excerpt(name)}; must have whole exponents, a factor "
+                "other than 0 and an offset"
+            )
+        *exponents, factor, offset = (number or 0.0 for number in numbers.values())
+        units[name] = Unit(tuple(map(int, exponents)), factor, offset)
+    return units
+
+
 def _scalars(place: str, described: Sequence[Any]) -> Iterator[Scalar]:
     """Yield the scalars of FMPy's `ModelVariable`s."""
     for each in described:
@@ -216,7 +235,8 @@ def described_interface(fmu: Fmu) -> Interface:
     for _, group in groupby(scalars, key=_array):
         variables += _joined(list(group))
     description = fmu.description.description or ""
-    return Interface(fmu.description.modelName or fmu.path.stem, description, tuple(variables))
+    name = fmu.description.modelName or fmu.path.stem
+    return Interface(name, description, tuple(variables), units=fmu.units)
 
 
 def _array(scalar: Scalar) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ class _Call(ctypes.Structure):
         ("references", ctypes.c_void_p), ("count", ctypes.c_size_t), ("column", ctypes.c_size_t),
         ("values", ctypes.c_void_p), ("size", ctypes.c_size_t),
         ("columns", ctypes.c_void_p), ("places", ctypes.c_void_p), ("moved", ctypes.c_size_t),
+        ("linear", ctypes.c_void_p),
     ]  # fmt: skip
 
 
@@ -147,7 +148,10 @@ class Kernel:
 
     def _exchange(self, exchange: object, **fields: int) -> _Call:
         columns: Array | None = None
+        moves: dict[str, int | None] = {}
         if isinstance(exchange, Gather):
+            if exchange.conversions is not None:
+                moves["linear"] = exchange.conversions.ctypes.data
             columns, exchange = exchange.columns, exchange.put
         places = None
         if isinstance(exchange, Rearranged):
@@ -156,7 +160,6 @@ class Kernel:
             exchange = exchange.call
         if not isinstance(exchange, Access) or exchange.block.dtype != np.float64:
             raise _NotInCError
-        moves: dict[str, int | None] = {}
         if columns is None:
             moves["column"] = int(self._place(exchange.block)[0])
         else:

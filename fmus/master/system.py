@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.tables import Connection
+from ..interface.units import conversion
 from ..interface.variables import Scalar, Value
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
@@ -72,7 +73,7 @@ def read_fmus(
 
 
 def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
-    """Check that connections exist, lead from output to input, in one unit."""
+    """Check that connections exist, lead from output to input, in units that can be converted."""
     fed: set[Name] = set()
 
     def check_target(target: Name, place: str) -> Scalar:
@@ -87,11 +88,32 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
         place = f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}"
         source = _scalar(fmus, connection.source, place, "output").unit
         target = check_target(connection.target, place).unit
-        if source and target and source != target:
-            raise InputError(f"{place}: unit {source!r} feeds unit {target!r}; must be the same")
+        if connection.converts_units and _conversion(fmus, connection) is None:
+            raise InputError(
+                f"{place}: unit {source!r} feeds unit {target!r}; must be the same, or both "
+                "defined by the same SI base units"
+            )
     for instance, names in system.outputs.items():
         for name in names:
             _scalar(fmus, (instance, name), "recording", "output", RECORDED_KINDS)
+
+
+def _conversion(fmus: Mapping[str, Fmu], connection: Connection) -> tuple[float, float] | None:
+    """Factor and offset from the unit of a connection's source to that of its target."""
+    source, target = fmus[connection.source[0]], fmus[connection.target[0]]
+    units = (source.variable(connection.source[1]).unit, source.units,
+             target.variable(connection.target[1]).unit, target.units)  # fmt: skip
+    return conversion(*units)
+
+
+def _in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
+    """Return a connection whose factor and offset convert units, too."""
+    factor, offset = (connection.converts_units and _conversion(fmus, connection)) or (1.0, 0.0)
+    return replace(
+        connection,
+        factor=connection.factor * factor,
+        offset=connection.factor * offset + connection.offset,
+    )
 
 
 def _scalar(
@@ -193,7 +215,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         master = Master(
             list(slaves.values()),
             system.outputs,
-            system.connections,
+            [_in_units(fmus, connection) for connection in system.connections],
             system.external,
             step_size,
             coupling,

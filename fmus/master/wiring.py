@@ -35,11 +35,17 @@ class Slave(Protocol):
 class BoundSlave:
     """A slave, bound to the rows (n, columns) that it reads and writes.
 
-    `inputs` and `outputs` are columns by variable; those of outputs are consecutive.
+    `inputs` and `outputs` are columns by variable; those of outputs are consecutive. `conversions`
+    are factor and offset of the inputs that are not fed as they are.
     """
 
     def __init__(
-        self, slave: Slave, inputs: Mapping[str, int], outputs: Mapping[str, int], rows: Array
+        self,
+        slave: Slave,
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, int],
+        rows: Array,
+        conversions: Mapping[str, tuple[float, float]],
     ) -> None:
         self.inputs, self.outputs = set(inputs.values()), list(outputs.values())
         self.step = slave.step
@@ -49,7 +55,7 @@ class BoundSlave:
             block = rows[:, self.outputs[0] : self.outputs[-1] + 1]
             self.get_outputs = slave.bind_get(list(outputs), block)
         if inputs:
-            self.set_inputs = _bind_inputs(slave, inputs, rows)
+            self.set_inputs = _bind_inputs(slave, inputs, rows, conversions)
 
     def feeds(self, other: BoundSlave) -> bool:
         """Whether an output of this slave is an input of another."""
@@ -69,41 +75,64 @@ def bind(
     sources: dict[str, dict[str, int]] = defaultdict(dict)
     for name in external:
         sources[name[0]][name[1]] = index[name]
+    conversions: dict[str, dict[str, tuple[float, float]]] = defaultdict(dict)
     for connection in connections:
         instance, variable = connection.target
         sources[instance][variable] = index[connection.source]
+        if (linear := (connection.factor, connection.offset)) != (1.0, 0.0):
+            conversions[instance][variable] = linear
     outputs: dict[str, dict[str, int]] = defaultdict(dict)
     for instance, variable in columns[len(external) :]:
         outputs[instance][variable] = index[(instance, variable)]
-    return [BoundSlave(s, sources[s.name], outputs[s.name], rows) for s in slaves]
+    return [
+        BoundSlave(s, sources[s.name], outputs[s.name], rows, conversions[s.name]) for s in slaves
+    ]
 
 
 def nothing(_row: int, /) -> None:
     """Do nothing: a slave without inputs, or without outputs."""
 
 
-def _bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchange:
+def _bind_inputs(
+    slave: Slave,
+    inputs: Mapping[str, int],
+    rows: Array,
+    conversions: Mapping[str, tuple[float, float]],
+) -> Exchange:
     """Make a function that sets inputs from a row; without a copy if they are consecutive there."""
     names = sorted(inputs, key=inputs.__getitem__)
     columns = [inputs[name] for name in names]
     first, last = columns[0], columns[-1]
-    if columns == list(range(first, last + 1)):
+    if columns == list(range(first, last + 1)) and not conversions:
         return slave.bind_set(names, rows[:, first : last + 1])
     # In the order of the connections, which is probably that of the inputs in the slave.
     values = np.zeros((1, len(inputs)))
-    return Gather(slave.bind_set(list(inputs), values), list(inputs.values()), rows, values)
+    put = slave.bind_set(list(inputs), values)
+    linear = [conversions.get(name, (1.0, 0.0)) for name in inputs] if conversions else None
+    return Gather(put, list(inputs.values()), rows, values, linear)
 
 
 class Gather:
-    """Sets inputs from columns of a row that are not beside each other."""
+    """Sets inputs from columns of a row that are not beside each other, or have to be converted."""
 
-    def __init__(self, put: Exchange, columns: Sequence[int], rows: Array, values: Array) -> None:
+    def __init__(
+        self,
+        put: Exchange,
+        columns: Sequence[int],
+        rows: Array,
+        values: Array,
+        conversions: Sequence[tuple[float, float]] | None = None,  # factor and offset of each
+    ) -> None:
         self.put, self.columns = put, np.array(columns)
         self._rows, self._values = rows, values
+        self.conversions = None if conversions is None else np.array(conversions)
 
     def __call__(self, row: int) -> None:
         """Set the inputs from a row."""
         self._rows[row].take(self.columns, out=self._values[0], mode="clip")
+        if self.conversions is not None:
+            factors, offsets = self.conversions.T
+            self._values[0] = factors * self._values[0] + offsets
         self.put(0)
 
 

@@ -48,6 +48,7 @@ typedef struct {
     size_t size;    /* of `values`, or of those in the row */
     const uint32_t *columns, *places; /* columns of the row, and where they are in `values` */
     size_t moved;                     /* how many: those of `columns` */
+    const double *linear;             /* factor and offset of each, if they are converted */
 } call;
 
 typedef struct {
@@ -84,11 +85,16 @@ static bool all_finite(const double *row, size_t width)
     return sum == 0.0;
 }
 
+static double converted(const call *c, size_t i, double value)
+{
+    return c->linear ? c->linear[2 * i] * value + c->linear[2 * i + 1] : value;
+}
+
 static unsigned access(const call *c, double *row)
 {
     double *values = c->values ? c->values : row + c->column;
     if (c->action == SET_INPUTS)
-        for (size_t i = 0; i < c->moved; i++) values[c->places[i]] = row[c->columns[i]];
+        for (size_t i = 0; i < c->moved; i++) values[c->places[i]] = converted(c, i, row[c->columns[i]]);
     const unsigned status =
         c->fmi == 3 ? c->function.access3(c->instance, c->references, c->count, values, c->size)
                     : c->function.access2(c->instance, c->references, c->count, values);

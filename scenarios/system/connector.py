@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+from ...fmus.build.description import BASE_UNITS
 from ...fmus.errors import InputError
 from ...fmus.interface.tables import Connection
+from ...fmus.interface.units import BASES, Unit, Units, conversion
 from ...fmus.interface.variables import Variable
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean, excerpt
@@ -16,6 +18,10 @@ from .parts import Part, measures_a_panda
 
 # Inputs of PandaPlant that may stay unconnected.
 OPTIONAL: Final = ("push_force", "block_force", "torque")
+OUR_UNITS: Final[Units] = {
+    name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
+    for name, exponents in BASE_UNITS.items()
+}
 SHOWN: Final = 8  # unconnected inputs of an FMU that are named
 
 
@@ -105,9 +111,17 @@ class Connector:
                 hint = ", or [connect] must name elements, such as "
                 hint += f'"{target}{item}" = "{source}{source_item}"'
             raise InputError(f"{ends}; must have the same shape{hint}")
+        known = self._units(source), self._units(target)
         for one, other in zip(giving.units, fed.units, strict=True):
-            if one and other and one != other:
-                raise InputError(f"{ends}; must have the same unit")
+            if conversion(one, known[0], other, known[1]) is None:
+                raise InputError(
+                    f"{ends}; must have the same unit, or both be defined by the same SI base units"
+                )
+
+    def _units(self, end: str) -> Units:
+        """Definitions of an FMU's units; what the scenario gives is not converted."""
+        part = self.parts.get(end.partition(".")[0])
+        return part.interface.units or OUR_UNITS if part else {}
 
     def unfed_message(self, instance: str, name: str) -> str:
         """Return the error for an input that must be connected; it lists the candidates."""
