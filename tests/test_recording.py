@@ -336,7 +336,7 @@ FOREIGN = [
             ('"row_names": [7]', r"row_names: value \[7\]; must be a list of texts"),
         )
     ),
-    (["time"], "float32", WHOLE, "type float; must be double"),
+    (["time"], "float16", WHOLE, "type halffloat; must be double"),
     ([], "float64", WHOLE, "the first column is not time"),
     (["time", "x", "x"], "float64", WHOLE, "two columns have the same name"),
 ]

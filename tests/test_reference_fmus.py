@@ -5,18 +5,30 @@ REFERENCE_FMUS names their folder, which holds fmi2 and fmi3.
 
 from __future__ import annotations
 
+import csv
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
 import pytest
+from fmu_support import in_process
 from forked import command
-from panda_cosim.scenarios.recording import Recording
+from panda_cosim import Recording, Session
+from panda_cosim.scenarios.scenario.scenario import Scenario
 
 FOLDER = Path(os.environ.get("REFERENCE_FMUS", "/nonexistent"))
 FMUS = ["BouncingBall", "Dahlquist", "Feedthrough", "Resource", "Stair", "VanDerPol"]
 STEP, TICKS = 0.1, 10  # s
+TIMES = STEP * np.arange(TICKS + 1)
+QUIET = ("--no-video", "--no-view", "--no-plot")
+WIDER = {  # input by the output that feeds it
+    "Int16": "Int8", "Int32": "UInt16", "UInt32": "UInt8", "Int64": "UInt32",
+    "Float32_continuous": "Int16", "Float32_discrete": "UInt16", "Float64_continuous": "Int32",
+    "Float64_discrete": "Float32_discrete",
+}  # fmt: skip
 
 pytestmark = [
     pytest.mark.fmu,
@@ -24,22 +36,171 @@ pytestmark = [
 ]
 
 
+def write(folder: Path, fmus: Mapping[str, str], more: str = "") -> Path:
+    lines = [f'{name} = "{FOLDER}/{fmu}.fmu"' for name, fmu in fmus.items()]
+    head = f"duration = {STEP * TICKS}\nstep = {STEP}\n[fmus]\n"
+    (folder / "scenario.toml").write_text(head + "\n".join(lines) + f"\n{more}")
+    return folder
+
+
+def run(folder: Path, *arguments: str) -> Recording:
+    done = command("run", folder, "--out", folder / "run", *QUIET, *arguments)
+    assert done.returncode == 0, done.stderr
+    return Recording.open(folder / "run")
+
+
+def in_fmpy(fmu: str, **more: Any) -> Any:
+    kind = {"fmi_type": "CoSimulation", "output_interval": STEP}
+    return fmpy.simulate_fmu(FOLDER / f"{fmu}.fmu", stop_time=STEP * TICKS, **kind, **more)
+
+
+def assert_equal(recording: Recording, name: str, wanted: Any) -> None:
+    """All columns that FMPy records are recorded, with the same values."""
+    for column in wanted.dtype.names[1:]:
+        np.testing.assert_array_equal(recording[f"{name}.{column}"], wanted[column], column)
+
+
 @pytest.mark.parametrize("name", FMUS)
 @pytest.mark.parametrize("fmi", ["fmi2", "fmi3"])
 def test_reference_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, name: str) -> None:
-    path = FOLDER / fmi / f"{name}.fmu"
-    assert command("info", path).returncode == 0
-    (tmp_path / "scenario.toml").write_text(
-        f'duration = {STEP * TICKS}\nstep = {STEP}\n[fmus]\nit = "{path}"\n'
-    )
-    out = tmp_path / "run"
-    done = command("run", tmp_path, "--out", out, "--no-video", "--no-view", "--no-plot")
+    assert command("info", FOLDER / fmi / f"{name}.fmu").returncode == 0
+    recording = run(write(tmp_path, {"it": f"{fmi}/{name}"}))
+    assert_equal(recording, "it", in_fmpy(f"{fmi}/{name}"))
+    assert len(recording.columns) > 1
+
+
+# Feedthrough, whose outputs are its inputs, in all types.
+
+
+def inputs(fmi: str) -> dict[str, Sequence[Any]]:
+    """A value of each input at each instant, in its type."""
+    random, columns = np.random.default_rng(5), {}
+    for variable in fmpy.read_model_description(FOLDER / fmi / "Feedthrough.fmu").modelVariables:
+        if variable.causality == "input":
+            columns[variable.name] = _values(random, variable.type)
+    return columns
+
+
+def _values(random: np.random.Generator, kind: str) -> Any:
+    if kind in ("Real", "Float64", "Float32"):
+        return random.normal(size=TICKS + 1).astype("f4" if kind == "Float32" else "f8")
+    if kind == "Boolean":
+        return random.integers(0, 2, TICKS + 1).astype(bool)
+    if kind == "Enumeration":
+        return random.integers(1, 3, TICKS + 1)
+    if kind in ("String", "Binary"):
+        texts = [random.bytes(int(size)) for size in random.integers(0, 9, TICKS + 1)]
+        return texts if kind == "Binary" else [f'{text.hex()}, "ü"' for text in texts]
+    limits = np.iinfo("int32" if kind == "Integer" else kind.lower())
+    return random.integers(limits.min, limits.max, TICKS + 1, limits.dtype, endpoint=True)
+
+
+def write_csv(path: Path, fmu: str, columns: Mapping[str, Sequence[Any]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time", *(f"{fmu}.{name}" for name in columns)])
+        for time, *row in zip(TIMES, *columns.values(), strict=True):
+            texts = (each.hex() if isinstance(each, bytes) else each for each in row)
+            writer.writerow([time, *(str(each).lower() if isinstance(each, np.bool_) else each
+                                     for each in texts)])  # fmt: skip
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+@pytest.mark.parametrize("fmi", ["fmi2", "fmi3"])
+def test_inputs_of_all_types_are_driven_from_a_csv_as_in_fmpy(
+    tmp_path: Path, fmi: str, isolate: Sequence[str]
+) -> None:
+    columns = inputs(fmi)
+    write(tmp_path, {"it": f"{fmi}/Feedthrough"}, '[inputs]\nfile = "inputs.csv"\n')
+    write_csv(tmp_path / "inputs.csv", "it", columns)
+    recording = run(tmp_path, *isolate)
+    numbers = {n: v for n, v in columns.items() if isinstance(v, np.ndarray)}
+    kinds = [("time", "f8"), *((name, values.dtype) for name, values in numbers.items())]
+    rows = np.array(list(zip(TIMES, *numbers.values(), strict=True)), np.dtype(kinds))
+    assert_equal(recording, "it", in_fmpy(f"{fmi}/Feedthrough", input=rows))
+    for name, values in columns.items():
+        assert recording[f"it.{name}"].tolist() == list(values)
+        held = [values[0], *values[:-1]]  # an output is that of the step before
+        assert recording[f"it.{name.replace('input', 'output')}"].tolist() == held
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+@pytest.mark.parametrize("wider", [False, True], ids=["alike", "wider"])
+def test_all_types_are_connected(tmp_path: Path, *, wider: bool, isolate: Sequence[str]) -> None:
+    columns = inputs("fmi3")
+    kinds = [name.removesuffix("_input") for name in columns]
+    sources = WIDER if wider else {kind: kind for kind in kinds}
+    ends = (f'"b.{to}_input" = "a.{of}_output"' for to, of in sources.items())
+    text = "[connect]\n" + "\n".join(ends) + '\n[inputs]\nfile = "inputs.csv"\n'
+    write(tmp_path, dict.fromkeys("ab", "fmi3/Feedthrough"), text)
+    write_csv(tmp_path / "inputs.csv", "a", columns)
+    recording = run(tmp_path, *isolate)
+    for to, of in sources.items():
+        given = list(columns[f"{of}_input"])
+        assert recording[f"a.{of}_output"].tolist() == given  # a acts within the tick
+        assert recording[f"b.{to}_output"].tolist()[1:] == given[:-1]
+
+
+@pytest.mark.parametrize(
+    ("to", "of", "asks"),
+    [
+        ("Float32_discrete", "Float64_discrete", True), ("Int8", "UInt8", True),
+        ("Float64_discrete", "Int64", True), ("Int32", "Boolean", True),
+        ("Boolean", "Int32", True), ("Enumeration", "Int32", True), ("String", "Int32", False),
+        ("Binary", "String", False), ("Int64", "UInt64", True),
+    ],
+)  # fmt: skip
+def test_a_type_that_loses_values_must_be_asked_for(
+    tmp_path: Path, to: str, of: str, *, asks: bool
+) -> None:
+    fmus = dict.fromkeys("ab", "fmi3/Feedthrough")
+    write(tmp_path, fmus, f'[connect]\n"b.{to}_input" = "a.{of}_output"\n')
+    done = command("check", tmp_path)
+    assert done.returncode == 2
+    message = f"type {of.partition('_')[0]} feeds type {to.partition('_')[0]}, which must be able"
+    said = " ".join(done.stdout.split())
+    assert message in said
+    assert (f'"b.{to}_input" = "convert(a.{of}_output)"' in said) == asks
+
+
+def test_types_are_converted_where_that_is_asked_for(tmp_path: Path) -> None:
+    text = """[connect]
+"b.Int8_input" = "convert(a.Float64_discrete_output)"
+"b.Int64_input" = "convert(a.Boolean_output)"
+"b.Boolean_input" = "convert(a.Int32_output)"
+[inputs]
+"a.Float64_discrete_input" = -2.6
+"a.Boolean_input" = true
+"a.Int32_input" = 7
+"""
+    folder = write(tmp_path, dict.fromkeys("ab", "fmi3/Feedthrough"), text)
+    recording = run(folder)
+    for name, value in {"Int8": -3.0, "Int64": 1, "Boolean": 1.0}.items():
+        assert recording[f"b.{name}_output"][1:].tolist() == [value] * TICKS
+    done = command("run", folder, "--out", tmp_path / "2", *QUIET,
+                   "--set", "inputs.a.Float64_discrete_input=200")  # fmt: skip
+    assert done.returncode == 1
+    assert "fmi3SetInt8: one of [200.0] is out of the range of int8" in done.stderr
+
+
+def set_inputs(folder: str) -> list[list[Any]]:
+    """Set inputs of all kinds in a session; returns the rows of their outputs."""
+    values = {"Int64": 2**53 + 1, "Boolean": True, "String": "new", "Binary": "ff",
+              "Enumeration": "Option 2", "Float32_continuous": 0.5}  # fmt: skip
+    with Session(Scenario.read(folder), Path(folder) / "session") as session:
+        session.step(2)
+        for name, value in values.items():
+            session.set(f"it.{name}_input", value)
+        session.finish()
+    recording = Recording.open(Path(folder) / "session")
+    return [[str(x) for x in recording[f"it.{name}_output"][1:5]] for name in values]
+
+
+def test_inputs_of_all_types_are_set_in_a_session_and_replayed(tmp_path: Path) -> None:
+    write(tmp_path, {"it": "fmi3/Feedthrough"})
+    outputs = in_process(set_inputs, str(tmp_path))
+    wanted = [("0", 2**53 + 1), ("0.0", 1.0), ("Set me!", "new"), (b"foo", b"\xff"), (1, 2),
+              (0.0, 0.5)]  # fmt: skip
+    assert outputs == [[str(old), str(old), str(new), str(new)] for old, new in wanted]
+    done = command("replay", tmp_path / "session", "--out", tmp_path / "again", *QUIET)
     assert done.returncode == 0, done.stderr
-    recording = Recording.open(out)
-    wanted = fmpy.simulate_fmu(
-        path, stop_time=STEP * TICKS, output_interval=STEP, fmi_type="CoSimulation"
-    )
-    for column in wanted.dtype.names[1:]:
-        if f"it.{column}" in recording:
-            np.testing.assert_array_equal(recording[f"it.{column}"], wanted[column])
-    assert len(list(recording)) > 1

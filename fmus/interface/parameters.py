@@ -8,15 +8,18 @@ from typing import Any
 from ..errors import InputError
 from ..messages import did_you_mean, excerpt, nearest
 from .tables import INTERFACES
-from .variables import Interface, Scalar, Value
+from .variables import Causality, Interface, Scalar, Value
 
 ParameterValue = float | bool | str | Sequence[float]
 
 
 def expand(
-    instance: str, interface: Interface, given: Mapping[str, ParameterValue]
+    instance: str,
+    interface: Interface,
+    given: Mapping[str, ParameterValue],
+    causality: Causality = "parameter",
 ) -> dict[str, Value]:
-    """Turn parameters that a user sets into start values by scalar variable.
+    """Turn parameters, or inputs, that a user sets into start values by scalar variable.
 
     One number for `kp` sets all seven gains, a sequence sets each of them, and `kp[3]`, wherever
     it stands, the third.
@@ -24,7 +27,7 @@ def expand(
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
     for name, value in general_first(given, scalars):
-        targets = _targets(instance, interface, scalars, name)
+        targets = _targets(instance, interface, scalars, name, causality)
         parts = _parts(f"{instance}.{name}", value, len(targets))
         for scalar, part in zip(targets, parts, strict=True):
             values[scalar.name] = scalar.checked(f"{instance}.{scalar.name}", part)
@@ -52,22 +55,27 @@ def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]
 
 
 def _targets(
-    instance: str, interface: Interface, scalars: Mapping[str, Scalar], name: str
+    instance: str,
+    interface: Interface,
+    scalars: Mapping[str, Scalar],
+    name: str,
+    causality: Causality,
 ) -> list[Scalar]:
     """Scalars that a name stands for: an element, or all of a vector."""
     one = scalars.get(name)
     targets = [one] if one else [s for s in scalars.values() if s.variable.name == name]
-    parameters = interface.of("parameter")
-    valid = ", ".join([v.name for v in parameters][:40]) or "none"
+    candidates = interface.of(causality)
+    valid = ", ".join([v.name for v in candidates][:40]) or "none"
     if not targets:
-        near = nearest(name, [n for v in parameters for n in (v.name, *v.names())])
+        near = nearest(name, [n for v in candidates for n in (v.name, *v.names())])
         hint = f"did you mean {near!r}?" if near else f"valid: {valid}"
-        raise InputError(f"{instance}.{name}: no such parameter of {interface.model}; {hint}")
-    causality = targets[0].variable.causality
-    if causality != "parameter":
+        raise InputError(f"{instance}.{name}: no such {causality} of {interface.model}; {hint}")
+    own = targets[0].variable.causality
+    if own != causality:
+        articles = {"parameter": "a", "local": "a"}
         raise InputError(
-            f"{instance}.{name}: an {causality} of {interface.model}, not a parameter; valid: "
-            f"{valid}"
+            f"{instance}.{name}: {articles.get(own, 'an')} {own} of {interface.model}, not "
+            f"{articles.get(causality, 'an')} {causality}; valid: {valid}"
         )
     return targets
 

@@ -25,6 +25,7 @@ class Connection:
     factor: float = 1.0
     offset: float = 0.0  # in the target's unit
     converts_units: bool = True  # first, if the FMUs declare different ones
+    converts_types: bool = False  # also where that rounds, or makes a number of a Boolean
 
 
 def _measured() -> list[Connection]:

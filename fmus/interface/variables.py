@@ -8,6 +8,7 @@ them. Names never change: users' scripts depend on them.
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -54,8 +55,12 @@ class Scalar:
         Messages call the scalar `place`.
         """
         match self.variable.kind:
-            case "Binary" | "Clock" as kind:
+            case "Clock" as kind:
                 raise InputError(f"{place}: is of type {kind}; its start value cannot be changed")
+            case "Binary":
+                if isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A):
+                    return value
+                raise InputError(f"{place}: {excerpt(value)}; must be text of hexadecimal digits")
             case "String" | "Enumeration":
                 return self._checked_text(place, value)
             case "Boolean":
@@ -69,12 +74,15 @@ class Scalar:
             raise InputError(
                 f"{place}: {value!r}{self._unit} is out of range; must be {self._range()}"
             )
-        part = 1.0 if self.variable.kind == "Integer" else self.variable.multiple_of
+        is_whole = self.variable.kind == "Integer" or self.variable.fmi_type in INTEGERS
+        part = 1.0 if is_whole else self.variable.multiple_of
+        if isinstance(value, int) and part == 1.0:
+            return value
         if part is not None and abs(value - round(value / part) * part) > MULTIPLE_TOLERANCE * part:
             raise InputError(
                 f"{place}: {value!r}{self._unit}; must be a whole multiple of {part:g}{self._unit}"
             )
-        return int(value) if self.variable.kind == "Integer" else float(value)
+        return int(value) if is_whole else float(value)
 
     def _checked_text(self, place: str, value: object) -> str:
         choices = self.variable.choices
@@ -111,10 +119,12 @@ class Scalar:
         """Unit to write after a number; "" for a dimensionless one."""
         return "" if self.unit in ("", "1") else f" {self.unit}"
 
-    def converted(self, value: Value) -> Value:
+    def converted(self, value: Value) -> Any:
         """Return a value as an FMU takes it: of an enumeration, the number of a choice."""
         match self.variable.kind:
-            case "String" | "Binary" | "Clock":
+            case "Binary":
+                return bytes.fromhex(str(value))
+            case "String" | "Clock":
                 return str(value)
             case "Boolean":
                 return bool(value)
@@ -122,7 +132,7 @@ class Scalar:
                 return self.variable.number_of(value)
             case "Integer" | "Enumeration":
                 return int(value)
-        return float(value)
+        return int(value) if self.variable.fmi_type in INTEGERS else float(value)
 
     def alone(self) -> Variable:
         """Return this scalar as a variable of its own."""
@@ -133,7 +143,7 @@ class Scalar:
             description=details[self.element] if details else self.variable.description,
         )  # fmt: skip
 
-    def start_value(self) -> Value:
+    def start_value(self) -> Any:
         """Start value as an FMU takes it; zero or empty if there is none."""
         if self.start is not None:
             return self.converted(self.start)

@@ -40,7 +40,7 @@ class Fmi2Slave(FmuSlave):
         "Integer": ("Integer", np.int32),
         "Enumeration": ("Integer", np.int32),
         "Boolean": ("Boolean", np.int32),
-        "String": ("String", np.void),
+        "String": ("String", np.uintp),
     })  # fmt: skip
 
     def _instantiate(self, instance: Any) -> None:

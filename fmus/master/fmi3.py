@@ -35,7 +35,7 @@ class Fmi3Slave(FmuSlave):
         "Float32": ("Float32", np.float32),
         "Enumeration": ("Int64", np.int64),
         "Boolean": ("Boolean", np.bool_),
-        **{kind: (kind, np.void) for kind in ("String", "Binary", "Clock")},
+        **{kind: (kind, np.uintp) for kind in ("String", "Binary")},
         **{f"Int{bits}": (f"Int{bits}", f"i{bits // 8}") for bits in (8, 16, 32, 64)},
         **{f"UInt{bits}": (f"UInt{bits}", f"u{bits // 8}") for bits in (8, 16, 32, 64)},
     })  # fmt: skip

@@ -13,7 +13,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
-from itertools import groupby
 from pathlib import Path
 from threading import Lock
 from typing import Any, ClassVar, NoReturn
@@ -24,7 +23,7 @@ from numpy.typing import DTypeLike, NDArray
 from ..errors import InputError, SimulationError
 from ..interface.variables import Value
 from ..messages import one_line
-from .calls import Access, Rearranged, StepCall
+from .calls import Access, Rearranged, Several, StepCall, Texts
 from .fmu_file import Fmu
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 from .wiring import Array, Exchange
@@ -118,43 +117,51 @@ class FmuSlave(ABC):
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function of a row's index that reads variables into that row of a block."""
-        reads, first = [], 0
-        for kind, group in groupby(names, lambda name: self.fmu.variable(name).variable.fmi_type):
-            part = list(group)
-            reads.append(self._bind_get(kind, part, block[:, first : first + len(part)]))
-            first += len(part)
-        if len(reads) == 1:
-            return reads[0]
-
-        def read(row: int) -> None:
-            for each in reads:
-                each(row)
-
-        return read
-
-    def _bind_get(self, kind: str, names: Sequence[str], block: Array) -> Exchange:
-        """Make a function that reads variables of one type of FMI into a row of a block."""
-        getter, dtype = self.types[kind]
-        references, where, size = self._elements(names)
-        if dtype is np.float64 and where == list(range(size)):
-            return self._bind_rows(f"Get{getter}", references, block)
-        values: NDArray[Any] = np.zeros((1, size), dtype)
-        read = self._bind_rows(f"Get{getter}", references, values)
-        return Rearranged(read, where, block, reads=True)
+        return self._bind("Get", names, block)
 
     def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make a function of a row's index that writes Real variables from that row of a block.
+        """Make a function of a row's index that writes variables from that row of a block.
 
         Elements of an array that are not named keep the values that they have now.
         """
-        real = next(iter(self.types.values()))[0]
-        references, where, size = self._elements(names)
-        if where == list(range(size)):
-            return self._bind_rows(f"Set{real}", references, block)
-        values = np.zeros((1, size))
-        self._bind_rows(f"Get{real}", references, values)(0)
-        write = self._bind_rows(f"Set{real}", references, values)
-        return Rearranged(write, where, block, reads=False)
+        return self._bind("Set", names, block)
+
+    def _bind(self, verb: str, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that gets or sets variables, with one call for each type of FMI."""
+        columns: dict[str, list[int]] = {}
+        for i, name in enumerate(names):
+            columns.setdefault(self.fmu.variable(name).variable.fmi_type, []).append(i)
+        calls = [
+            self._bind_type(verb, kind, [names[i] for i in places], places, block)
+            for kind, places in columns.items()
+        ]
+        return calls[0] if len(calls) == 1 else Several(calls)
+
+    def _bind_type(
+        self, verb: str, kind: str, names: Sequence[str], columns: list[int], block: Array
+    ) -> Exchange:
+        label, dtype = self.types[kind]
+        references, places, size = self._elements(names)
+        is_in_order = places == list(range(size)) and columns == list(
+            range(columns[0], columns[-1] + 1)
+        )
+        if is_in_order and dtype is np.float64 and block.dtype == np.float64:
+            part = block[:, columns[0] : columns[-1] + 1]
+            return self._bind_rows(f"{verb}{label}", references, part)
+        values: NDArray[Any] = np.zeros((1, size), dtype)
+        sizes = np.zeros(size, np.uintp) if kind == "Binary" else None
+        call, get = (
+            self._bind_rows(f"{each}{label}", references, values, sizes) for each in (verb, "Get")
+        )
+        reads, is_part = verb == "Get", verb == "Set" and len(names) < size
+        if dtype is np.uintp:
+            texts = Texts(call, sizes, places, columns, block, reads=reads)
+            if is_part:
+                texts.start_from(get)
+            return texts
+        if is_part:
+            get(0)
+        return Rearranged(call, places, columns, block, reads=reads)
 
     def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
         """Value references of the arrays that hold scalars, each one's place, and their size."""
@@ -218,10 +225,16 @@ class FmuSlave(ABC):
         if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
             self.fail(what, returned, None, variable)
 
-    def _bind_rows(self, label: str, references: Sequence[int], block: NDArray[Any]) -> Access:
+    def _bind_rows(
+        self,
+        label: str,
+        references: Sequence[int],
+        block: NDArray[Any],
+        sizes: NDArray[np.uintp] | None = None,
+    ) -> Access:
         """Make a function that calls a getter or setter of FMI with a row of a block."""
         more = (ctypes.c_size_t.from_param(block.shape[1]),) if self.counts_values else ()
-        return Access(self, self.function(label), references, block, *more)
+        return Access(self, self.function(label), references, block, *more, sizes=sizes)
 
     def function(self, label: str) -> Any:
         """A function of the library, such as "DoStep"."""

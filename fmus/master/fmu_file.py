@@ -13,7 +13,7 @@ from typing import Any, Final, cast
 from ..atomic import cache_folder
 from ..errors import InputError
 from ..interface.units import BASES, Unit, Units
-from ..interface.variables import Interface, Kind, Scalar, Value, Variability, Variable
+from ..interface.variables import INTEGERS, Interface, Kind, Scalar, Value, Variability, Variable
 from ..messages import did_you_mean, excerpt, one_line
 from ..reading import file_digest, finite_number, read_xml, unpack
 
@@ -108,7 +108,8 @@ def _parsed(variable: Variable, text: str) -> Value:
     if "_" in text or not text.isascii():  # which Python takes, but not XML
         raise ValueError(text)
     if variable.kind in ("Real", "Float32"):
-        return float(text)
+        is_whole = variable.fmi_type in INTEGERS and text.lstrip("+-").isdigit()
+        return int(text) if is_whole else float(text)
     if variable.kind == "Enumeration" and variable.choices:
         return {variable.number_of(choice): choice for choice in variable.choices}[int(text)]
     return int(text)
@@ -261,6 +262,8 @@ def _table_row(name: str, shape: tuple[int, ...], scalars: Sequence[Scalar]) -> 
     first = scalars[0].variable
     units = tuple(s.unit for s in scalars)
     kinds = {"parameter": "tunable" if first.variability == "tunable" else "fixed"}
+    is_real = first.kind in ("Real", "Float32")
+    kinds["input"] = first.variability or ("continuous" if is_real else "discrete")
     return replace(
         first,
         name=name,

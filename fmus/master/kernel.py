@@ -68,7 +68,7 @@ def make_kernel(
     step: Step, rows: Array, start: float, stop: ctypes.c_int32, *, check: bool
 ) -> Kernel | None:
     """Make the kernel of a step, if all of it can be called from C; `check`: each row's values."""
-    if load_stepper() is None:
+    if rows.dtype != np.float64 or load_stepper() is None:
         return None
     try:
         return Kernel(step, rows, start, stop, check=check)
@@ -156,7 +156,8 @@ class Kernel:
         places = None
         if isinstance(exchange, Rearranged):
             places = exchange.places
-            columns = self._place(exchange.block) if columns is None else columns
+            if columns is None:
+                columns = self._place(exchange.block)[exchange.columns]
             exchange = exchange.call
         if not isinstance(exchange, Access) or exchange.block.dtype != np.float64:
             raise _NotInCError

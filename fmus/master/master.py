@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import ctypes
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -77,13 +77,14 @@ class Master:
         # Whether to look for values that are not finite in many rows at once, which is faster: for
         # slaves that refuse these themselves. Else before any follower reads a row.
         late_check: bool = False,
+        objects: Collection[Name] = (),  # columns of values that a float64 cannot hold
     ) -> None:
         self.step_size, self.start = step_size, start
         self._late_check = late_check
         self.external = tuple(external)
         read = [(instance, name) for instance, names in outputs.items() for name in names]
         self.columns = [*external, *read]
-        self._buffer = RowBuffer(self.columns, len(external), start, step_size)
+        self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects)
         self._slaves = bind(slaves, self.columns, self.external, connections, self._buffer.rows)
         self._stop = ctypes.c_int32()
         self._set_coupling(coupling)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, TypeAlias
 
 import numpy as np
 
@@ -40,6 +40,17 @@ _CHILD: Final = (
 )
 
 
+_Packed: TypeAlias = "bytes | list[Any]"  # values as they are sent: float64, or objects
+
+
+def _packed(values: Array) -> _Packed:
+    return values.tolist() if values.dtype == object else values.tobytes()
+
+
+def _unpacked(packed: _Packed) -> Any:
+    return np.frombuffer(packed) if isinstance(packed, bytes) else np.array(packed, object)
+
+
 class RemoteSlave:
     """One instance of an FMU in a process of its own, as the master steps it.
 
@@ -60,8 +71,8 @@ class RemoteSlave:
         self.name, self.fmu = name, fmu
         self._on_message, self._step_timeout = on_message, step_timeout
         self._time: float | None = None  # of the present step [s]
-        self._inputs: dict[int, bytes] = {}  # put since the last request, by block
-        self._outputs: list[bytes] | None = None  # of each block; None: out of date
+        self._inputs: dict[int, _Packed] = {}  # put since the last request, by block
+        self._outputs: list[_Packed] | None = None  # of each block; None: out of date
         self._blocks = {"bind_get": 0, "bind_set": 0}  # number of each
         self._waiting = False  # for a reply
         self._connection, there = Pipe()
@@ -96,27 +107,27 @@ class RemoteSlave:
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that reads variables into a row, see `FmuSlave.bind_get`."""
-        index = self._bind("bind_get", names)
+        index = self._bind("bind_get", names, block)
 
         def read(row: int) -> None:
             if self._outputs is None:
                 self._outputs = self._call("read")
-            block[row] = np.frombuffer(self._outputs[index])
+            block[row] = _unpacked(self._outputs[index])
 
         return read
 
     def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that writes variables from a row, see `FmuSlave.bind_set`."""
-        index = self._bind("bind_set", names)
+        index = self._bind("bind_set", names, block)
 
         def put(row: int) -> None:
-            self._inputs[index] = block[row].tobytes()
+            self._inputs[index] = _packed(block[row])
             self._outputs = None
 
         return put
 
-    def _bind(self, method: str, names: Sequence[str]) -> int:
-        self._call(method, list(names))
+    def _bind(self, method: str, names: Sequence[str], block: Array) -> int:
+        self._call(method, list(names), block.dtype.char)
         self._blocks[method] += 1
         return self._blocks[method] - 1
 
@@ -222,25 +233,26 @@ class _Host:
         self._blocks = {"bind_get": [], "bind_set": []}
         self._slave: Any = None
 
-    def call(self, method: str, arguments: Any, values: dict[int, bytes]) -> Any:
+    def call(self, method: str, arguments: Any, values: dict[int, _Packed]) -> Any:
         """Set input blocks, then call a method of the slave."""
         for index, numbers in values.items():
             block, put = self._blocks["bind_set"][index]
-            block[0] = np.frombuffer(numbers)
+            block[0] = _unpacked(numbers)
             put(0)
         match method:
             case "open":
                 self._slave = self._open_slave(arguments[0], Fmu(Path(arguments[1])), self._keep)
             case "bind_get" | "bind_set":
-                block = np.zeros((1, len(arguments[0])))
-                bound = getattr(self._slave, method)(*arguments, block)
+                names, dtype = arguments
+                block = np.zeros((1, len(names)), dtype)
+                bound = getattr(self._slave, method)(names, block)
                 self._blocks[method].append((block, bound))
             case "step" | "read":
                 if method == "step":
                     self._slave.step(*arguments)
                 for _, get in self._blocks["bind_get"]:
                     get(0)
-                return [block[0].tobytes() for block, _ in self._blocks["bind_get"]]
+                return [_packed(block[0]) for block, _ in self._blocks["bind_get"]]
             case _:
                 return getattr(self._slave, method)(*arguments)
         return None

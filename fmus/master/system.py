@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.tables import Connection
+from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
 from ..interface.units import conversion
 from ..interface.variables import Scalar, Value
 from .fmu import FmuSlave, return_to, working_directory
@@ -24,7 +25,9 @@ from .wiring import Name
 if TYPE_CHECKING:
     from .remote_slave import RemoteSlave
 
-RECORDED_KINDS: Final = ("Real", "Float32", "Integer", "Enumeration", "Boolean")  # as float64
+RECORDED_KINDS: Final = (
+    "Real", "Float32", "Integer", "Enumeration", "Boolean", "String", "Binary"
+)  # fmt: skip
 Instance: TypeAlias = "FmuSlave | RemoteSlave"
 
 
@@ -86,16 +89,22 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
         check_target(command, "command")
     for connection in system.connections:
         place = f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}"
-        source = _scalar(fmus, connection.source, place, "output").unit
-        target = check_target(connection.target, place).unit
+        source = _scalar(fmus, connection.source, place, "output")
+        target = check_target(connection.target, place)
+        fits = can_convert if connection.converts_types else is_lossless
+        if not fits(source.variable, target.variable):
+            raise InputError(
+                f"{place}: type {type_of(source.variable)} feeds type {type_of(target.variable)}; "
+                "must be one that holds all its values"
+            )
         if connection.converts_units and _conversion(fmus, connection) is None:
             raise InputError(
-                f"{place}: unit {source!r} feeds unit {target!r}; must be the same, or both "
-                "defined by the same SI base units"
+                f"{place}: unit {source.unit!r} feeds unit {target.unit!r}; must be the same, or "
+                "both defined by the same SI base units"
             )
     for instance, names in system.outputs.items():
         for name in names:
-            _scalar(fmus, (instance, name), "recording", "output", RECORDED_KINDS)
+            _scalar(fmus, (instance, name), "recording", "output")
 
 
 def _conversion(fmus: Mapping[str, Fmu], connection: Connection) -> tuple[float, float] | None:
@@ -104,6 +113,16 @@ def _conversion(fmus: Mapping[str, Fmu], connection: Connection) -> tuple[float,
     units = (source.variable(connection.source[1]).unit, source.units,
              target.variable(connection.target[1]).unit, target.units)  # fmt: skip
     return conversion(*units)
+
+
+def _objects(fmus: Mapping[str, Fmu], system: System) -> set[Name]:
+    """Columns whose values a float64 cannot hold."""
+    read = ((instance, name) for instance, names in system.outputs.items() for name in names)
+    return {
+        (instance, name)
+        for instance, name in (*system.external, *read)
+        if type_of(fmus[instance].variable(name).variable) in OBJECTS
+    }
 
 
 def _in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
@@ -121,16 +140,15 @@ def _scalar(
     name: Name,
     place: str,
     causality: str,
-    kinds: Sequence[str] = ("Real",),
 ) -> Scalar:
     instance, variable = name
     if instance not in fmus:
         raise InputError(f"{place}: no instance {instance!r}; valid: {', '.join(fmus)}")
     scalar = fmus[instance].variable(variable)
     where = f"{fmus[instance].label}: {variable}"
-    if scalar.variable.kind not in kinds:
+    if scalar.variable.kind not in RECORDED_KINDS:
         raise InputError(
-            f"{where}: type {scalar.variable.kind}; must be {' or '.join(kinds)} ({place})"
+            f"{where}: type {scalar.variable.kind}; must be {' or '.join(RECORDED_KINDS)} ({place})"
         )
     if scalar.variable.causality != causality:
         raise InputError(
@@ -221,5 +239,6 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             coupling,
             start=start,
             late_check=system.refuses_non_finite,
+            objects=_objects(fmus, system),
         )
         yield OpenSystem(master, slaves, fmus)

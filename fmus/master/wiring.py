@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -106,7 +106,7 @@ def _bind_inputs(
     if columns == list(range(first, last + 1)) and not conversions:
         return slave.bind_set(names, rows[:, first : last + 1])
     # In the order of the connections, which is probably that of the inputs in the slave.
-    values = np.zeros((1, len(inputs)))
+    values = np.zeros((1, len(inputs)), rows.dtype)
     put = slave.bind_set(list(inputs), values)
     linear = [conversions.get(name, (1.0, 0.0)) for name in inputs] if conversions else None
     return Gather(put, list(inputs.values()), rows, values, linear)
@@ -126,13 +126,16 @@ class Gather:
         self.put, self.columns = put, np.array(columns)
         self._rows, self._values = rows, values
         self.conversions = None if conversions is None else np.array(conversions)
+        if self.conversions is not None:
+            self._converted = np.flatnonzero((self.conversions != (1.0, 0.0)).any(axis=1))
 
     def __call__(self, row: int) -> None:
         """Set the inputs from a row."""
         self._rows[row].take(self.columns, out=self._values[0], mode="clip")
         if self.conversions is not None:
-            factors, offsets = self.conversions.T
-            self._values[0] = factors * self._values[0] + offsets
+            factors, offsets = self.conversions[self._converted].T
+            numbers = self._values[0, self._converted]
+            self._values[0, self._converted] = factors * numbers + offsets
         self.put(0)
 
 
@@ -155,7 +158,8 @@ class ExternalInputs(Protocol):
 class RowBuffer:
     """Rows of the recording: time, external inputs, outputs.
 
-    It holds `BLOCK_ROWS` rows and one more, for the outputs of the last tick.
+    It holds `BLOCK_ROWS` rows and one more, for the outputs of the last tick. They are Python's
+    objects if any of their values is one that a float64 cannot hold: those of the names `objects`.
     """
 
     rows: Array  # (BLOCK_ROWS + 1, 1 + external + outputs)
@@ -163,9 +167,16 @@ class RowBuffer:
     filled: int  # number of complete rows
 
     def __init__(
-        self, columns: Sequence[Name], external: int, start: float, step_size: float
+        self,
+        columns: Sequence[Name],
+        external: int,
+        start: float,
+        step_size: float,
+        objects: Collection[Name] = (),
     ) -> None:
-        self.rows = np.zeros((BLOCK_ROWS + 1, 1 + len(columns)))
+        dtype = object if objects else np.float64
+        self.rows = np.zeros((BLOCK_ROWS + 1, 1 + len(columns)), dtype)
+        self._numbers = [0, *(i for i, name in enumerate(columns, 1) if name not in objects)]
         self._columns = columns
         self.external = external
         self._start, self._step_size = start, step_size
@@ -206,13 +217,20 @@ class RowBuffer:
 
     def complete(self, row: int) -> None:
         """Mark a row as complete; raises SimulationError if a value is not finite."""
-        if not np.isfinite(self.rows[row]).all():
+        if not self._are_finite(slice(row, row + 1)).all():
             raise self.error_at(row)
         self.filled = row + 1
 
     def complete_unchecked(self, row: int) -> None:
         """Mark a row as complete; `flush` finds values that are not finite."""
         self.filled = row + 1
+
+    def _are_finite(self, rows: slice) -> NDArray[np.bool_]:
+        """Whether the numbers of some rows are finite."""
+        part = self.rows[rows]
+        if part.dtype == object:
+            part = part[:, self._numbers].astype(np.float64)
+        return np.isfinite(part)
 
     def flush(self) -> int | None:
         """Pass complete rows to the sink, up to the first that is not finite; returns its index."""
@@ -224,7 +242,7 @@ class RowBuffer:
 
     def find_non_finite(self, end: int) -> int | None:
         """Find the first row, of those before `end` not yet flushed, that is not finite."""
-        finite = np.isfinite(self.rows[self._flushed : end])
+        finite = self._are_finite(slice(self._flushed, end))
         if finite.all():
             return None
         return self._flushed + int(finite.all(axis=1).argmin())
@@ -232,7 +250,7 @@ class RowBuffer:
     def error_at(self, row: int) -> SimulationError:
         """Return the error that names the first value of a row that is not finite."""
         values = self.rows[row]
-        column = int(np.flatnonzero(~np.isfinite(values))[0])
+        column = self._numbers[int(np.flatnonzero(~self._are_finite(slice(row, row + 1))[0])[0])]
         instance, variable = self._columns[column - 1]
         return SimulationError(
             f"value {values[column]} is not finite",

@@ -51,7 +51,7 @@ CURVES: Final = (
 
 def page_of(session: Session) -> str:
     """Return the page of a session as HTML."""
-    columns, model = list(session.signals), _model(session)
+    columns, model = list(session.numbers()), _model(session)
     bounds = story.bounds() if session.is_panda else {}
     content = {
         "name": session.scenario.name,
@@ -62,7 +62,7 @@ def page_of(session: Session) -> str:
         "roles": {role: _columns_of(columns, name) for role, name in ROLES.items()},
         "bounds": {name: pair for name, pair in bounds.items() if name in columns},
         "duration": session.scenario.duration,
-        "row": session.row().tolist(),
+        "row": list(session.numbers().values()),
         "tunables": [
             {
                 "name": name,
@@ -155,7 +155,8 @@ def _signals(session: Session) -> list[dict[str, Any]]:
         for scalar in interface.scalars()
     }
     signals = []
-    for signal, group in groupby(session.signals[1:], key=lambda name: name.partition("[")[0]):
+    names_of_numbers = list(session.numbers())[1:]
+    for signal, group in groupby(names_of_numbers, key=lambda name: name.partition("[")[0]):
         names = list(group)
         units = [scalars[name].unit for name in names]
         words = scalars[names[0]].variable.description

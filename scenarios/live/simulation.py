@@ -36,6 +36,11 @@ QUEUED: Final = 64  # commands
 TURN: Final = 8  # most commands between two rows
 
 
+def _row(session: Session) -> Array:
+    """Current values (n,) of the page's columns."""
+    return np.array(list(session.numbers().values()))
+
+
 class Simulation:
     """A session in real time. One thread calls `run`; `ask` may be called from others.
 
@@ -43,7 +48,7 @@ class Simulation:
     """
 
     def __init__(self, session: Session, speed: float = 1.0, *, playing: bool = True) -> None:
-        self.history: deque[Array] = deque([session.row()], maxlen=KEPT)
+        self.history: deque[Array] = deque([_row(session)], maxlen=KEPT)
         self._session, self._speed = session, speed
         self._rate = 1.0 / session.scenario.step  # steps per second
         self._commands: queue.Queue[tuple[Command, Callable[[str], None]]] = queue.Queue(QUEUED)
@@ -131,7 +136,7 @@ class Simulation:
         self._show(server)
 
     def _show(self, server: LiveServer) -> None:
-        row = self._session.row()
+        row = _row(self._session)
         self.history.append(row)
         server.rows(row[np.newaxis])
 

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt, one_line
-from .storage import PARQUET_FILE, STREAM_FILE, Source, open_parquet, open_stream
+from .storage import (
+    PARQUET_FILE,
+    STREAM_FILE,
+    TEXTS,
+    Source,
+    open_parquet,
+    open_stream,
+    read_type,
+)
 
 Array = NDArray[np.float64]
 
@@ -31,8 +39,9 @@ class Recording:
 
     Attributes:
         path: The file.
-        columns: Names of all columns, such as `plant.qpos[1]`.
-        units: Unit of each column.
+        columns: Names of all columns of numbers, such as `plant.qpos[1]`.
+        texts: Names of the columns of text (str) and bytes, if FMUs have such outputs.
+        units: Unit of each column of numbers.
         descriptions: Description of each column.
         metadata: Scenario, versions, parameters and so on.
     """
@@ -40,12 +49,15 @@ class Recording:
     def __init__(self, path: Path, source: Source) -> None:
         self.path = path
         self.metadata = source.metadata
-        self.columns = tuple(column.name for column in source.columns)
-        self.units = {column.name: column.unit for column in source.columns}
+        numbers = [column for column in source.columns if column.type not in TEXTS]
+        self.columns = tuple(column.name for column in numbers)
+        self.texts = tuple(column.name for column in source.columns if column.type in TEXTS)
+        self._types = {column.name: read_type(column.type) for column in source.columns}
+        self.units = {column.name: column.unit for column in numbers}
         self.descriptions = {column.name: column.description for column in source.columns}
         self._source = source
         self._check()
-        self._shapes = shapes_of(self.columns)
+        self._shapes = shapes_of(self.columns) | shapes_of(self.texts)
 
     @classmethod
     def open(cls, path: str | Path, *, in_order: bool = False) -> Self:
@@ -103,11 +115,14 @@ class Recording:
     def __getitem__(self, name: str) -> Array:
         """Return a signal or one of its elements, first axis the rows.
 
+        It is of type float64, or of int64, uint64 or object (str, bytes) if a float64 cannot hold
+        its values.
+
         Raises:
             InputError: There is no such signal, or the data is damaged.
         """
         names = self._elements(name)
-        values, row = np.empty((self.rows, len(names))), 0
+        values, row = np.empty((self.rows, len(names)), self._types[names[0]]), 0
         for block in self._source.blocks(names):  # no more than one beside the result
             end = row + len(block[0])
             values[row:end].T[:] = block
@@ -116,7 +131,7 @@ class Recording:
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a signal or element of that name."""
-        return name in self._shapes or name in self.units
+        return name in self._shapes or name in self._types
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names of the signals."""
@@ -128,9 +143,13 @@ class Recording:
         return f"<Recording {self.path}: {self.rows} rows, {len(self.columns)} columns, {state}>"
 
     def blocks(self) -> Iterator[Array]:
-        """Yield all columns in blocks of rows, shape (k, columns), in bounded memory."""
-        for block in self._source.blocks(self.columns):
-            yield np.column_stack(block)
+        """Yield all columns in blocks of rows, shape (k, columns), in bounded memory.
+
+        Those of `texts` are the last. A block is of type object if any column is not of float64.
+        """
+        dtype = object if set(self._types.values()) - {np.float64} else np.float64
+        for block in self._source.blocks((*self.columns, *self.texts)):
+            yield np.column_stack([column.astype(dtype, copy=False) for column in block])
 
     def in_blocks(self, *names: str, before: int = 0) -> Iterator[list[Array]]:
         """Yield signals block by block, each (k, ...).
@@ -163,9 +182,12 @@ class Recording:
         check_replaceable(path, overwrite=overwrite)
         with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)  # writes floats exactly, as repr()
-            writer.writerow(self.columns)
+            writer.writerow((*self.columns, *self.texts))
             for block in self.blocks():
-                writer.writerows(block.tolist())
+                writer.writerows(
+                    [value.hex() if isinstance(value, bytes) else value for value in row]
+                    for row in block.tolist()
+                )
 
     def to_pandas(self, signals: Sequence[str] | None = None) -> Any:
         """Return a pandas.DataFrame with one column per scalar, indexed by time [s].
@@ -183,7 +205,7 @@ class Recording:
         names = [name for signal in signals or self.signals for name in self._elements(signal)]
         index = pandas.Index(self.time, name="time")
         frame = pandas.DataFrame({name: self[name] for name in names if name != "time"}, index)
-        frame.attrs["units"] = {name: self.units[name] for name in frame.columns}
+        frame.attrs["units"] = {name: self.units.get(name, "") for name in frame.columns}
         frame.attrs["descriptions"] = {name: self.descriptions[name] for name in frame.columns}
         return frame
 
@@ -217,7 +239,7 @@ class Recording:
     def _elements(self, name: str) -> list[str]:
         """Return the columns of a signal, or the one column of that name."""
         shape = self._shapes.get(name)
-        if shape is None and name not in self.units:
+        if shape is None and name not in self._types:
             hint = did_you_mean(name, (*self.signals, *self.columns))
             raise InputError(f"{self.path}: no signal {excerpt(name)}{hint}")
         if not shape:
@@ -227,7 +249,7 @@ class Recording:
 
     def _attributes(self, signal: str) -> dict[str, str]:
         names = self._elements(signal)
-        units = {self.units[name] for name in names}
+        units = {self.units.get(name, "") for name in names}
         same_unit = {"units": units.pop()} if len(units) == 1 else {}
         return {**same_unit, "description": self.descriptions[names[0]]}
 
@@ -245,7 +267,7 @@ class Recording:
     def _check(self) -> None:
         if self.columns[:1] != ("time",):
             raise InputError(f"{self.path}: the first column is not time")
-        if len(self.units) != len(self.columns):
+        if len(self._types) != len(self.columns) + len(self.texts):
             raise InputError(f"{self.path}: two columns have the same name")
 
 

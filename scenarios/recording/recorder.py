@@ -64,7 +64,7 @@ class Recorder(_Context):
         self._memory: MemoryRecorder | None = MemoryRecorder(
             place, *storage.read_schema(self._parquet, self._schema)
         )
-        self._buffer = np.empty((len(columns), _BUFFER_ROWS))
+        self._buffer = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
         self._filled = 0
         self._saved = 0
         self._size = 0  # of the stream's whole messages [bytes]
@@ -198,7 +198,7 @@ class MemoryRecorder(_Context):
         self._path = folder / PARQUET_FILE  # where its file would be looked for
         self._columns = storage.distinct(columns)
         self._metadata = {**metadata, "format": storage.FORMAT}
-        self._values = np.empty((len(columns), _BUFFER_ROWS))
+        self._values = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
         self.rows = 0  # number of rows appended
         self._closed = False
 
@@ -207,7 +207,7 @@ class MemoryRecorder(_Context):
         end = self.rows + len(rows)
         if end > self._values.shape[1]:
             shorter = self._values[:, : self.rows]
-            self._values = np.empty((len(self._columns), 2 * end))
+            self._values = np.empty((len(self._columns), 2 * end), shorter.dtype)
             self._values[:, : self.rows] = shorter
         self._values[:, self.rows : end] = rows.T
         self.rows = end
@@ -225,7 +225,10 @@ class MemoryRecorder(_Context):
     def recording(self) -> Recording:
         """Return what was recorded."""
         values = self._values[:, : self.rows]
-        by_name = {column.name: values[i] for i, column in enumerate(self._columns)}
+        by_name = {
+            column.name: values[i].astype(storage.read_type(column.type), copy=False)
+            for i, column in enumerate(self._columns)
+        }
         blocks = partial(_one_block, by_name)
         source = storage.Source(self._columns, self._metadata, self.rows, blocks)
         return Recording(self._path, source)

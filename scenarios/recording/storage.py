@@ -1,8 +1,9 @@
 """Files of a recording: an Arrow stream while it grows, a Parquet file when it is complete.
 
-Both hold one float64 column per scalar, with unit and description in the column's metadata, and a
-JSON text under `METADATA_KEY` in the schema's metadata. Only this module and `reference` use
-pyarrow; functions import it, since it takes 0.1 s that `panda-cosim --help` should not spend.
+Both hold one column per scalar, float64 unless an FMU has another type, with unit and description
+in the column's metadata, and a JSON text under `METADATA_KEY` in the schema's metadata. Only this
+module and `reference` use pyarrow; functions import it, since it takes 0.1 s that
+`panda-cosim --help` should not spend.
 """
 
 import json
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
@@ -35,6 +36,12 @@ PARQUET_FILE = "recording.parquet"
 PARTIAL_FILE = f"{PARQUET_FILE}.part"  # while the one is made of the other
 METADATA_KEY = b"panda_cosim"
 BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
+# Types of columns, as Arrow names them, and NumPy's.
+TYPES: Final[dict[str, DTypeLike]] = {
+    "double": np.float64, "float": np.float32, "bool": np.bool_, "string": object, "binary": object,
+    **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+}  # fmt: skip
+TEXTS: Final = ("string", "binary")
 NO_END = "it has no end mark: the process was killed, the disk was full, or it is still running"
 
 
@@ -45,6 +52,7 @@ class Column:
     name: str
     unit: str = ""
     description: str = ""
+    type: str = "double"  # Arrow's name of one of `TYPES`
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,7 @@ def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
     fields = [
         pa.field(
             column.name,
-            pa.float64(),
+            pa.type_for_alias(column.type),
             nullable=False,
             metadata={"unit": column.unit, "description": column.description},
         )
@@ -128,7 +136,8 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
                 schema,
                 compression="zstd",
                 use_dictionary=False,
-                use_byte_stream_split=True,  # groups exponents: the file is a quarter smaller
+                # Groups exponents: the file is a quarter smaller.
+                use_byte_stream_split=[c.name for c in source.columns if c.type == "double"],
                 write_statistics=False,
                 write_page_checksum=True,  # detects flipped bits
             ) as writer,
@@ -251,16 +260,40 @@ def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
     import pyarrow as pa  # noqa: PLC0415 - slow to import
 
     # Made from buffers, since pa.array() copies, and imports pandas.
-    arrays = [
-        pa.Array.from_buffers(pa.float64(), len(column), [None, pa.py_buffer(column)])
-        for column in values
-    ]
+    arrays = []
+    for field, column in zip(schema, values, strict=True):
+        name = str(field.type)
+        if name in TEXTS:
+            arrays.append(pa.array(column.tolist(), field.type))
+            continue
+        numbers = np.ascontiguousarray(column, dtype=TYPES[name])
+        if name == "bool":
+            numbers = np.packbits(numbers, bitorder="little")
+        buffers = [None, pa.py_buffer(numbers)]
+        arrays.append(pa.Array.from_buffers(field.type, len(column), buffers))
     return pa.RecordBatch.from_arrays(arrays, schema=schema)
 
 
 def _values(column: Any) -> Array:
     """Return an Arrow array's values; its own to_numpy() would import pandas, which takes 0.4 s."""
-    return np.asarray(np.from_dlpack(column), dtype=np.float64)
+    name = str(column.type)
+    if name in TEXTS:
+        texts = np.empty(len(column), object)
+        texts[:] = column.to_pylist()
+        return texts
+    return np.asarray(np.from_dlpack(column.cast("uint8") if name == "bool" else column),
+                      dtype=read_type(name))  # fmt: skip
+
+
+def type_of_rows(columns: Sequence[Column]) -> DTypeLike:
+    """Return float64 if that holds the values of all columns."""
+    types = {read_type(column.type) for column in columns}
+    return np.float64 if types == {np.float64} else object
+
+
+def read_type(name: str) -> DTypeLike:
+    """Return the type in which a column is read: float64 if that holds all of its values."""
+    return TYPES[name] if name in ("int64", "uint64", *TEXTS) else np.float64
 
 
 def read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
@@ -308,10 +341,11 @@ _METADATA: Final[dict[str, tuple[str, Callable[[Any], bool]]]] = {
 
 
 def _read_column(path: Path, field: Any) -> Column:
-    if str(field.type) != "double":
-        raise InputError(f"{path}: column {field.name!a}: type {field.type}; must be double")
+    if str(field.type) not in TYPES:
+        valid = ", ".join(TYPES)
+        raise InputError(f"{path}: column {field.name!a}: type {field.type}; must be {valid}")
     notes = field.metadata or {}
     unit, description = (
         notes.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"description")
     )
-    return Column(field.name, unit, description)
+    return Column(field.name, unit, description, str(field.type))

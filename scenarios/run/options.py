@@ -37,7 +37,7 @@ TOP: Final = (
     "timing_share",
     "align",
 )
-_SECTIONS: Final = ("table.", "push[", "success.", "mismatch.")
+_SECTIONS: Final = ("table.", "push[", "success.", "mismatch.", "inputs.")
 _STEP: Final = re.compile(r"(\w+)(?:\[(\d{1,6})\])?", re.A)
 _COLUMNS: Final = {  # of the table's file, whose rows have them in vectors
     **{name: ("position", i) for i, name in enumerate("xyz")},
@@ -176,10 +176,13 @@ def _blamed(scenario: Scenario, values: Mapping[str, ParameterValue], text: str)
 def _with_all(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scenario:
     """Change all values at once, so that no order of the keys is seen."""
     changes: dict[Steps, Any] = {}
+    inputs: dict[str, ParameterValue] = {}
     parameters: dict[str, dict[str, ParameterValue]] = {}
     for key, value in values.items():
         instance, dot, name = key.partition(".")
-        if _is_setting(key):
+        if instance == "inputs":
+            inputs[name] = value
+        elif _is_setting(key):
             changes[_steps(key)] = value
         elif dot:
             parameters.setdefault(instance, {})[name] = value
@@ -190,12 +193,14 @@ def _with_all(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scena
     if scenario.is_system and any(steps[0] == "table" for steps in changes):
         raise InputError(f"the scenario is a system, which has no {TABLE_FILE}")
     changed: Scenario = _changed(scenario, changes)
+    if inputs:
+        changed = replace(changed, inputs=_merged(changed.inputs, inputs))
     return with_options(changed, Options(parameters)) if parameters else changed
 
 
 def _no_such(key: str) -> InputError:
     valid = (*TOP, "mismatch.preset", "table.rows[1].x", "push[1].force[1]", "success.max_slip",
-             "plant.block_mass")  # fmt: skip
+             "inputs.plant.torque", "plant.block_mass")  # fmt: skip
     return InputError(f"no such key; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
 
 

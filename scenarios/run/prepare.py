@@ -13,6 +13,7 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import COMMANDS, INTERFACES
+from ...fmus.interface.types import in_row
 from ...fmus.master.system import OpenSystem, open_system
 from ...fmus.messages import did_you_mean
 from ..scenario.scenario import Scenario
@@ -45,10 +46,13 @@ class Prepared:
             kind = "" if status.lower() == "warning" else f" {status.lower()}"
             warnings.append(f"{instance}{kind}: {text}")
 
-        start = self.assembly.start_time
+        assembly, start = self.assembly, self.assembly.start_time
+        values = assembly.changed(self.values)
+        for name, driven in assembly.driven.at_start(start, assembly.scalars).items():
+            values[name] = {**values.get(name, {}), **driven}
         return open_system(
-            self.assembly.system,
-            self.assembly.changed(self.values),
+            assembly.system,
+            values,
             start=start,
             stop=start + self.scenario.duration,
             step_size=self.scenario.step,
@@ -104,7 +108,9 @@ class Inputs:
         self._values = values
         self._scalars = {".".join(name): assembly.scalars[name] for name in assembly.external}
         self._columns = {name: column for column, name in enumerate(self._scalars)}
-        self._start = np.array(assembly.inputs_at_start(values))
+        self._assembly = assembly
+        self._start = assembly.inputs_at_start(values)
+        self._from_time, self._step = assembly.start_time, scenario.step
         self._held: dict[int, float] = {}
         self.shape = (scenario.ticks + 1, len(self._columns))  # instants, inputs
         self.use(scenario)
@@ -126,7 +132,7 @@ class Inputs:
     def __getitem__(self, ticks: slice, /) -> Array:
         """Return the rows of a range of ticks, cut off at the last one."""
         start, stop, _ = ticks.indices(self.shape[0])
-        rows = np.empty((max(stop - start, 0), self.shape[1]))
+        rows = np.empty((max(stop - start, 0), self.shape[1]), self._start.dtype)
         for first in range(start - start % CHUNK, stop, CHUNK):
             if first != self._first:
                 self._first, self._part = first, self._computed(first, CHUNK)
@@ -139,6 +145,11 @@ class Inputs:
     def _computed(self, first: int, count: int) -> Array:
         count = min(count, self.shape[0] - first)
         rows = np.tile(self._start, (count, 1))
+        ticks = np.arange(first, first + count, dtype=np.float64)
+        for name in self._assembly.driven.names:
+            scalar, column = self._assembly.scalars[name], self._columns[".".join(name)]
+            instants = self._from_time + self._step * ticks
+            rows[:, column] = self._assembly.driven.sample(name, scalar, instants)
         if self._trajectory is not None:
             times = _instants(first, count)
             commands = _sampled(self._trajectory, first, count)
@@ -170,8 +181,10 @@ class Inputs:
         if len(values) != len(names):
             raise InputError(f"{name}: value of {len(values)} items; must be {len(names)} numbers")
         held = [self._scalars[n].checked(name, v) for n, v in zip(names, values, strict=True)]
-        for each, number in zip(names, held, strict=True):
-            self._held[self._columns[each]] = float(number) + 0.0  # -0.0 becomes 0.0
+        for each, checked in zip(names, held, strict=True):
+            content = in_row(self._scalars[each], checked)
+            # -0.0 becomes 0.0
+            self._held[self._columns[each]] = content + 0.0 if content == 0.0 else content
 
     def release(self, name: str) -> None:
         """Give an input the scenario's values again."""

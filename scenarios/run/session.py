@@ -142,7 +142,7 @@ class Session(Execution):
         return self._begun.head
 
     def row(self) -> Array:
-        """Current values (len(signals),).
+        """Current values (len(signals),), of type object if a float64 cannot hold some of them.
 
         The controller's outputs are those of the last tick; its next step is still to come.
         """
@@ -152,9 +152,14 @@ class Session(Execution):
         row[1 : 1 + len(external)] = external
         return row
 
-    def state(self) -> dict[str, float]:
+    def state(self) -> dict[str, float | str | bytes]:
         """Current values by signal, see `row`."""
         return dict(zip(self.signals, self.row().tolist(), strict=True))
+
+    def numbers(self) -> dict[str, float]:
+        """Current values of the signals that are numbers, see `row`."""
+        texts = (str, bytes)
+        return {n: float(v) for n, v in self.state().items() if not isinstance(v, texts)}
 
     @property
     def table(self) -> TrajectoryTable:

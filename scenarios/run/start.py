@@ -20,6 +20,7 @@ from ...plant.parameters import PlantParameters
 from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
+from ..recording.storage import TEXTS
 from ..scenario.scenario import SCENARIO_FILE, Scenario
 from ..scenario.table import TrajectoryTable
 from ..scenario.trajectory import TIME_TOLERANCE, StartPose, Trajectory
@@ -53,7 +54,7 @@ def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None
     """Check that the signals of the scenario's criteria will be recorded, as long as they need."""
     if scenario.success.signal or scenario.success.body:
         assembly = assembly or assemble(scenario)
-        units = {column.name: column.unit for column in assembly.recorded()}
+        units = {c.name: c.unit for c in assembly.recorded() if c.type not in TEXTS}
         start = assembly.start_time
         try:
             scenario.success.check_windows(start, start + scenario.duration)

@@ -26,6 +26,7 @@ from ..fields import (
     numbers,
 )
 from ..files import read_text
+from .input_table import InputTable
 from .mismatch import Mismatch
 from .success import Success
 from .table import TableRow, TrajectoryTable
@@ -68,7 +69,8 @@ def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
             "is a section; must be a value (a name with dots or brackets needs quotes)"
         )
     if not isinstance(value, Sequence | np.ndarray):
-        return Quantity()(value)
+        number = Quantity()(value)
+        return int(value) if isinstance(value, int) and abs(value) > 2**53 else number
     if not len(value):
         raise ValueError("value []; must hold at least one number")
     return numbers(value, Quantity())
@@ -137,6 +139,9 @@ class Scenario:
     # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
+    # Values of unconnected inputs; `file`: a table of inputs over time.
+    inputs: Mapping[str, Parameter] = field(default_factory=dict)
+    input_table: InputTable = field(default_factory=InputTable)
     # Start values of FMUs that are neither `plant` nor `controller`.
     parameters: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     folder: Path | None = None  # where it was read from
@@ -242,7 +247,16 @@ class Scenario:
         table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else NO_TABLE
         try:
             check_keys("", keys, KEYS)
-            return cls(**keys, name=folder.resolve().name, table=table, folder=folder)
+            inputs = keys.get("inputs", {})
+            file = inputs.get("file") if isinstance(inputs, Mapping) else None
+            inputs_over_time = InputTable.read(folder / file) if isinstance(file, str) else None
+            return cls(
+                **keys,
+                name=folder.resolve().name,
+                table=table,
+                input_table=inputs_over_time or InputTable(),
+                folder=folder,
+            )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
@@ -254,7 +268,8 @@ class Scenario:
 
 
 # Keys of scenario.toml; the other fields come from the folder.
-KEYS = tuple(name for name in field_names(Scenario) if name not in ("name", "table", "folder"))
+_FROM_FOLDER = ("name", "table", "input_table", "folder")
+KEYS = tuple(name for name in field_names(Scenario) if name not in _FROM_FOLDER)
 
 
 def shipped_scenarios() -> dict[str, Path]:

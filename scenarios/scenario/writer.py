@@ -25,6 +25,7 @@ from .trajectory import COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
 LAW_FILE: Final = "my_law.py"
+INPUTS_FILE: Final = "inputs.csv"
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
@@ -57,6 +58,8 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
     written = {folder / SCENARIO_FILE: settings_text(scenario)}
     if not scenario.is_system:
         written[folder / TABLE_FILE] = table_text(scenario.table)
+    if scenario.input_table.text:
+        written[folder / INPUTS_FILE] = scenario.input_table.text
     write_all(_original(scenario, folder) or written)
 
 
@@ -68,7 +71,11 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
             return None
         return {
             folder / name: (scenario.folder / name).read_bytes().decode("utf-8")
-            for name in (SCENARIO_FILE, *([] if scenario.is_system else [TABLE_FILE]))
+            for name in (
+                SCENARIO_FILE,
+                *([] if scenario.is_system else [TABLE_FILE]),
+                *([str(scenario.inputs["file"])] if scenario.input_table.text else []),
+            )
         }
     except (InputError, OSError, ValueError):  # changed or removed since
         return None
@@ -83,8 +90,11 @@ def settings_text(scenario: Scenario) -> str:
             del top[name]
     success, tolerances = asdict(scenario.success), scenario.regression
     del success["signal"], success["body"]
+    file = {"file": INPUTS_FILE} if scenario.input_table.text else {}
+    inputs = {**{n: v for n, v in scenario.inputs.items() if n != "file"}, **file}
     sections: list[tuple[str, Mapping[str, Any]]] = [
         *((f"[{name}]", values[name]) for name in ("fmus", "connect") if values[name]),
+        ("[inputs]", inputs),
         *((f"[parameters.{name}]", own) for name, own in scenario.parameters.items()),
         ("[plant]", scenario.plant),
         ("[controller]", scenario.controller),

@@ -5,27 +5,28 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Final
+
+import numpy as np
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
+from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
-from ...fmus.master.system import System
-from ...fmus.master.wiring import Name
+from ...fmus.master.system import RECORDED_KINDS, System
+from ...fmus.master.wiring import Array, Name
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
 from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Scenario
 from .connector import Connector
+from .driven import DrivenInputs, driven_inputs
 from .parts import Part, read_parts
-
-NUMBERS: Final = ("Real", "Boolean", "Enumeration")  # what a recording can hold
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Assembly:
     parts: Sequence[Part] = ()  # where the FMUs come from; empty for an .ssp file
     notes: Sequence[str] = ()  # unconnected inputs
     asked: frozenset[str] = frozenset()  # signals of criteria, recorded in any case
+    driven: DrivenInputs = field(default_factory=DrivenInputs)  # among the external ones
     # Of an .ssp file: its system, start values and start time [s].
     ssp: System | None = None
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
@@ -69,7 +71,7 @@ class Assembly:
         }  # fmt: skip
 
     def _is_recorded(self, name: str, variable: Variable) -> bool:
-        if variable.kind not in NUMBERS:
+        if variable.kind not in RECORDED_KINDS:
             return False
         if not variable.on_request or f"{name}.{variable.name}" in self.asked:
             return True
@@ -90,7 +92,9 @@ class Assembly:
                     f"FMUs {other[0]!r} and {name[0]!r}: {other[1]!r} and {name[1]!r} would both "
                     f"be column {column} of the recording; rename one of the FMUs"
                 )
-            columns.append(Column(column, scalar.unit, scalar.variable.description))
+            variable = scalar.variable
+            kind = column_type(variable)
+            columns.append(Column(column, scalar.unit, variable.description, kind))
         return columns
 
     @cached_property
@@ -98,12 +102,13 @@ class Assembly:
         """All scalar variables by FMU and name."""
         return {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
 
-    def inputs_at_start(self, values: Mapping[str, Mapping[str, Value]]) -> list[float]:
-        """Start value of each external input."""
-        return [
-            float(values.get(instance, {}).get(name, self.scalars[instance, name].start or 0.0))
-            for instance, name in self.external
-        ]
+    def inputs_at_start(self, values: Mapping[str, Mapping[str, Value]]) -> Array:
+        """Start value of each external input, as rows hold it."""
+        scalars = [self.scalars[name] for name in self.external]
+        is_number = all(type_of(scalar.variable) not in OBJECTS for scalar in scalars)
+        content = [in_row(s, values.get(i, {}).get(n))
+                   for s, (i, n) in zip(scalars, self.external, strict=True)]  # fmt: skip
+        return np.array(content, np.float64 if is_number else object)
 
     def changed(self, values: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, Value]]:
         """Return the start values that FMUs are given; of others' only those not their own."""
@@ -166,6 +171,10 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     if scenario.is_torque_driven:
         connector.connect_torques()
     external = [] if scenario.is_system else _external(scenario, connector, from_outside)
+    interfaces = {part.name: part.interface for part in parts}
+    driven = driven_inputs(scenario, interfaces)
+    connector.drive(driven.names)
+    external += driven.names
     if scenario.mismatch.has_sensors:
         _feed_from_sensors(connector)
     for part in parts:
@@ -173,7 +182,6 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
             connector.connect_by_name(part, variable)
     if not scenario.is_system and not connector.is_fed("plant", "ctrl"):
         raise InputError(connector.unfed_message("plant", "ctrl"))
-    interfaces = {part.name: part.interface for part in parts}
     for name in scenario.parameters:
         if name not in interfaces:
             hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
@@ -181,7 +189,7 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     connections, notes = connector.connections, connector.notes
     if from_outside:
         external, notes = [*_unfed(interfaces, connections, external), *external], []
-    return Assembly(interfaces, connections, external, parts, notes, scenario.asked)
+    return Assembly(interfaces, connections, external, parts, notes, scenario.asked, driven)
 
 
 def _unfed(
@@ -195,7 +203,7 @@ def _unfed(
         (instance, name)
         for instance, interface in interfaces.items()
         for variable in interface.of("input")
-        if variable.kind == "Real" and variable.multiple_of is None
+        if variable.kind in RECORDED_KINDS
         for name in variable.names()
         if (instance, name) not in without
     ]
@@ -243,13 +251,18 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     coupled = system_from_ssp((scenario.folder or Path()) / scenario.system)
     system = coupled.system
     interfaces = {name: described_interface(read_fmu(file)) for name, file in system.fmus.items()}
-    if from_outside:
-        system = replace(system, external=_unfed(interfaces, system.connections, ()))
+    parts = [Part(n, f, interfaces[n], partial(Path, f)) for n, f in system.fmus.items()]
+    connector, driven = Connector(parts), driven_inputs(scenario, interfaces)
+    connector.drive([connection.target for connection in system.connections])
+    connector.drive(driven.names)
+    unfed = _unfed(interfaces, system.connections, driven.names) if from_outside else []
+    system = replace(system, external=[*unfed, *driven.names])
     return Assembly(
         interfaces,
         system.connections,
         system.external,
         notes=coupled.warnings,
+        driven=driven,
         ssp=system,
         start=coupled.start_values,
         start_time=coupled.start_time,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -9,8 +10,10 @@ from typing import Final
 from ...fmus.build.description import BASE_UNITS
 from ...fmus.errors import InputError
 from ...fmus.interface.tables import Connection
+from ...fmus.interface.types import can_convert, is_lossless, type_of
 from ...fmus.interface.units import BASES, Unit, Units, conversion
 from ...fmus.interface.variables import Variable
+from ...fmus.master.system import RECORDED_KINDS
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean, excerpt
 from ...plant.parameters import ARM_JOINTS
@@ -22,6 +25,7 @@ OUR_UNITS: Final[Units] = {
     name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
     for name, exponents in BASE_UNITS.items()
 }
+_CONVERT: Final = re.compile(r"convert\((.+)\)", re.S)
 SHOWN: Final = 8  # unconnected inputs of an FMU that are named
 
 
@@ -33,10 +37,10 @@ class Connector:
         self.connections: list[Connection] = []
         self._open: dict[str, list[str]] = {}  # unconnected inputs by FMU
         self._fed: set[Name] = set()
-        self._outputs: dict[str, list[tuple[str, Variable]]] = {}  # Real ones, by their names
+        self._outputs: dict[str, list[tuple[str, Variable]]] = {}  # by their names
         for part in parts:
             for variable in part.interface.of("output"):
-                if variable.kind == "Real":
+                if variable.kind in RECORDED_KINDS:
                     self._outputs.setdefault(variable.name, []).append((part.name, variable))
 
     @property
@@ -57,12 +61,24 @@ class Connector:
         """Mark an input as fed from outside."""
         self._fed |= {(instance, name) for name in variable.names()}
 
+    def drive(self, names: Sequence[Name]) -> None:
+        """Mark inputs as driven by the scenario; what is connected cannot be."""
+        if both := self._fed.intersection(names):
+            ends = ", ".join(sorted(".".join(name) for name in both))
+            raise InputError(f"[inputs] {ends}: is fed already; must be an unconnected input")
+        self._fed.update(names)
+
     def connect(self, target: str, source: str) -> None:
-        """Connect two ends, written as in [connect]: `fmu.variable`, or an element of one."""
+        """Connect two ends, written as in [connect]: `fmu.variable`, or an element of one.
+
+        The source may be `convert(fmu.variable)`, which also converts types with loss.
+        """
+        asked = _CONVERT.fullmatch(source)
+        source = asked[1] if asked else source
         to_part, fed = self._end(target, "input")
         from_part, giving = self._end(source, "output")
-        self.check(source, giving, target, fed, "[connect] ")
-        self._connect(from_part, giving, to_part, fed)
+        self.check(source, giving, target, fed, "[connect] ", converts=bool(asked))
+        self._connect(from_part, giving, to_part, fed, converts=bool(asked))
 
     def connect_torques(self) -> None:
         """Connect the controller's ctrl if the arm has motors: torques, then the gripper."""
@@ -79,7 +95,9 @@ class Connector:
 
     def connect_by_name(self, part: Part, variable: Variable) -> None:
         """Connect an input to the one output of its name."""
-        if variable.kind != "Real" or all((part.name, n) in self._fed for n in variable.names()):
+        if variable.kind not in RECORDED_KINDS:
+            return
+        if all((part.name, n) in self._fed for n in variable.names()):
             return
         outputs = [
             (name, v) for name, v in self._outputs.get(variable.name, ()) if name != part.name
@@ -98,10 +116,17 @@ class Connector:
         self.check(f"{source}.{giving.name}", giving, target, variable)
         self._connect(source, giving, part.name, variable)
 
-    def check(
-        self, source: str, giving: Variable, target: str, fed: Variable, place: str = ""
+    def check(  # noqa: PLR0913 - two ends, each with its name
+        self,
+        source: str,
+        giving: Variable,
+        target: str,
+        fed: Variable,
+        place: str = "",
+        *,
+        converts: bool = False,
     ) -> None:
-        """Check that shapes and units of both ends match."""
+        """Check that shapes, types and units of both ends match."""
         ends = f"{place}{source} {_shape_and_unit(giving)} feeds {target} {_shape_and_unit(fed)}"
         if giving.shape != fed.shape:
             hint = ""
@@ -111,6 +136,14 @@ class Connector:
                 hint = ", or [connect] must name elements, such as "
                 hint += f'"{target}{item}" = "{source}{source_item}"'
             raise InputError(f"{ends}; must have the same shape{hint}")
+        if not (can_convert if converts else is_lossless)(giving, fed):
+            hint = ""
+            if can_convert(giving, fed):
+                hint = f', or be asked for in [connect]: "{target}" = "convert({source})"'
+            raise InputError(
+                f"{ends}; type {type_of(giving)} feeds type {type_of(fed)}, which must be able to "
+                f"hold all its values{hint}"
+            )
         known = self._units(source), self._units(target)
         for one, other in zip(giving.units, fed.units, strict=True):
             if conversion(one, known[0], other, known[1]) is None:
@@ -134,12 +167,15 @@ class Connector:
             f"{', '.join(outputs) or 'none'}"
         )
 
-    def _connect(self, source: str, giving: Variable, target: str, fed: Variable) -> None:
+    def _connect(
+        self, source: str, giving: Variable, target: str, fed: Variable, *, converts: bool = False
+    ) -> None:
         for one, other in zip(giving.names(), fed.names(), strict=True):
             if (target, other) in self._fed:
                 raise InputError(f"[connect] {target}.{other}: is fed twice")
             self._fed.add((target, other))
-            self.connections.append(Connection((source, one), (target, other)))
+            ends = (source, one), (target, other)
+            self.connections.append(Connection(*ends, converts_types=converts))
 
     def _end(self, text: str, causality: str) -> tuple[str, Variable]:
         """Find one end of a connection: a variable, or an element of one."""

@@ -1,0 +1,60 @@
+"""Types of values: how rows and columns hold them, and which can feed which without loss."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from .variables import INTEGERS, Scalar, Value, Variable
+
+# Bits that a whole number may have, in each type that holds fractions, too.
+_FRACTIONS: Final = {"Float64": 53, "Float32": 24}
+_FMI2: Final = {"Real": "Float64", "Integer": "Int32"}
+# Values that a float64 cannot hold; rows with such values hold Python's objects.
+OBJECTS: Final = ("Int64", "UInt64", "String", "Binary")
+_COLUMNS: Final = {
+    "Float64": "double", "Float32": "float", "Boolean": "bool", "Enumeration": "int64",
+}  # fmt: skip
+
+
+def type_of(variable: Variable) -> str:
+    """Type of a variable, as FMI 3.0 names it."""
+    name = variable.fmi_type or variable.kind
+    return _FMI2.get(name, name)
+
+
+def column_type(variable: Variable) -> str:
+    """Type of a variable's column in a recording, as Arrow names it."""
+    name = type_of(variable)
+    return _COLUMNS.get(name, name.lower())
+
+
+def in_row(scalar: Scalar, value: Value | None) -> Any:
+    """Return a value as rows hold it; None: the start value, or zero."""
+    held = scalar.start_value() if value is None else scalar.converted(value)
+    return held if type_of(scalar.variable) in OBJECTS else float(held)
+
+
+def is_lossless(source: Variable, target: Variable) -> bool:
+    """Whether the target's type holds every value of the source's."""
+    one, other = type_of(source), type_of(target)
+    if one == other:
+        return one != "Clock" and set(source.choices) <= set(target.choices or source.choices)
+    if other == "Float64":
+        return one in ("Float32", "Enumeration") or _bits(one) <= _FRACTIONS[other]
+    if one == "Enumeration":
+        return other in ("Int32", "Int64")
+    if other in _FRACTIONS:
+        return _bits(one) <= _FRACTIONS[other]
+    if one in INTEGERS and other in INTEGERS:
+        (bits, signed), (room, can_be_negative) = INTEGERS[one], INTEGERS[other]
+        return room - can_be_negative >= bits - signed and can_be_negative >= signed
+    return False
+
+
+def can_convert(source: Variable, target: Variable) -> bool:
+    """Whether a source's values can be converted where that is asked for: all numbers can."""
+    return not {type_of(source), type_of(target)} & {"String", "Binary", "Clock"}
+
+
+def _bits(name: str) -> float:
+    return INTEGERS[name][0] if name in INTEGERS else float("inf")
