@@ -6,7 +6,11 @@ REFERENCE_FMUS names their folder, which holds fmi2 and fmi3.
 from __future__ import annotations
 
 import csv
+import json
 import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,7 +41,7 @@ pytestmark = [
 
 
 def write(folder: Path, fmus: Mapping[str, str], more: str = "") -> Path:
-    lines = [f'{name} = "{FOLDER}/{fmu}.fmu"' for name, fmu in fmus.items()]
+    lines = [f'{name} = "{FOLDER / fmu}.fmu"' for name, fmu in fmus.items()]
     head = f"duration = {STEP * TICKS}\nstep = {STEP}\n[fmus]\n"
     (folder / "scenario.toml").write_text(head + "\n".join(lines) + f"\n{more}")
     return folder
@@ -67,6 +71,43 @@ def test_reference_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, name: str) -> N
     recording = run(write(tmp_path, {"it": f"{fmi}/{name}"}))
     assert_equal(recording, "it", in_fmpy(f"{fmi}/{name}"))
     assert len(recording.columns) > 1
+
+
+def test_state_space_takes_matrices_as_in_fmpy(tmp_path: Path) -> None:
+    values = {"A": [-1.0, 0.5, 0.0, 0.25, -2.0, 0.0, 0.0, 0.1, -3.0], "D": [0.1] * 9,
+              "x0": [3.0, 4.0, 5.0], "u": [1.0, -1.0, 0.5]}  # fmt: skip
+    parameters = "\n".join(f"{n} = {v}" for n, v in values.items() if n != "u")
+    text = f'[parameters.it]\n{parameters}\n[inputs]\n"it.u" = {values["u"]}\n'
+    recording = run(write(tmp_path, {"it": "fmi3/StateSpace"}, text))
+    assert_equal(recording, "it", in_fmpy("fmi3/StateSpace", start_values=values))
+
+
+def test_an_fmu_without_co_simulation_is_refused_in_a_line() -> None:
+    done = command("info", FOLDER / "fmi3" / "Clocks.fmu")
+    assert done.returncode == 2
+    assert "not a co-simulation FMU; it must have a <CoSimulation> element" in done.stderr
+
+
+@pytest.mark.parametrize("fmi", ["2", "3"])
+@pytest.mark.parametrize("way", ["", "-mt", "-sequential"])
+def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, way: str) -> None:
+    pytest.importorskip("fmu_manipulation_toolbox")
+    name, end = f"pair{fmi}{way}", "Feedthrough.fmu"
+    for each in ("VanDerPol", "Feedthrough"):
+        shutil.copy(FOLDER / f"fmi{fmi}" / f"{each}.fmu", tmp_path)
+    links = [["VanDerPol.fmu", "x0", end, "Float64_continuous_input"]]
+    content = {"name": f"{name}.fmu", "step_size": STEP, "fmu": ["VanDerPol.fmu", end],
+               "input": [], "output": [["VanDerPol.fmu", "x1", "x1"]], "link": links, "start": [],
+               "mt": False, "profiling": False}  # fmt: skip
+    (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    tool = Path(sys.executable).with_name("fmucontainer")
+    options = ["-fmi", fmi, "-fmu-directory", tmp_path, *([way] if way else [])]
+    subprocess.run([tool, "-container", f"{name}.json", *options], check=True, timeout=120)
+    path = tmp_path / f"{name}.fmu"
+    recording = run(write(tmp_path, {"it": str(path.with_suffix(""))}))
+    kind = {"fmi_type": "CoSimulation", "output_interval": STEP}
+    assert_equal(recording, "it", fmpy.simulate_fmu(path, stop_time=STEP * TICKS, **kind))
+    assert np.ptp(recording["it.Float64_continuous_output"]) > 0.01  # the two are coupled
 
 
 # Feedthrough, whose outputs are its inputs, in all types.

@@ -6,13 +6,14 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
 from fmu_support import compiler
 from forked import command
 from numpy.typing import NDArray
 from panda_cosim import Recording
-from toy_fmu import UNITS, toy_fmu
+from toy_fmu import UNITS, library, toy_fmu
 
 pytestmark = [
     pytest.mark.fmu,
@@ -104,3 +105,38 @@ def test_units_without_a_conversion_are_refused_by_check_and_run(tmp_path: Path)
             "a.y (2x3) [deg] feeds b.u (2x3) [s]; must have the same unit"
             in done.stderr + done.stdout
         )
+
+
+def sizes_fmu(path: Path) -> None:
+    """An FMU whose arrays u and y, y[i] = i * u[i] + t, have the size n."""
+    dimension = '<Dimension valueReference="0"/>'
+    text = (
+        '<fmiModelDescription fmiVersion="3.0" modelName="sizes" instantiationToken="sizes">'
+        '<CoSimulation modelIdentifier="sizes"/><ModelVariables>'
+        '<UInt64 name="n" valueReference="0" causality="structuralParameter" variability="fixed" '
+        'start="3" max="8"/>'
+        f'<Float64 name="u" valueReference="1" causality="input" start="0">{dimension}</Float64>'
+        f'<Float64 name="y" valueReference="2" causality="output">{dimension}</Float64>'
+        '</ModelVariables><ModelStructure><Output valueReference="2"/></ModelStructure>'
+        "</fmiModelDescription>"
+    )
+    source = Path(__file__).parent / "c_fmu" / "sizes.c"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.writestr(f"binaries/{fmpy.platform_tuple}/sizes.so", library(source))
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_structural_parameters_give_arrays_their_sizes(
+    tmp_path: Path, isolate: Sequence[str]
+) -> None:
+    sizes_fmu(tmp_path / "it.fmu")
+    text = '[fmus]\nit = "it.fmu"\n[parameters.it]\nn = 5\n[inputs]\n"it.u" = [1, 2, 3, 4, 5]\n'
+    recording = run(tmp_path, text, *isolate)
+    wanted = np.arange(1, 6) ** 2 + TIMES[:, np.newaxis]
+    np.testing.assert_allclose(recording["it.y"], wanted, rtol=1e-15)
+    done = command("check", tmp_path, "--set", "it.n=2.5")
+    assert "it.fmu: n: 2.5; must be a whole multiple of 1" in done.stdout
+    done = command("run", tmp_path, "--set", "it.n=4")
+    assert done.returncode == 2
+    assert "it.u: a list of 5; must be one number for all, or 4 values" in done.stderr

@@ -63,7 +63,12 @@ class Fmi3Slave(FmuSlave):
         return _Step(self, self.function("DoStep"))
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        self._set_arrays(start_values)
+        structural = {n: v for n, v in start_values.items() if n in self.fmu.structural}
+        if structural:
+            self._call("enter configuration", self._instance.enterConfigurationMode)
+            self._set_arrays(structural)
+            self._call("exit configuration", self._instance.exitConfigurationMode)
+        self._set_arrays({n: v for n, v in start_values.items() if n not in structural})
         enter = self._instance.enterInitializationMode
         self._call("enter initialization", lambda: enter(startTime=start, stopTime=stop))
 

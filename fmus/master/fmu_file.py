@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
@@ -25,8 +26,10 @@ _KINDS: Final = {
 }
 TEXTS: Final = ("String", "Binary", "Clock")  # kinds whose start value is kept as it is written
 _NUMBERS: Final = ("Real", "Float32", "Integer")  # an interface table's Real
+STRUCTURAL: Final = "structuralParameter"
 _SHOWN: Final = ("input", "output", "parameter")
 _NAMES_NOTE: Final = "Annotations/Annotation[@type='org.panda-cosim.names']"
+_IDENTIFIER: Final = re.compile(r"[\w-]+", re.A)  # containers have the name of their file
 _LINEAR: Final = ("factor", "offset")  # attributes of a BaseUnit beside the exponents
 _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
@@ -46,12 +49,11 @@ class Fmu:
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
         self.description = _read_description(path, self.folder)
         self.fmi = VERSIONS[self.description.fmiVersion]
-        scalars = _scalars(f"{path}: modelDescription.xml", self.description.modelVariables)
-        self._described = {scalar.name: scalar for scalar in scalars}
-        names = _noted_names(path, self.folder) if self.fmi == 3 else {}
-        renamed = [_renamed(scalar, names) for scalar in self._described.values()]
-        self.variables = {scalar.name: scalar for scalar in renamed}
-        self._described |= dict(zip(self._described, renamed, strict=True))
+        described = self.description.modelVariables
+        self.structural = {v.name for v in described if v.causality == STRUCTURAL}
+        self.sizes: dict[str, int] = {}  # values of structural parameters that are changed
+        self._noted = _noted_names(path, self.folder) if self.fmi == 3 else {}
+        self.variables = self._scalars()
         self.units = _units(f"{path}: modelDescription.xml", self.description.unitDefinitions)
         # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
         if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
@@ -59,6 +61,25 @@ class Fmu:
                 f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
                 f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
             )
+
+    def _scalars(self) -> dict[str, Scalar]:
+        place = f"{self.path}: modelDescription.xml"
+        described = list(_scalars(place, self.description.modelVariables, self.sizes))
+        renamed = [_renamed(scalar, self._noted) for scalar in described]
+        self._described = {d.name: r for d, r in zip(described, renamed, strict=True)}
+        return {scalar.name: scalar for scalar in renamed}
+
+    def restructured(self, values: Mapping[str, object]) -> Fmu:
+        """Return the FMU with the arrays' shapes that values of structural parameters give."""
+        numbers = {n: v for n, v in values.items() if n in self.structural}
+        for name, value in numbers.items():
+            self.variables[name].checked(f"{self.label}: {name}", value)
+        if not numbers:
+            return self
+        other = copy(self)
+        other.sizes = {name: int(str(value).removesuffix(".0")) for name, value in numbers.items()}
+        other.variables = other._scalars()
+        return other
 
     @property
     def guid(self) -> str:
@@ -138,9 +159,9 @@ def _read_description(path: Path, folder: Path) -> Any:
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
     identifier = description.coSimulation.modelIdentifier or ""
-    if not (identifier.isascii() and identifier.isidentifier()):
-        raise InputError(f"{path}: modelIdentifier {excerpt(identifier)}; must be letters, digits "
-                         "and _")  # fmt: skip
+    if not _IDENTIFIER.fullmatch(identifier):
+        raise InputError(f"{path}: modelIdentifier {excerpt(identifier)}; must be letters, digits, "
+                         "_ and -")  # fmt: skip
     platform = fmpy.platform if version == "2.0" else fmpy.platform_tuple
     library = folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
     if not library.is_file():
@@ -165,10 +186,18 @@ def _units(place: str, definitions: Sequence[Any]) -> Units:
     return units
 
 
-def _scalars(place: str, described: Sequence[Any]) -> Iterator[Scalar]:
+def _scalars(place: str, described: Sequence[Any], sizes: Mapping[str, int]) -> Iterator[Scalar]:
     """Yield the scalars of FMPy's `ModelVariable`s."""
     for each in described:
-        yield from _variable(f"{place}: {each.name!a}", each).scalars(each.valueReference, stride=0)
+        variable = _variable(f"{place}: {each.name!a}", each, sizes)
+        yield from variable.scalars(each.valueReference, stride=0)
+
+
+def _shape(described: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Shape of a variable for some values of structural parameters."""
+    changed = {i: sizes[d.variable.name] for i, d in enumerate(described.dimensions)
+               if d.variable is not None and d.variable.name in sizes}  # fmt: skip
+    return tuple(changed.get(i, n) for i, n in enumerate(described.shape or ()))
 
 
 def _noted_names(path: Path, folder: Path) -> dict[str, list[str]]:
@@ -183,11 +212,12 @@ def _renamed(scalar: Scalar, names: Mapping[str, list[str]]) -> Scalar:
     return replace(scalar, name=noted[scalar.element]) if scalar.element < len(noted) else scalar
 
 
-def _variable(place: str, described: Any) -> Variable:
+def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
     """Return one of FMPy's `ModelVariable`s as a row of an interface table."""
     declared = described.declaredType
     kind = _KINDS.get(described.type, described.type)
     items = getattr(declared, "items", ())
+    shape, is_structural = _shape(described, sizes), described.causality == STRUCTURAL
     number = Variable(described.name, (), "", "parameter", "fixed", "")
 
     def bound(side: str) -> float | None:
@@ -196,10 +226,10 @@ def _variable(place: str, described: Any) -> Variable:
 
     variable = Variable(
         described.name,
-        tuple(described.shape or ()),
+        shape,
         described.unit or getattr(declared, "unit", None) or "",
-        described.causality,
-        cast("Variability", described.variability or ""),
+        "parameter" if is_structural else described.causality,
+        cast("Variability", "fixed" if is_structural else described.variability or ""),
         described.description or "",
         minimum=bound("min") if kind in (*_NUMBERS, "Enumeration") else None,
         maximum=bound("max") if kind in (*_NUMBERS, "Enumeration") else None,
@@ -208,6 +238,8 @@ def _variable(place: str, described: Any) -> Variable:
         numbers=tuple(int(item.value) for item in items),
         fmi_type=described.type,
     )
+    if shape != tuple(described.shape or ()):  # what it starts with then is not described
+        return variable
     return replace(variable, start=_start(f"{place}: start", variable, described.start))
 
 

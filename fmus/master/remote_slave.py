@@ -93,7 +93,7 @@ class RemoteSlave:
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Open the FMU, set start values and go through initialization."""
-        self._call("open", self.name, str(self.fmu.path.absolute()))
+        self._call("open", self.name, str(self.fmu.path.absolute()), self.fmu.sizes)
         self._call("initialize", dict(start_values), start, stop)
 
     def set_values(self, values: Mapping[str, Value]) -> None:
@@ -241,7 +241,9 @@ class _Host:
             put(0)
         match method:
             case "open":
-                self._slave = self._open_slave(arguments[0], Fmu(Path(arguments[1])), self._keep)
+                name, path, sizes = arguments
+                fmu = Fmu(Path(path)).restructured(sizes)
+                self._slave = self._open_slave(name, fmu, self._keep)
             case "bind_get" | "bind_set":
                 names, dtype = arguments
                 block = np.zeros((1, len(names)), dtype)

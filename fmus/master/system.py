@@ -67,7 +67,10 @@ def read_fmus(
     system: System, start_values: Mapping[str, Mapping[str, Value]], *, isolate: bool = False
 ) -> dict[str, Fmu]:
     """Read the files of a system, and check that they can be coupled; none of their code runs."""
-    fmus = {name: read_fmu(path, system.labels.get(name, "")) for name, path in system.fmus.items()}
+    fmus = {
+        name: read_fmu(path, system.labels.get(name, "")).restructured(start_values.get(name, {}))
+        for name, path in system.fmus.items()
+    }
     check_start_values(fmus, start_values)
     _check_connections(fmus, system)
     if not isolate:

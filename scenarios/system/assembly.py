@@ -250,7 +250,10 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
 
     coupled = system_from_ssp((scenario.folder or Path()) / scenario.system)
     system = coupled.system
-    interfaces = {name: described_interface(read_fmu(file)) for name, file in system.fmus.items()}
+    interfaces = {
+        name: described_interface(read_fmu(file).restructured(coupled.start_values.get(name, {})))
+        for name, file in system.fmus.items()
+    }
     parts = [Part(n, f, interfaces[n], partial(Path, f)) for n, f in system.fmus.items()]
     connector, driven = Connector(parts), driven_inputs(scenario, interfaces)
     connector.drive([connection.target for connection in system.connections])

@@ -123,7 +123,9 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
 
         model = model_part(path)
         return Part(name, path, model.interface, lambda: build_fmu(model))
-    return Part(name, path, described_interface(read_fmu(path)), lambda: path)
+    values = {"plant": scenario.plant, "controller": scenario.controller, **scenario.parameters}
+    fmu = read_fmu(path).restructured(values.get(name, {}))
+    return Part(name, path, described_interface(fmu), lambda: path)
 
 
 class UnreadSlaveError(InputError):
