@@ -53,8 +53,8 @@ def run(folder: Path, *arguments: str) -> Recording:
     return Recording.open(folder / "run")
 
 
-def in_fmpy(fmu: str, **more: Any) -> Any:
-    kind = {"fmi_type": "CoSimulation", "output_interval": STEP}
+def in_fmpy(fmu: str, step: float = STEP, **more: Any) -> Any:
+    kind = {"fmi_type": "CoSimulation", "output_interval": step}
     return fmpy.simulate_fmu(FOLDER / f"{fmu}.fmu", stop_time=STEP * TICKS, **kind, **more)
 
 
@@ -108,6 +108,107 @@ def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, way: st
     kind = {"fmi_type": "CoSimulation", "output_interval": STEP}
     assert_equal(recording, "it", fmpy.simulate_fmu(path, stop_time=STEP * TICKS, **kind))
     assert np.ptp(recording["it.Float64_continuous_output"]) > 0.01  # the two are coupled
+
+
+# Steps and couplings.
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_an_fmu_steps_in_multiples_of_the_system_s_step(
+    tmp_path: Path, isolate: Sequence[str]
+) -> None:
+    recording = run(write(tmp_path, {"it": "fmi3/VanDerPol"}, "[steps]\nit = 5\n"), *isolate)
+    wanted = in_fmpy("fmi3/VanDerPol", step=5 * STEP)
+    for row in range(TICKS + 1):  # its outputs are held between its steps
+        assert recording["it.x0"][row] == wanted["x0"][row // 5]
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_slow_and_fast_fmus_are_coupled(tmp_path: Path, coupling: str) -> None:
+    """A acts within its tick with Gauss-Seidel, as it feeds b; b sees what holds at its begin."""
+    ends = '[connect]\n"b.Float64_continuous_input" = "a.Float64_continuous_output"\n'
+    table = '[inputs]\nfile = "inputs.csv"\n'
+    steps = "[steps]\na = 2\nb = 4\n"
+    folder = write(tmp_path, dict.fromkeys("ab", "fmi3/Feedthrough"), ends + table + steps)
+    write_csv(tmp_path / "inputs.csv", "a", {"Float64_continuous_input": np.arange(11.0)})
+    recording = run(folder, "--coupling", coupling)
+    fed = recording["a.Float64_continuous_output"].tolist()
+    if coupling == "gauss-seidel":
+        assert fed == [0, 0, 2, 2, 4, 4, 6, 6, 8, 8, 10]
+    else:
+        assert fed == [0, 0, 0, 0, 2, 2, 4, 4, 6, 6, 8]
+    wanted = [*[0.0] * 4, *[fed[0]] * 4, *[fed[4]] * 3]
+    assert recording["b.Float64_continuous_output"].tolist() == wanted
+
+
+def test_an_algebraic_loop_is_named(tmp_path: Path) -> None:
+    ends = "".join(f'"{to}.Int8_input" = "{of}.Int8_output"\n' for to, of in ("ab", "ba"))
+    folder = write(tmp_path, dict.fromkeys("ab", "fmi3/Feedthrough"), f"[connect]\n{ends}")
+    loop = "b.Int8_output -> a.Int8_input -> a.Int8_output -> b.Int8_input -> b.Int8_output"
+    done = command("check", folder)
+    said = " ".join(done.stdout.split())
+    assert any(f"algebraic loop {ends}" in said for ends in _turns(loop)), said
+    done = command("run", folder, "--out", tmp_path / "run", *QUIET)
+    assert "algebraic loop" in done.stderr
+
+
+def _turns(loop: str) -> list[str]:
+    """The same loop from each of its ends."""
+    ends = loop.split(" -> ")[1:]
+    turned = [[*ends[i:], *ends[:i]] for i in range(len(ends))]
+    return [" -> ".join([turn[-1], *turn]) for turn in turned]
+
+
+LOOP = """coupling = "iterated"
+[fmus]
+a = "{0}/fmi3/StateSpace.fmu"
+b = "{0}/fmi3/StateSpace.fmu"
+[connect]
+"a.u[1]" = "b.y[1]"
+"b.u[1]" = "a.y[1]"
+[parameters.a]
+A = {1}
+D = {2}
+[parameters.b]
+A = {1}
+"""
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_a_loop_is_solved_by_iteration(tmp_path: Path, isolate: Sequence[str]) -> None:
+    """In FMPy, each alone takes every step to its output with the other's at the step's end."""
+    matrices = {"A": [-0.5, 0.3, 0.0, 0.0, -0.25, 0.0, 0.1, 0.0, -0.1],
+                "D": [-0.6, 0.0, 0.0, 0.0, -0.6, 0.0, 0.0, 0.0, -0.6]}  # fmt: skip
+    text = LOOP.format(FOLDER, matrices["A"], matrices["D"])
+    (tmp_path / "scenario.toml").write_text(f"duration = 10.0\nstep = 1.0\n{text}")
+    recording = run(tmp_path, *isolate)
+    for name, other, values in (("a", "b", matrices), ("b", "a", {"A": matrices["A"]})):
+        inputs = recording[f"{other}.y[1]"][1:]
+        np.testing.assert_allclose(
+            recording[f"{name}.y"][1:], _driven_in_fmpy(values, inputs), rtol=1e-6
+        )
+    assert np.ptp(recording["a.y[1]"]) > 1.0
+    assert (recording["coupling.iterations"][1:] > 1).all()
+
+
+def _driven_in_fmpy(values: Mapping[str, list[float]], inputs: Sequence[float]) -> list[Any]:
+    """Outputs of StateSpace after each step of 1 s, whose input u[1] is given."""
+    path = FOLDER / "fmi3" / "StateSpace.fmu"
+    description = fmpy.read_model_description(path)
+    references = {v.name: v.valueReference for v in description.modelVariables}
+    slave = fmpy.instantiate_fmu(fmpy.extract(path), description, "CoSimulation")
+    for name, matrix in values.items():
+        slave.setFloat64([references[name]], matrix)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    rows = []
+    for k, value in enumerate(inputs):
+        slave.setFloat64([references["u"]], [value, 2.0, 3.0])
+        slave.doStep(float(k), 1.0)
+        rows.append(slave.getFloat64([references["y"]], 3))
+    slave.terminate()
+    slave.freeInstance()
+    return rows
 
 
 # Feedthrough, whose outputs are its inputs, in all types.

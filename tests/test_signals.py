@@ -140,3 +140,51 @@ def test_structural_parameters_give_arrays_their_sizes(
     done = command("run", tmp_path, "--set", "it.n=4")
     assert done.returncode == 2
     assert "it.u: a list of 5; must be one number for all, or 4 values" in done.stderr
+
+
+def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path: Path) -> None:
+    sizes_fmu(tmp_path / "it.fmu")
+    fixed = 'modelIdentifier="sizes" fixedInternalStepSize="0.4"'
+    described(tmp_path / "it.fmu", ('modelIdentifier="sizes"', fixed))
+    recording = run(tmp_path, '[fmus]\nit = "it.fmu"\n')
+    wanted = 4 * STEP * (np.arange(TICKS + 1) // 4)  # y[1] is the time that it has reached
+    np.testing.assert_allclose(recording["it.y[1]"], wanted, rtol=1e-12)
+    done = command("check", tmp_path)
+    assert "it: takes one step size, 0.4 s: 4 steps of the system" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("output", "input_", "suggested"),
+    [
+        ("motor_torque_out", "motor_torque_in", True), ("speed", "Speed_cmd", True),
+        ("force", "pressure", True), ("position", "velocity", False),
+    ],
+)  # fmt: skip
+def test_check_suggests_connections_that_nearly_fit(
+    tmp_path: Path, output: str, input_: str, *, suggested: bool
+) -> None:
+    """By their names; or by unit, N here, if only one output has it and `position` has none."""
+    for name, (old, new) in {"a": ("y", output), "b": ("u", input_)}.items():
+        toy_fmu(tmp_path / f"{name}.fmu", 3)
+        names = [(f'name="{old}"', f'name="{new}"')]
+        if output == "position":
+            names.append((f'name="{new}" valueReference="6" causality="output" unit="N"',
+                          f'name="{new}" valueReference="6" causality="output"'))  # fmt: skip
+        described(tmp_path / f"{name}.fmu", *names[: 2 if name == "a" else 1])
+    (tmp_path / "scenario.toml").write_text(
+        'duration = 1.0\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n"a.u" = "b.y"\n'
+    )
+    said = " ".join(command("check", tmp_path).stdout.split())
+    line = f'nothing feeds b.{input_}; perhaps [connect] "b.{input_}" = "a.{output}"'
+    assert (line in said) == suggested
+
+
+def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path: Path) -> None:
+    toy_fmu(tmp_path / "it.fmu", 3)
+    text = 'duration = 1.0\ncoupling = "iterated"\n[fmus]\nit = "it.fmu"\n'
+    (tmp_path / "scenario.toml").write_text(text)
+    for name in ("run", "check"):
+        done = command(name, tmp_path, cwd=tmp_path)
+        assert done.returncode == 2
+        said = " ".join((done.stdout + done.stderr).split())
+        assert 'it: coupling = "iterated" needs FMUs that can go back to a state' in said

@@ -35,6 +35,7 @@ class Fmi2Slave(FmuSlave):
     """An instance of an FMI 2.0 FMU: a value reference is one scalar."""
 
     fmpy_class, prefix, counts_values = FMU2Slave, "fmi2", False
+    state_name = "FMUstate"
     types = MappingProxyType({
         "Real": ("Real", np.float64),
         "Integer": ("Integer", np.int32),

@@ -30,6 +30,7 @@ class Fmi3Slave(FmuSlave):
     """An instance of an FMI 3.0 FMU: a value reference is a whole array."""
 
     fmpy_class, prefix, counts_values = FMU3Slave, "fmi3", True
+    state_name = "FMUState"
     types = MappingProxyType({
         "Float64": ("Float64", np.float64),
         "Float32": ("Float32", np.float32),

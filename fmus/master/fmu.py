@@ -61,6 +61,7 @@ class FmuSlave(ABC):
         self.log = MessageLog(name, on_message)
         self._keep: list[object] = []
         self._worst = OK
+        self._state = ctypes.c_void_p()  # that was kept, if one was
         with _loading:
             self._instance = self._open()
         self.component: int = self._instance.component
@@ -76,6 +77,7 @@ class FmuSlave(ABC):
     fmpy_class: ClassVar[Any]  # of FMPy, which loads the library
     types: ClassVar[Mapping[str, tuple[str, DTypeLike]]]  # name in FMI's functions and C type
     prefix: ClassVar[str]  # of FMI's functions
+    state_name: ClassVar[str]  # in the names of functions
     counts_values: ClassVar[bool]  # whether getters and setters take the number of values
 
     @abstractmethod
@@ -266,6 +268,20 @@ class FmuSlave(ABC):
         self.bind_get(names, values[np.newaxis])(0)
         return values
 
+    def save_state(self) -> None:
+        """Keep the present state in the one place for it."""
+        self._use_state("Get", ctypes.byref(self._state))
+
+    def restore_state(self) -> None:
+        """Go back to the state that was kept."""
+        self._use_state("Set", self._state)
+
+    def _use_state(self, verb: str, state: object) -> None:
+        function = self.function(f"{verb}{self.state_name}")
+        status = function(ctypes.c_void_p(self.component), state)
+        if status > WARNING:
+            self.fail(function.__name__, status)
+
     def close(self) -> None:
         """Terminate and free the instance, as far as FMI allows. May be called twice."""
         instance, self._instance = self._instance, None
@@ -273,6 +289,8 @@ class FmuSlave(ABC):
             return  # after a fatal error any call may crash the process
         if self._worst < ERROR:
             with suppress(Exception):  # the run is over; errors no longer matter
+                if self._state:
+                    self._use_state("Free", ctypes.byref(self._state))
                 instance.terminate()
         with _loading:
             instance.freeInstance()

@@ -68,7 +68,7 @@ def make_kernel(
     step: Step, rows: Array, start: float, stop: ctypes.c_int32, *, check: bool
 ) -> Kernel | None:
     """Make the kernel of a step, if all of it can be called from C; `check`: each row's values."""
-    if rows.dtype != np.float64 or load_stepper() is None:
+    if rows.dtype != np.float64 or type(step) is not Step or load_stepper() is None:
         return None
     try:
         return Kernel(step, rows, start, stop, check=check)

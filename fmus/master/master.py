@@ -17,12 +17,13 @@ import time as clock
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from ...assets import STEP_SIZE
 from ..errors import SimulationError
 from ..interface.tables import Connection
 from .kernel import make_kernel
-from .step import Coupling, Step
+from .step import ITERATIONS, Coupling, IteratedStep, Step
 from .wiring import BLOCK_ROWS, Array, ExternalInputs, Name, RowBuffer, Slave, bind
 
 Sink = Callable[[Array], None]
@@ -78,14 +79,16 @@ class Master:
         # slaves that refuse these themselves. Else before any follower reads a row.
         late_check: bool = False,
         objects: Collection[Name] = (),  # columns of values that a float64 cannot hold
+        multiples: Mapping[str, int] = MappingProxyType({}),  # ticks of a slave's step, if not one
     ) -> None:
         self.step_size, self.start = step_size, start
         self._late_check = late_check
         self.external = tuple(external)
         read = [(instance, name) for instance, names in outputs.items() for name in names]
-        self.columns = [*external, *read]
+        self.columns = [*external, *read, *([ITERATIONS] if coupling == "iterated" else [])]
         self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects)
-        self._slaves = bind(slaves, self.columns, self.external, connections, self._buffer.rows)
+        rows = self._buffer.rows
+        self._slaves = bind(slaves, self.columns, self.external, connections, rows, multiples)
         self._stop = ctypes.c_int32()
         self._set_coupling(coupling)
         self.statistics = RunStatistics()
@@ -222,7 +225,8 @@ class Master:
     def _set_coupling(self, coupling: Coupling) -> None:
         buffer = self._buffer
         complete = buffer.complete_unchecked if self._late_check else buffer.complete
-        self._step = Step(self._slaves, coupling, self.step_size, buffer.rows, complete)
+        kind = IteratedStep if coupling == "iterated" else Step
+        self._step = kind(self._slaves, coupling, self.step_size, buffer.rows, complete)
         self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
         self._kernel = make_kernel(

@@ -136,6 +136,14 @@ class RemoteSlave:
         self._time = time
         self._outputs = self._call("step", time, step_size, limit=self._step_timeout)
 
+    def save_state(self) -> None:
+        """Keep the present state, see `FmuSlave.save_state`."""
+        self._call("save_state")
+
+    def restore_state(self) -> None:
+        """Go back to the state that was kept."""
+        self._call("restore_state")
+
     def close(self) -> None:
         """Free the instance and end the process, in any state. May be called twice."""
         try:

@@ -6,21 +6,26 @@ outputs to row k or k + 1. There is no other copy of them.
 Gauss-Seidel: a slave that feeds a later one is a leader, such as the controller, which feeds the
 plant. Its outputs act within the same step. The other slaves are followers.
 Jacobi: there are no leaders, so all outputs act one step later.
+Iterated: the step is repeated, with the outputs at its end as inputs, until these no longer change.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, SimulationError
 from .wiring import BoundSlave
 
-Coupling = Literal["gauss-seidel", "jacobi"]
-COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
+Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
+SWITCHED: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")  # also during a run
+COUPLINGS: tuple[Coupling, ...] = (*SWITCHED, "iterated")
+ITERATIONS: Final = ("coupling", "iterations")  # name of their column
+MOST_ITERATIONS: Final = 100
+TOLERANCE: Final = 1e-10  # change of an output by an iteration; relative, or absolute below 1
 
 
 class Step:
@@ -40,6 +45,8 @@ class Step:
             raise InputError(f"coupling: {coupling!r}; valid: {', '.join(COUPLINGS)}")
         self.leaders = _leaders(slaves) if coupling == "gauss-seidel" else []
         self.followers = [slave for slave in slaves if slave not in self.leaders]
+        for slave in slaves:
+            slave.leads = slave in self.leaders
         self.leader_columns = _columns(self.leaders)
         self.fed_back = _columns(_feeding_back(self.leaders))
         self.size, self._rows, self._complete = size, rows, complete
@@ -64,6 +71,63 @@ class Step:
             leader.set_inputs(row)
             leader.step(time, self.size)
             leader.get_outputs(row)
+
+
+class IteratedStep(Step):
+    """A step that is repeated until outputs and inputs at its end agree.
+
+    Inputs from outside are those of its begin. The last column counts the iterations. Each begins
+    with a share of the last one's change, which Aitken's method estimates from the two changes.
+    """
+
+    def __init__(
+        self,
+        slaves: Sequence[BoundSlave],
+        coupling: Coupling,
+        size: float,
+        rows: NDArray[np.float64],
+        complete: Callable[[int], None],
+    ) -> None:
+        super().__init__(slaves, coupling, size, rows, complete)
+        fed = {column for slave in slaves for column in slave.inputs}
+        outputs = _columns(slaves)
+        self._fed, self._held = sorted(fed.intersection(outputs)), sorted(fed.difference(outputs))
+
+    def take(self, row: int, time: float) -> None:
+        """Step from `time` [s]."""
+        self._complete(row)
+        now, end = self._rows[row], self._rows[row + 1]
+        numbers = [column for column in self._fed if not isinstance(now[column], str | bytes)]
+        given, share, change = end[self._held].copy(), 1.0, np.zeros(len(numbers))
+        end[self._held], end[self._fed] = now[self._held], now[self._fed]
+        for slave in self.followers:
+            slave.slave.save_state()
+        for count in range(1, MOST_ITERATIONS + 1):
+            guess, before = end[numbers].astype(np.float64), change
+            self._iterate(row + 1, time)
+            after = end[numbers].astype(np.float64)
+            change = after - guess
+            if (np.abs(change) <= TOLERANCE * np.maximum(1.0, np.abs(after))).all():
+                end[self._held], end[-1] = given, count
+                return
+            difference = change - before
+            if count > 1 and difference.any():
+                share *= -float(before @ difference) / float(difference @ difference)
+            end[numbers] = guess + share * change
+            for slave in self.followers:
+                slave.slave.restore_state()
+        raise SimulationError(
+            f'coupling = "iterated": {MOST_ITERATIONS} iterations do not settle to a change of '
+            f"{TOLERANCE:g}",
+            time=time,
+        )
+
+    def _iterate(self, row: int, time: float) -> None:
+        """Take the step with the inputs at its end."""
+        for slave in self.followers:
+            slave.set_inputs(row)
+            slave.step(time, self.size)
+            slave.get_outputs(row)
 
 
 def _leaders(slaves: Sequence[BoundSlave]) -> list[BoundSlave]:

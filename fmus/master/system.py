@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -40,6 +41,7 @@ class System:
     external: Sequence[Name] = ()  # inputs that are given from outside at each tick
     outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)  # to read, by instance
     refuses_non_finite: bool = False  # whether all FMUs refuse inputs that are not finite
+    steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
     labels: Mapping[str, str] = field(default_factory=dict)  # what messages call files, not paths
 
 
@@ -64,13 +66,19 @@ def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuS
 
 
 def read_fmus(
-    system: System, start_values: Mapping[str, Mapping[str, Value]], *, isolate: bool = False
+    system: System,
+    start_values: Mapping[str, Mapping[str, Value]],
+    coupling: Coupling = "gauss-seidel",
+    *,
+    isolate: bool = False,
 ) -> dict[str, Fmu]:
     """Read the files of a system, and check that they can be coupled; none of their code runs."""
     fmus = {
         name: read_fmu(path, system.labels.get(name, "")).restructured(start_values.get(name, {}))
         for name, path in system.fmus.items()
     }
+    if coupling == "iterated":
+        _check_states(fmus)
     check_start_values(fmus, start_values)
     _check_connections(fmus, system)
     if not isolate:
@@ -187,17 +195,69 @@ def _check_single_instances(fmus: Mapping[str, Fmu]) -> None:
             )
 
 
-def step_notes(fmus: Mapping[str, Fmu], step_size: float) -> Iterator[tuple[str, str, str]]:
-    """Yield a warning for each FMU that names one step size [s], and will be stepped by another."""
+def multiples_of(fmus: Mapping[str, Fmu], system: System, step_size: float) -> dict[str, int]:
+    """Steps of FMUs in the system's: as asked for, else as their own fixed step size wants."""
+    multiples = dict(system.steps)
+    for name, fmu in fmus.items():
+        interface = fmu.description.coSimulation
+        own = float(interface.fixedInternalStepSize or 0.0)
+        if fmu.fmi == 3 and not interface.canHandleVariableCommunicationStepSize:
+            multiple = round(own / step_size) if own < 1e6 * step_size else 0
+            if multiple > 1 and abs(own - multiple * step_size) <= 1e-9 * own:
+                multiples.setdefault(name, multiple)
+    return multiples
+
+
+def notes(
+    fmus: Mapping[str, Fmu], system: System, step_size: float
+) -> Iterator[tuple[str, str, str]]:
+    """Yield warnings about steps [s] of a size that an FMU does not name, and algebraic loops."""
+    multiples = multiples_of(fmus, system, step_size)
     for instance, fmu in fmus.items():
         interface, experiment = fmu.description.coSimulation, fmu.description.defaultExperiment
         named = interface.fixedInternalStepSize or (experiment and experiment.stepSize)
-        own = float(named or 0.0)
+        own, size = float(named or 0.0), multiples.get(instance, 1) * step_size
+        if instance in multiples and instance not in system.steps:
+            text = f"takes one step size, {own:g} s: {multiples[instance]} steps of the system"
+            yield instance, "Warning", text
         if interface.canHandleVariableCommunicationStepSize or not (0.0 < own < math.inf):
             continue
-        if abs(step_size - round(step_size / own) * own) > 1e-9 * step_size:
-            text = f"takes one step size, {own:g} s; steps of {step_size:g} s may be refused"
+        if abs(size - round(size / own) * own) > 1e-9 * size:
+            text = f"takes one step size, {own:g} s; steps of {size:g} s may be refused"
             yield instance, "Warning", text
+    loop = _loop(fmus, system.connections)
+    if loop:
+        text = f"algebraic loop {' -> '.join(map('.'.join, loop))}: each step uses values of the "
+        yield loop[0][0], "Warning", text + 'step before, unless coupling = "iterated"'
+
+
+def _loop(fmus: Mapping[str, Fmu], connections: Sequence[Connection]) -> Sequence[Name]:
+    """Find a cycle of connections and of outputs that depend on inputs, as ModelStructure says."""
+    fed = {connection.target: connection.source for connection in connections}
+    before: dict[Name, set[Name]] = {target: {source} for target, source in fed.items()}
+    for instance, fmu in fmus.items():
+        arrays: dict[str, list[Name]] = {}
+        for each, scalar in fmu.variables.items():
+            arrays.setdefault(scalar.variable.name, []).append((instance, each))
+        for unknown in fmu.description.outputs:
+            inputs = [end for v in unknown.dependencies or () for end in arrays[v.name]]
+            for output in arrays[unknown.variable.name] if inputs else ():
+                before[output] = fed.keys() & inputs
+    try:
+        TopologicalSorter(before).prepare()
+    except CycleError as error:
+        cycle: list[Name] = error.args[1]
+        return cycle
+    return ()
+
+
+def _check_states(fmus: Mapping[str, Fmu]) -> None:
+    for name, fmu in fmus.items():
+        if not fmu.description.coSimulation.canGetAndSetFMUstate:
+            raise InputError(
+                f'{name}: coupling = "iterated" needs FMUs that can go back to a state; '
+                f"{fmu.label} cannot (canGetAndSetFMUState)"
+            )
 
 
 @contextmanager
@@ -214,10 +274,11 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     step_timeout: float | None = None,
 ) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end."""
-    fmus = read_fmus(system, start_values, isolate=isolate)
+    fmus = read_fmus(system, start_values, coupling, isolate=isolate)
     if on_message is not None:
-        for note in step_notes(fmus, step_size):
+        for note in notes(fmus, system, step_size):
             on_message(*note)
+    multiples = multiples_of(fmus, system, step_size)
     with ExitStack() as stack:
         here = working_directory()
         stack.callback(return_to, here)
@@ -231,7 +292,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
                 slaves[name] = open_slave(name, fmu, on_message)
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
-            slave.initialize(start_values.get(name, {}), start, stop + step_size)
+            more = multiples.get(name, 1) * step_size
+            slave.initialize(start_values.get(name, {}), start, stop + more)
         return_to(here)
         master = Master(
             list(slaves.values()),
@@ -243,5 +305,6 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             start=start,
             late_check=system.refuses_non_finite,
             objects=_objects(fmus, system),
+            multiples=multiples,
         )
         yield OpenSystem(master, slaves, fmus)

@@ -31,6 +31,12 @@ class Slave(Protocol):
     def step(self, time: float, step_size: float) -> None:
         """Advance from `time` by `step_size` [s]."""
 
+    def save_state(self) -> None:
+        """Keep the present state; only called for iterated coupling."""
+
+    def restore_state(self) -> None:
+        """Go back to the state that was kept."""
+
 
 class BoundSlave:
     """A slave, bound to the rows (n, columns) that it reads and writes.
@@ -39,14 +45,16 @@ class BoundSlave:
     are factor and offset of the inputs that are not fed as they are.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a slave's side of `bind`
         self,
         slave: Slave,
         inputs: Mapping[str, int],
         outputs: Mapping[str, int],
         rows: Array,
         conversions: Mapping[str, tuple[float, float]],
+        multiple: int = 1,
     ) -> None:
+        self.slave = slave
         self.inputs, self.outputs = set(inputs.values()), list(outputs.values())
         self.step = slave.step
         self.set_inputs: Exchange = nothing
@@ -56,20 +64,59 @@ class BoundSlave:
             self.get_outputs = slave.bind_get(list(outputs), block)
         if inputs:
             self.set_inputs = _bind_inputs(slave, inputs, rows, conversions)
+        self.leads = False  # its outputs act within the step, see step.py
+        if multiple > 1:
+            slow = _Slow(self, multiple, rows)
+            self.step, self.set_inputs = slow.step, slow.set_inputs
+            self.get_outputs = slow.get_outputs
 
     def feeds(self, other: BoundSlave) -> bool:
         """Whether an output of this slave is an input of another."""
         return not other.inputs.isdisjoint(self.outputs)
 
 
-def bind(
+class _Slow:
+    """Steps a slave once in some ticks, with the inputs of the first of them.
+
+    A leader steps in the first tick, from which on its outputs act; a follower in the last, after
+    which its outputs have the time of their row.
+    """
+
+    def __init__(self, bound: BoundSlave, multiple: int, rows: Array) -> None:
+        self._bound, self._multiple, self._rows = bound, multiple, rows
+        self._put, self._step, self._get = bound.set_inputs, bound.step, bound.get_outputs
+        self._tick, self._begin = 0, 0.0  # of the present step, [s]
+
+    def set_inputs(self, row: int) -> None:
+        """Set the inputs in the first tick."""
+        if self._tick == 0:
+            self._put(row)
+
+    def step(self, time: float, step_size: float) -> None:
+        """Take the step in one of the ticks."""
+        if self._tick == 0:
+            self._begin = time
+        if self._tick == (0 if self._bound.leads else self._multiple - 1):
+            self._step(self._begin, self._multiple * step_size)
+        self._tick = (self._tick + 1) % self._multiple
+
+    def get_outputs(self, row: int) -> None:
+        """Read the outputs; those of a follower between two steps are held, as its inputs are."""
+        if self._tick == 0 or self._bound.leads:
+            self._get(row)
+        else:
+            self._rows[row, self._bound.outputs] = self._rows[row - 1, self._bound.outputs]
+
+
+def bind(  # noqa: PLR0913 - what the master is given, and the rows
     slaves: Sequence[Slave],
     columns: Sequence[Name],
     external: Sequence[Name],
     connections: Sequence[Connection],
     rows: Array,
+    multiples: Mapping[str, int],
 ) -> list[BoundSlave]:
-    """Bind slaves to the rows of a recording."""
+    """Bind slaves to the rows of a recording; `multiples` are ticks of a step, if more than one."""
     index = {name: i for i, name in enumerate(columns, start=1)}
     # Column that feeds each input, in the order of the connections.
     sources: dict[str, dict[str, int]] = defaultdict(dict)
@@ -85,7 +132,10 @@ def bind(
     for instance, variable in columns[len(external) :]:
         outputs[instance][variable] = index[(instance, variable)]
     return [
-        BoundSlave(s, sources[s.name], outputs[s.name], rows, conversions[s.name]) for s in slaves
+        BoundSlave(
+            s, sources[s.name], outputs[s.name], rows, conversions[s.name], multiples.get(s.name, 1)
+        )
+        for s in slaves
     ]
 
 

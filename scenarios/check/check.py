@@ -13,7 +13,7 @@ from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
-from ...fmus.master.system import read_fmus, step_notes
+from ...fmus.master.system import notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.criterion import miss_text
@@ -41,6 +41,7 @@ from ..system.parts import UnreadSlaveError
 from ..timing.joint_reference import joint_reference
 from ..timing.violations import LimitViolation, find_violations
 from .rehearsal import findings, rehearse, weakest_grip
+from .suggestions import suggestions
 
 Level = Literal["wrong", "hint", "good"]
 
@@ -92,17 +93,17 @@ def _no_folder(folder: Path) -> str:
 def _foreign(prepared: Prepared) -> list[Diagnostic]:
     """Describe a scenario of other FMUs, whose code is not run."""
     scenario, assembly = prepared.scenario, prepared.assembly
-    fmus = read_fmus(assembly.system, assembly.changed(prepared.values))
-    steps = (f"{name}: {text}" for name, _, text in step_notes(fmus, scenario.step))
-    notes = _diagnostics("hint", [*assembly.notes, *steps])
+    fmus = read_fmus(assembly.system, assembly.changed(prepared.values), scenario.coupling)
+    seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
+    hints = _diagnostics("hint", [*assembly.notes, *suggestions(assembly), *seen])
     models = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
     unseen = "limits, collisions and grip are checked only with the project's plant and controller"
     if len(assembly.interfaces) > 1 and not count:
         text = f"{about}; it can be started, but its FMUs are not connected ({unseen})"
-        return [*notes, Diagnostic("hint", text)]
-    return [*notes, Diagnostic("good", f"{about}; it can run ({unseen})")]
+        return [*hints, Diagnostic("hint", text)]
+    return [*hints, Diagnostic("good", f"{about}; it can run ({unseen})")]
 
 
 def _rehearsed(prepared: Prepared) -> list[Diagnostic]:

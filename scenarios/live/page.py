@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...fmus.errors import InputError
 from ...fmus.interface.plant import FORCE_MAX
-from ...fmus.master.step import COUPLINGS
+from ...fmus.master.step import SWITCHED
 from ...fmus.messages import one_line
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
@@ -75,7 +75,7 @@ def page_of(session: Session) -> str:
             }
             for name, scalar in session.tunables.items()
         ],
-        "couplings": list(COUPLINGS),
+        "couplings": list(SWITCHED),
         "pushes": list(_pushes(session, model)),
         "plan": plan(session),
     }

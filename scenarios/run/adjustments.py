@@ -15,7 +15,7 @@ from typing import Any, Final
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.variables import Scalar, Value
-from ...fmus.master.step import COUPLINGS
+from ...fmus.master.step import SWITCHED
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import check_keys, field_names
 from ..scenario.table import TableRow, TrajectoryTable
@@ -81,8 +81,10 @@ class Adjustments:
         self.inputs.release(name)
 
     def _set_coupling(self, _: Action, /, coupling: Any) -> None:
-        if coupling not in COUPLINGS:
-            raise InputError(f"coupling: {excerpt(coupling)}; valid: {', '.join(COUPLINGS)}")
+        if coupling not in SWITCHED:
+            raise InputError(f"coupling: {excerpt(coupling)}; valid: {', '.join(SWITCHED)}")
+        if self._scenario.coupling not in SWITCHED or self._scenario.steps:
+            raise InputError('coupling: cannot change with [steps], or from "iterated"')
         self.coupling = coupling
 
     def _move_waypoint(self, action: Action, /, row: int, **changes: Any) -> None:

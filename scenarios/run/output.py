@@ -33,7 +33,7 @@ class Output:
         self.system, self._prepared, self._writes = system, prepared, writes
         self._place = folder.absolute()  # an FMU may change the working directory
         self._journal = self._place / JOURNAL_FILE if journals else None
-        columns = prepared.assembly.recorded()
+        columns = prepared.assembly.recorded(prepared.scenario.coupling)
         self.signals = tuple(column.name for column in columns)
         provenance = _provenance(system) if writes else {}
         metadata = {**_metadata(prepared), **provenance} if writes else {}

@@ -54,7 +54,8 @@ def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None
     """Check that the signals of the scenario's criteria will be recorded, as long as they need."""
     if scenario.success.signal or scenario.success.body:
         assembly = assembly or assemble(scenario)
-        units = {c.name: c.unit for c in assembly.recorded() if c.type not in TEXTS}
+        columns = assembly.recorded(scenario.coupling)
+        units = {column.name: column.unit for column in columns if column.type not in TEXTS}
         start = assembly.start_time
         try:
             scenario.success.check_windows(start, start + scenario.duration)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, PlainValidator
+from pydantic import BeforeValidator, Field, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...fmus.errors import InputError
@@ -35,7 +35,7 @@ from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
 GAINS = ("default", "tutorial")
 TIMINGS = ("table", "feasible", "optimal")
-Coupling = Literal["gauss-seidel", "jacobi"]
+Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
 COUPLINGS = get_args(Coupling)
 Expectation = Literal["success", "failure"]
 MAX_DURATION = 3600.0  # s; an hour of recording is 4 GB before compression
@@ -139,6 +139,10 @@ class Scenario:
     # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
+    # Steps of an FMU as multiples of the system's.
+    steps: Mapping[str, Annotated[int, Field(strict=True, ge=1, le=1_000_000)]] = field(
+        default_factory=dict
+    )
     # Values of unconnected inputs; `file`: a table of inputs over time.
     inputs: Mapping[str, Parameter] = field(default_factory=dict)
     input_table: InputTable = field(default_factory=InputTable)
@@ -182,6 +186,11 @@ class Scenario:
                     f"{key}: acts only on a scenario with a {TABLE_FILE}; must be left out here, "
                     "as a system has none"
                 )
+        if self.coupling == "iterated" and (self.steps or not self.is_system):
+            raise ValueError(
+                'coupling: value "iterated"; must be another one with [steps], or with a '
+                f"{TABLE_FILE}"
+            )
         if self.mismatch.values and (self.is_system or "plant" in self.fmus):
             raise ValueError("mismatch: only valid with the project's own plant")
         for section, key in _TOP_LEVEL.items():

@@ -93,8 +93,8 @@ def settings_text(scenario: Scenario) -> str:
     file = {"file": INPUTS_FILE} if scenario.input_table.text else {}
     inputs = {**{n: v for n, v in scenario.inputs.items() if n != "file"}, **file}
     sections: list[tuple[str, Mapping[str, Any]]] = [
-        *((f"[{name}]", values[name]) for name in ("fmus", "connect") if values[name]),
-        ("[inputs]", inputs),
+        *((f"[{name}]", values[name]) for name in ("fmus", "connect", "steps") if values[name]),
+        *([("[inputs]", inputs)] if inputs else []),
         *((f"[parameters.{name}]", own) for name, own in scenario.parameters.items()),
         ("[plant]", scenario.plant),
         ("[controller]", scenario.controller),

@@ -18,9 +18,10 @@ from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
+from ...fmus.master.step import ITERATIONS
 from ...fmus.master.system import RECORDED_KINDS, System
 from ...fmus.master.wiring import Array, Name
-from ...fmus.messages import did_you_mean
+from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.sources.targets import Kind
 from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Scenario
@@ -40,6 +41,7 @@ class Assembly:
     notes: Sequence[str] = ()  # unconnected inputs
     asked: frozenset[str] = frozenset()  # signals of criteria, recorded in any case
     driven: DrivenInputs = field(default_factory=DrivenInputs)  # among the external ones
+    steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
     # Of an .ssp file: its system, start values and start time [s].
     ssp: System | None = None
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
@@ -56,6 +58,7 @@ class Assembly:
             self.external,
             self.outputs,
             refuses_non_finite=all(part.file is None for part in self.parts),
+            steps=self.steps,
         )
 
     @cached_property
@@ -77,7 +80,7 @@ class Assembly:
             return True
         return any(each.source == (name, variable.names()[0]) for each in self.connections)
 
-    def recorded(self) -> list[Column]:
+    def recorded(self, coupling: str = "") -> list[Column]:
         """Columns of a recording, whose names must differ."""
         columns = [Column("time", "s", "Time since the start")]
         sources: dict[str, Name] = {}
@@ -95,6 +98,8 @@ class Assembly:
             variable = scalar.variable
             kind = column_type(variable)
             columns.append(Column(column, scalar.unit, variable.description, kind))
+        if coupling == "iterated":
+            columns.append(Column(".".join(ITERATIONS), "1", "Iterations of the step before"))
         return columns
 
     @cached_property
@@ -189,7 +194,17 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     connections, notes = connector.connections, connector.notes
     if from_outside:
         external, notes = [*_unfed(interfaces, connections, external), *external], []
-    return Assembly(interfaces, connections, external, parts, notes, scenario.asked, driven)
+    asked, steps = scenario.asked, _steps(scenario, interfaces)
+    return Assembly(interfaces, connections, external, parts, notes, asked, driven, steps)
+
+
+def _steps(scenario: Scenario, interfaces: Mapping[str, Interface]) -> Mapping[str, int]:
+    """Check the names of [steps]; returns it."""
+    for name in scenario.steps:
+        if name not in interfaces:
+            hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
+            raise InputError(f"[steps] {excerpt(name)}: no FMU of this name; {hint}")
+    return scenario.steps
 
 
 def _unfed(
@@ -259,7 +274,8 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     connector.drive([connection.target for connection in system.connections])
     connector.drive(driven.names)
     unfed = _unfed(interfaces, system.connections, driven.names) if from_outside else []
-    system = replace(system, external=[*unfed, *driven.names])
+    external = [*unfed, *driven.names]
+    system = replace(system, external=external, steps=_steps(scenario, interfaces))
     return Assembly(
         interfaces,
         system.connections,
