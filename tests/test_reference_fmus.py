@@ -17,6 +17,7 @@ from typing import Any
 
 import fmpy
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from fmu_support import in_process
 from forked import command
@@ -323,6 +324,47 @@ def test_types_are_converted_where_that_is_asked_for(tmp_path: Path) -> None:
                    "--set", "inputs.a.Float64_discrete_input=200")  # fmt: skip
     assert done.returncode == 1
     assert "fmi3SetInt8: one of [200.0] is out of the range of int8" in done.stderr
+
+
+def test_inputs_are_varied_and_runs_with_them_compared(tmp_path: Path) -> None:
+    criterion = '[[success.signal]]\nsignal = "it.Int64_output"\nreduce = "final"\nabove = 2.5\n'
+    values = '[inputs]\n"it.Int64_input" = 1\n"it.String_input" = "text"\n'
+    write(tmp_path, {"it": "fmi3/Feedthrough"}, values + criterion)
+    done = command("sweep", tmp_path, "--vary", "inputs.it.Int64_input=1,2,3,4",
+                   "--out", tmp_path / "sweep")  # fmt: skip
+    assert done.returncode in (0, 3), done.stderr
+    rows = pq.read_table(tmp_path / "sweep" / "results").to_pylist()
+    succeeded = {row["inputs.it.Int64_input"]: row["status"] == "success" for row in rows}
+    assert succeeded == {1.0: False, 2.0: False, 3.0: True, 4.0: True}
+    for name, text in {"one": "=5", "other": "=9"}.items():
+        more = ("--set", f"inputs.it.Int64_input{text}", *QUIET)
+        assert command("run", tmp_path, "--out", tmp_path / name, *more).returncode == 0
+    done = command("compare", tmp_path / "one", tmp_path / "other", "--json")
+    assert '"it.Int64_output"' in done.stdout
+    done = command("export", tmp_path / "one", tmp_path / "one.csv")
+    assert done.returncode == 0, done.stderr
+    assert "it.String_output" in (tmp_path / "one.csv").read_text().splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("csv_text", "message"),
+    [
+        ("time,it.Int8_input\n0,200\n", "it.Int8_input: row 1: 200 is out of range; must be a who"),
+        ("time,it.Int8_input\n1,1\n0,2\n", "row 2: time '0'; must be a number of at least 1 s"),
+        ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
+        ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no such FMU; valid: it"),
+        ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time, then inputs"),
+        ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
+    ],
+)
+def test_a_bad_table_of_inputs_is_refused_in_one_line(
+    tmp_path: Path, csv_text: str, message: str
+) -> None:
+    (tmp_path / "inputs.csv").write_text(csv_text)
+    values = '[inputs]\nfile = "inputs.csv"\n"it.UInt8_input" = 1\n'
+    done = command("run", write(tmp_path, {"it": "fmi3/Feedthrough"}, values), *QUIET)
+    assert done.returncode == 2
+    assert message in done.stderr
 
 
 def set_inputs(folder: str) -> list[list[Any]]:

@@ -27,9 +27,9 @@ def expand(
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
     for name, value in general_first(given, scalars):
-        targets = _targets(instance, interface, scalars, name, causality)
-        parts = _parts(f"{instance}.{name}", value, len(targets))
-        for scalar, part in zip(targets, parts, strict=True):
+        own = targets(instance, interface, scalars, name, causality)
+        parts = _parts(f"{instance}.{name}", value, len(own))
+        for scalar, part in zip(own, parts, strict=True):
             values[scalar.name] = scalar.checked(f"{instance}.{scalar.name}", part)
     return values
 
@@ -54,7 +54,7 @@ def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]
     }
 
 
-def _targets(
+def targets(
     instance: str,
     interface: Interface,
     scalars: Mapping[str, Scalar],
@@ -63,21 +63,21 @@ def _targets(
 ) -> list[Scalar]:
     """Scalars that a name stands for: an element, or all of a vector."""
     one = scalars.get(name)
-    targets = [one] if one else [s for s in scalars.values() if s.variable.name == name]
+    named = [one] if one else [s for s in scalars.values() if s.variable.name == name]
     candidates = interface.of(causality)
     valid = ", ".join([v.name for v in candidates][:40]) or "none"
-    if not targets:
+    if not named:
         near = nearest(name, [n for v in candidates for n in (v.name, *v.names())])
         hint = f"did you mean {near!r}?" if near else f"valid: {valid}"
         raise InputError(f"{instance}.{name}: no such {causality} of {interface.model}; {hint}")
-    own = targets[0].variable.causality
+    own = named[0].variable.causality
     if own != causality:
         articles = {"parameter": "a", "local": "a"}
         raise InputError(
             f"{instance}.{name}: {articles.get(own, 'an')} {own} of {interface.model}, not "
             f"{articles.get(causality, 'an')} {causality}; valid: {valid}"
         )
-    return targets
+    return named
 
 
 def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:

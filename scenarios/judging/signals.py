@@ -181,8 +181,8 @@ def _columns(
     if name not in shapes:
         hint = did_you_mean(name, (*shapes, *units))
         raise ValueError(
-            f"value {excerpt(name)} is not recorded; must be a recorded signal{hint} (`panda-cosim "
-            "info` lists them)"
+            f"value {excerpt(name)} is not recorded as a number; must be a recorded signal{hint} "
+            "(`panda-cosim info` lists them)"
         )
     return [c for c in units if c.startswith(f"{name}[")]
 

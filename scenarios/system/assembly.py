@@ -21,7 +21,7 @@ from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.master.step import ITERATIONS
 from ...fmus.master.system import RECORDED_KINDS, System
 from ...fmus.master.wiring import Array, Name
-from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
 from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Scenario
@@ -187,24 +187,21 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
             connector.connect_by_name(part, variable)
     if not scenario.is_system and not connector.is_fed("plant", "ctrl"):
         raise InputError(connector.unfed_message("plant", "ctrl"))
-    for name in scenario.parameters:
-        if name not in interfaces:
-            hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
-            raise InputError(f"[parameters.{name}]: no FMU of this name; {hint}")
+    _check_names(scenario, interfaces)
     connections, notes = connector.connections, connector.notes
     if from_outside:
         external, notes = [*_unfed(interfaces, connections, external), *external], []
-    asked, steps = scenario.asked, _steps(scenario, interfaces)
+    asked, steps = scenario.asked, scenario.steps
     return Assembly(interfaces, connections, external, parts, notes, asked, driven, steps)
 
 
-def _steps(scenario: Scenario, interfaces: Mapping[str, Interface]) -> Mapping[str, int]:
-    """Check the names of [steps]; returns it."""
-    for name in scenario.steps:
+def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> None:
+    """Check the FMUs that sections name."""
+    sections = {f"[parameters.{name}]": name for name in scenario.parameters}
+    for place, name in {**sections, **{f"[steps] {name}": name for name in scenario.steps}}.items():
         if name not in interfaces:
             hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
-            raise InputError(f"[steps] {excerpt(name)}: no FMU of this name; {hint}")
-    return scenario.steps
+            raise InputError(f"{place}: no FMU of this name; {hint}")
 
 
 def _unfed(
@@ -274,8 +271,8 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     connector.drive([connection.target for connection in system.connections])
     connector.drive(driven.names)
     unfed = _unfed(interfaces, system.connections, driven.names) if from_outside else []
-    external = [*unfed, *driven.names]
-    system = replace(system, external=external, steps=_steps(scenario, interfaces))
+    _check_names(scenario, interfaces)
+    system = replace(system, external=[*unfed, *driven.names], steps=scenario.steps)
     return Assembly(
         interfaces,
         system.connections,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import ParameterValue, expand
+from ...fmus.interface.parameters import ParameterValue, expand, targets
 from ...fmus.interface.types import in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value
 from ...fmus.master.fmu_file import read_value
@@ -79,8 +79,7 @@ def driven_inputs(scenario: Scenario, interfaces: Mapping[str, Interface]) -> Dr
     by_fmu: dict[str, dict[str, ParameterValue]] = {}
     for key, value in scenario.inputs.items():
         if key != "file":
-            instance, _, name = key.partition(".")
-            _interface(key, interfaces)
+            instance, name = _split(key, interfaces)
             by_fmu.setdefault(instance, {})[name] = value
     constant = {
         (instance, name): value
@@ -90,37 +89,27 @@ def driven_inputs(scenario: Scenario, interfaces: Mapping[str, Interface]) -> Dr
     table = scenario.input_table
     varying: dict[Name, tuple[Value, ...]] = {}
     for key, cells in table.columns.items():
-        scalar, place = _scalar(key, interfaces), f"{table.place}: {key}: row"
-        end = key.partition(".")[0], scalar.name
-        if end in constant:
-            raise InputError(f"[inputs] {key}: is in {table.place}, too; must be in one of them")
-        varying[end] = tuple(
+        instance, name = _split(key, interfaces)
+        scalars = {scalar.name: scalar for scalar in interfaces[instance].scalars()}
+        named = targets(instance, interfaces[instance], scalars, name, "input")
+        scalar, place = named[0], f"{table.place}: {key}: row"
+        if len(named) > 1 or (instance, scalar.name) in constant:
+            what = "has several elements" if len(named) > 1 else "is in [inputs], too"
+            raise InputError(f"{table.place}: {key}: {what}; must be one element, given once")
+        varying[instance, scalar.name] = tuple(
             scalar.checked(f"{place} {row}", read_value(f"{place} {row}:", scalar.variable, cell))
             for row, cell in enumerate(cells, 1)
         )
     return DrivenInputs(constant, varying, table.times if varying else np.zeros(0))
 
 
-def _interface(key: str, interfaces: Mapping[str, Interface]) -> Interface:
-    instance = key.partition(".")[0]
-    if instance not in interfaces:
+def _split(key: str, interfaces: Mapping[str, Interface]) -> Name:
+    """FMU and variable that a key names; an FMU's name may have dots."""
+    fitting = [name for name in interfaces if key.startswith(f"{name}.")]
+    if not fitting:
         raise InputError(
-            f"[inputs] {excerpt(key)}: no FMU {excerpt(instance)}; valid: {', '.join(interfaces)}"
-            f"{did_you_mean(instance, interfaces)}"
+            f"[inputs] {excerpt(key)}: no such FMU; valid: {', '.join(interfaces)}"
+            f"{did_you_mean(key.partition('.')[0], interfaces)}"
         )
-    return interfaces[instance]
-
-
-def _scalar(key: str, interfaces: Mapping[str, Interface]) -> Scalar:
-    inputs = {
-        scalar.name: scalar
-        for scalar in _interface(key, interfaces).scalars()
-        if scalar.variable.causality == "input"
-    }
-    name = key.partition(".")[2]
-    if name not in inputs:
-        raise InputError(
-            f"[inputs] {excerpt(key)}: no such input, or element of one; valid: "
-            f"{', '.join([*inputs][:40]) or 'none'}{did_you_mean(name, inputs)}"
-        )
-    return inputs[name]
+    instance = max(fitting, key=len)
+    return instance, key.removeprefix(f"{instance}.")
