@@ -25,7 +25,7 @@ INDICES = [f"[{i},{j}]" for i, j in product((1, 2), (1, 2, 3))]
 
 
 @cache
-def library() -> bytes:
+def library(source: Path = SOURCE) -> bytes:
     """A compiled FMU in C, with all functions that FMPy wants to find and the source lacks."""
     folder, tool = Path(mkdtemp()), compiler()
     assert tool
@@ -33,7 +33,7 @@ def library() -> bytes:
     names = {n for slave in slaves for n in dir(slave) if re.match("fmi[23][A-Z]", n)}
     weak = [f"__attribute__((weak)) int {name}(void) {{ return 3; }}\n" for name in sorted(names)]
     (folder / "rest.c").write_text("".join(weak))
-    command = [tool, "-shared", "-fPIC", "-O1", f"-I{HEADERS}", SOURCE, folder / "rest.c"]
+    command = [tool, "-shared", "-fPIC", "-O1", f"-I{HEADERS}", source, folder / "rest.c"]
     subprocess.run([*command, "-o", folder / "fmu.so"], check=True, timeout=300)
     return (folder / "fmu.so").read_bytes()
 

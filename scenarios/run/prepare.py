@@ -145,11 +145,11 @@ class Inputs:
     def _computed(self, first: int, count: int) -> Array:
         count = min(count, self.shape[0] - first)
         rows = np.tile(self._start, (count, 1))
-        ticks = np.arange(first, first + count, dtype=np.float64)
-        for name in self._assembly.driven.names:
+        driven = self._assembly.driven
+        for name in driven.names:
             scalar, column = self._assembly.scalars[name], self._columns[".".join(name)]
-            instants = self._from_time + self._step * ticks
-            rows[:, column] = self._assembly.driven.sample(name, scalar, instants)
+            times = self._from_time + self._step * np.arange(first, first + count, dtype=np.float64)
+            rows[:, column] = driven.sample(name, scalar, times)
         if self._trajectory is not None:
             times = _instants(first, count)
             commands = _sampled(self._trajectory, first, count)
