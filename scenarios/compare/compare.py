@@ -93,7 +93,10 @@ def compare_with_reference(
     present = [name for name in reference.columns if name in recording.units]
     rows = matching_rows(time, reference)
     deviations = sorted(
-        (_deviation(name, time, rows, recording[name], reference, tolerances) for name in present),
+        (
+            _deviation(name, time, rows, recording[name].astype(float), reference, tolerances)
+            for name in present
+        ),
         key=lambda d: -d.share,
     )
     if not deviations:

@@ -157,7 +157,10 @@ def signals_apart(names: Sequence[str], runs: Sequence[Recording]) -> tuple[Sign
     """
     times, units = [run.time for run in runs], runs[0].units
     with np.errstate(over="ignore", invalid="ignore"):
-        rows = [_distances(name, units[name], times, [run[name] for run in runs]) for name in names]
+        rows = [
+            _distances(name, units[name], times, [run[name].astype(float) for run in runs])
+            for name in names
+        ]
     largest = defaultdict[tuple[str, str], float](float)
     for row, _, peak in rows:
         signal = signal_of(row.name), row.unit
