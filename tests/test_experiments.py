@@ -75,7 +75,7 @@ def test_the_plants_references_are_the_run_and_what_fmpy_makes_of_the_stimulus(
     names = list(references)[1:]
     recording = Recording.open(run_scenario("push", tmp_path / "run").recording.path)
     rows = np.rint(references["time"] * 1000).astype(int)
-    recorded = recording.read([f"plant.{n}" for n in names if f"plant.{n}" in recording.units])
+    recorded = {c: recording[c] for n in names if (c := f"plant.{n}") in recording.units}
     assert len(recorded) > 100
     for name, values in recorded.items():
         np.testing.assert_array_equal(values[rows], references[name.removeprefix("plant.")])
