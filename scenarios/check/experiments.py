@@ -235,8 +235,7 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
         names = [name for variable in interface.of("input") for name in variable.names()]
         sources = {n: feeding.get((instance, n), f"{instance}.{n}") for n in names}
         driven = {name: source for name, source in sources.items() if source in recording}
-        columns = {n: recording[source] for n, source in driven.items()}
-        stimuli = {"time": recording.time, **columns}
+        stimuli = {n: recording[source] for n, source in {"time": "time", **driven}.items()}
         every = math.ceil(recording.rows * len(driven) / MOST_CELLS) or 1
         rows = np.unique([*range(0, recording.rows, every), recording.rows - 1])
         starts = {s.name: s.start for s in interface.scalars()}
