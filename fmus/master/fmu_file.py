@@ -31,6 +31,7 @@ _SHOWN: Final = ("input", "output", "parameter")
 _NAMES_NOTE: Final = "Annotations/Annotation[@type='org.panda-cosim.names']"
 _IDENTIFIER: Final = re.compile(r"[\w-]+", re.A)  # containers have the name of their file
 _LINEAR: Final = ("factor", "offset")  # attributes of a BaseUnit beside the exponents
+_FEW: Final = 4  # descriptions of an array's elements that are joined
 _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
 
@@ -293,6 +294,7 @@ def _joined(scalars: Sequence[Scalar]) -> Iterable[Variable]:
 def _table_row(name: str, shape: tuple[int, ...], scalars: Sequence[Scalar]) -> Variable:
     first = scalars[0].variable
     units = tuple(s.unit for s in scalars)
+    texts = list(dict.fromkeys(s.variable.description for s in scalars))
     kinds = {"parameter": "tunable" if first.variability == "tunable" else "fixed"}
     is_real = first.kind in ("Real", "Float32")
     kinds["input"] = first.variability or ("continuous" if is_real else "discrete")
@@ -300,6 +302,7 @@ def _table_row(name: str, shape: tuple[int, ...], scalars: Sequence[Scalar]) -> 
         first,
         name=name,
         shape=shape,
+        description="; ".join(texts[:_FEW]) + "; ..." * (len(texts) > _FEW),
         unit=units[0] if len(set(units)) == 1 else units,
         variability=cast("Variability", kinds.get(first.causality, "continuous")),
         start=_each(s.start for s in scalars) if len(scalars) > 1 else scalars[0].start,
