@@ -25,6 +25,7 @@ OUR_UNITS: Final[Units] = {
     name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
     for name, exponents in BASE_UNITS.items()
 }
+_OF_ARM: Final = ("qpos", "qvel")  # of PandaPlant, which begin with the arm's
 _CONVERT: Final = re.compile(r"convert\((.+)\)", re.S)
 SHOWN: Final = 8  # unconnected inputs of an FMU that are named
 
@@ -111,7 +112,7 @@ class Connector:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
             raise InputError(f"{target}: {names} have this name; choose one in [connect]")
         source, giving = outputs[0]
-        if measures_a_panda(self.parts[source].interface):
+        if giving.name in _OF_ARM and measures_a_panda(self.parts[source].interface):
             giving = _of_arm(giving, variable.shape)
         self.check(f"{source}.{giving.name}", giving, target, variable)
         self._connect(source, giving, part.name, variable)
@@ -198,7 +199,7 @@ class Connector:
 
 def _of_arm(giving: Variable, shape: tuple[int, ...]) -> Variable:
     """Return the arm's part of PandaPlant's positions and velocities, which it begins with."""
-    if giving.name not in ("qpos", "qvel") or shape != (len(ARM_JOINTS),):
+    if shape != (len(ARM_JOINTS),):
         return giving
     return replace(giving, shape=shape, unit=giving.units[: len(ARM_JOINTS)])
 
