@@ -92,6 +92,22 @@ def test_units_are_converted_as_both_sides_define_them(
     assert recording.units["b.y[1,2]"] == target[0]
 
 
+def test_differences_of_temperatures_have_no_offset(tmp_path: Path) -> None:
+    measuring(tmp_path / "a.fmu", 2, "degC", CELSIUS)
+    measuring(tmp_path / "b.fmu", 3, "K", '<BaseUnit K="1"/>')
+    kind = '<Float64Type name="difference" unit="K" relativeQuantity="true"/>'
+    described(
+        tmp_path / "b.fmu",
+        ('unit="K"', 'unit="K" declaredType="difference"'),
+        ("<TypeDefinitions>", f"<TypeDefinitions>{kind}"),
+    )
+    recording = run(
+        tmp_path, '[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n"b.u[1,2]" = "a.y[2,1]"\n'
+    )
+    wanted = recording["a.y[2,1]"][:-1] + TIMES[1:]
+    np.testing.assert_allclose(recording["b.y[1,2]"][1:], wanted, rtol=1e-15)
+
+
 def test_units_without_a_conversion_are_refused_by_check_and_run(tmp_path: Path) -> None:
     measuring(tmp_path / "a.fmu", 2, "deg", DEGREE)
     measuring(tmp_path / "b.fmu", 2, "s", '<BaseUnit s="1"/>')

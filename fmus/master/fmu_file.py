@@ -52,6 +52,7 @@ class Fmu:
         self.fmi = VERSIONS[self.description.fmiVersion]
         described = self.description.modelVariables
         self.structural = {v.name for v in described if v.causality == STRUCTURAL}
+        self.relative = {v.name for v in described if _is_relative(v)}
         self.sizes: dict[str, int] = {}  # values of structural parameters that are changed
         self._noted = _noted_names(path, self.folder) if self.fmi == 3 else {}
         self.variables = self._scalars()
@@ -192,6 +193,12 @@ def _scalars(place: str, described: Sequence[Any], sizes: Mapping[str, int]) -> 
     for each in described:
         variable = _variable(f"{place}: {each.name!a}", each, sizes)
         yield from variable.scalars(each.valueReference, stride=0)
+
+
+def _is_relative(described: Any) -> bool:
+    """Whether a variable is a difference, so that its unit's offset does not count."""
+    own = getattr(described, "relativeQuantity", False)
+    return bool(own or getattr(described.declaredType, "relativeQuantity", False))
 
 
 def _shape(described: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:

@@ -139,6 +139,9 @@ def _objects(fmus: Mapping[str, Fmu], system: System) -> set[Name]:
 def _in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
     """Return a connection whose factor and offset convert units, too."""
     factor, offset = (connection.converts_units and _conversion(fmus, connection)) or (1.0, 0.0)
+    for instance, name in (connection.source, connection.target):
+        if fmus[instance].variable(name).variable.name in fmus[instance].relative:
+            offset = 0.0
     return replace(
         connection,
         factor=connection.factor * factor,
