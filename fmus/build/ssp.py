@@ -21,6 +21,7 @@ PREFIXES: Final = {
     "ssd": f"{_SSP}Description",
     "ssc": f"{_SSP}Common",
     "ssv": f"{_SSP}ParameterValues",
+    "ssm": f"{_SSP}ParameterMapping",
     # Some importers read the master's step size from annotations of these names.
     "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",

@@ -1,0 +1,185 @@
+"""The parameters of an SSP: parameter sets (SSV) and mappings (SSM) as start values of its FMUs."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import Final
+from xml.etree import ElementTree as ET
+
+from ..build.ssp import PREFIXES
+from ..errors import InputError
+from ..interface.units import Units, conversion
+from ..interface.variables import Value
+from ..messages import did_you_mean
+from ..reading import read_xml
+from .fmu_file import read_value
+from .ssp_document import Document, choice, converts_units, local
+from .ssp_structure import End, Structure, shown
+
+_REALS: Final = ("Real", "Float64", "Float32")
+_INTEGERS: Final = ("Integer", *(f"{u}Int{bits}" for u in ("", "U") for bits in (8, 16, 32, 64)))
+# Types of a parameter by the kind of variable that takes it; others take their own.
+_TYPES: Final = {
+    "Real": _REALS,
+    "Float32": _REALS,
+    "Integer": _INTEGERS,
+    "Enumeration": (*_INTEGERS, "Enumeration", "String"),
+}
+_SHOWN: Final = 3  # parameters without effect that are named
+_Elements = list[list[list[End]]]  # for each element of a parameter, the chains that it goes along
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A parameter of a parameter set."""
+
+    place: str  # in messages
+    typed: ET.Element  # its type, with the values
+    units: Units
+    entry: ET.Element  # of a parameter mapping; an empty one if there is none
+    document: Document
+
+
+class Parameters:
+    """Start values that the bindings of a structure give to its FMUs."""
+
+    def __init__(self, structure: Structure) -> None:
+        self.values: dict[str, dict[str, Value]] = {}  # by component and variable
+        self.warnings: list[str] = []
+        self._structure = structure
+        self._targets = _targets(structure) if structure.bindings else {}
+        for binding in structure.bindings:
+            self._apply(*binding)
+
+    def _apply(self, binding: ET.Element, owner: str, document: Document) -> None:
+        values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", document)
+        units = {
+            **document.units,
+            **document.units_of(values.iterfind("ssv:Units/ssc:Unit", PREFIXES)),
+        }
+        entries = _entries(binding, document)
+        unused: list[str] = []
+        for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
+            name, typed = binding.get("prefix", "") + parameter.get("name", ""), choice(parameter)
+            plain = [ET.Element("", target=name)]
+            for entry in plain if entries is None else entries[name]:
+                full = shown((owner, entry.get("target", "")))
+                place = f"{label}: parameter {full}"
+                if typed is None:
+                    raise InputError(f"{place}: has no type; must be one such as ssv:Real")
+                for elements in self._targets.get(full, ()):
+                    self._set(elements, _Given(place, typed, units, entry, document))
+                if full not in self._targets:
+                    unused.append(full)
+        if unused:
+            more = f" and {len(unused) - _SHOWN} more" if len(unused) > _SHOWN else ""
+            self.warnings.append(
+                f"{label}: parameter {', '.join(unused[:_SHOWN])}{more}: has no effect, as no "
+                f"variable has this name{did_you_mean(unused[0], self._targets)}"
+            )
+
+    def _set(self, elements: _Elements, given: _Given) -> None:
+        texts = _texts(given.typed)
+        if len(texts) != len(elements):
+            count = f"{len(elements)} values" if len(elements) > 1 else "one value"
+            raise InputError(f"{given.place}: has {len(texts)} values; must be {count}")
+        for chains, text in zip(elements, texts, strict=True):
+            for chain in chains:
+                instance, name = chain[-1]
+                self.values.setdefault(instance, {})[name] = self._value(chain, text, given)
+
+    def _value(self, chain: list[End], text: str, given: _Given) -> Value:
+        """Value for the end of a chain; its unit is converted first, then it is transformed."""
+        instance, name = chain[-1]
+        scalar, typed = self._structure.fmus[instance].variable(name), local(given.typed)
+        kind, change = scalar.variable.kind, choice(given.entry)
+        if typed not in _TYPES.get(kind, (kind,)):
+            raise InputError(f"{given.place}: {typed}; must be one value of type {kind}")
+        steps = [self._converted(chain, given)]
+        if change is not None and local(change) == "LinearTransformation":
+            steps.append(given.document.linear(change))
+        elif change is not None:
+            text = _mapped(change, text, given.place)
+        value = read_value(f"{given.place} =", scalar.variable, text)
+        for factor, offset in (*steps, self._structure.linear(chain)):
+            if (factor, offset) != (1.0, 0.0):
+                if kind not in ("Real", "Float32"):
+                    raise InputError(
+                        f"{given.place}: a transformation of a {kind}; must be of a Real"
+                    )
+                value = factor * float(value) + offset
+        return scalar.checked(given.place, value)
+
+    def _converted(self, chain: list[End], given: _Given) -> tuple[float, float]:
+        """Factor and offset from the unit of a value to that of the chain's first end."""
+        known = [
+            u for u in map(self._structure.units.get, chain) if u and u[0]
+        ]  # or the next one's
+        if not (known and converts_units(given.entry)):
+            return 1.0, 0.0
+        unit = given.typed.get("unit", "")
+        linear = conversion(unit, given.units, *known[0])
+        if linear is None:
+            valid = f"{known[0][0]!r}, or of the same SI base units"
+            raise InputError(f"{given.place}: unit {unit!r}; must be {valid}")
+        return linear
+
+
+def _targets(structure: Structure) -> dict[str, list[_Elements]]:
+    """What a parameter sets, by its name from the whole system; two elements may share a name."""
+    fed: dict[End, list[list[End]]] = defaultdict(list)  # chains that begin at a system's connector
+    for chain in structure.chains():
+        for i, end in enumerate(chain[:-1]):
+            fed[end].append(chain[i:])
+    targets: dict[str, list[_Elements]] = defaultdict(list)
+    for element, names in structure.items.items():
+        for name, items in names.items():
+            ends = [(element, item) for item in items]
+            is_fmu = element in structure.fmus
+            elements = [[[end]] if is_fmu else fed[end] for end in ends]
+            targets[shown((element, name))].append(elements)
+    return targets
+
+
+def _mapped(change: ET.Element, text: str, place: str) -> str:
+    """What a mapping makes of a value."""
+    words = {"1": "true", "0": "false"} if local(change).startswith("Boolean") else {}
+    entries = change.findall("ssc:MapEntry", PREFIXES)
+    table = {words.get(e.get("source", ""), e.get("source", "")): e for e in entries}
+    if words.get(text, text) not in table:
+        raise InputError(f"{place} = {text!r}; must be one of {', '.join(table)}, which are mapped")
+    return table[words.get(text, text)].get("target", "")
+
+
+def _texts(typed: ET.Element) -> list[str]:
+    """Values of a parameter, one for each element."""
+    if "value" not in typed.attrib:
+        return [child.get("value", "") for child in typed]
+    text = typed.attrib["value"]
+    return text.split() if local(typed) in (*_REALS, *_INTEGERS, "Boolean") else [text]
+
+
+def _entries(binding: ET.Element, document: Document) -> dict[str, list[ET.Element]] | None:
+    """Entries of a parameter mapping by the names of their sources."""
+    mapping = binding.find("ssd:ParameterMapping", PREFIXES)
+    if mapping is None:
+        return None
+    entries: dict[str, list[ET.Element]] = defaultdict(list)
+    content, _ = _content(mapping, "ssm:ParameterMapping", document)
+    for entry in content.iterfind("ssm:MappingEntry", PREFIXES):
+        entries[entry.get("source", "")].append(entry)
+    return entries
+
+
+def _content(holder: ET.Element, path: str, document: Document) -> tuple[ET.Element, str]:
+    """What an element holds, or names as its source; and what messages call it."""
+    source, tag, label = holder.get("source"), path.rpartition(":")[2], document.label
+    if source and holder.get("sourceBase", "SSD") != "SSD":
+        document.refuse(f"{local(holder)} {source!r} in a component", "one in the .ssp file")
+    if source:
+        label = f"{label}: {source}"
+    content = read_xml(document.member(source), label) if source else holder.find(path, PREFIXES)
+    if content is None or local(content) != tag:
+        raise InputError(f"{label}: {local(holder)}: no {tag}; must hold one, or name its file")
+    return content, label

@@ -1,0 +1,368 @@
+"""What SSP files of other tools may hold: each feature once, with values worked out by hand."""
+
+from __future__ import annotations
+
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forked import command
+from lxml import etree
+from panda_cosim import Recording
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.tables import Connection
+from panda_cosim.fmus.master.ssp_reader import CoupledSystem, system_from_ssp
+from panda_cosim.fmus.master.system import open_system
+from toy_fmu import toy_fmu
+
+SPACES = "".join(
+    f' xmlns:{nick}="http://ssp-standard.org/SSP1/SystemStructure{name}"'
+    for nick, name in {"ssd": "Description", "ssc": "Common", "ssv": "ParameterValues",
+                       "ssm": "ParameterMapping"}.items()
+)  # fmt: skip
+UNITS = (
+    '<ssc:Unit name="N"><ssc:BaseUnit kg="1" m="1" s="-2"/></ssc:Unit>'
+    '<ssc:Unit name="kN"><ssc:BaseUnit kg="1" m="1" s="-2" factor="1000"/></ssc:Unit>'
+    '<ssc:Unit name="s"><ssc:BaseUnit s="1"/></ssc:Unit>'
+)
+TYPE = "application/x-fmu-sharedlibrary"
+
+
+def ssd(elements: str, connections: str = "", more: str = "", version: str = "1.0") -> str:
+    """A system; `more` are its connectors, and its parameter bindings."""
+    wires = f"<ssd:Connections>{connections}</ssd:Connections>" if connections else ""
+    return (
+        f'<ssd:SystemStructureDescription{SPACES} version="{version}" name="n"><ssd:System '
+        f'name="root">{more}<ssd:Elements>{elements}</ssd:Elements>{wires}</ssd:System>'
+        f'<ssd:Units>{UNITS}</ssd:Units><ssd:DefaultExperiment stopTime="0.004"/>'
+        "</ssd:SystemStructureDescription>"
+    )
+
+
+def toy(name: str, connectors: str = "", more: str = "", fmi: int = 2, kind: str = TYPE) -> str:
+    """A component; its connectors are written as `u[1,1] y[2,3]`."""
+    source = {TYPE: f"resources/toy{fmi}.fmu"}.get(kind, f"resources/{more}")
+    more = more if kind == TYPE else ""
+    return (
+        f'<ssd:Component name="{name}" type="{kind}" source="{source}">'
+        f"{connectors_of(connectors)}{more}</ssd:Component>"
+    )
+
+
+def connectors_of(names: str, kind: str = "") -> str:
+    if not names:
+        return ""
+    kinds = {"u": "input", "y": "output"}
+    each = (
+        f'<ssd:Connector name="{n}" kind="{kind or kinds.get(n[0], "parameter")}"><ssc:Real/>'
+        "</ssd:Connector>"
+        for n in names.split()
+    )
+    return f"<ssd:Connectors>{''.join(each)}</ssd:Connectors>"
+
+
+def wire(start: str, end: str, change: str = "", more: str = "") -> str:
+    """A connection between `element:connector`s; without an element, of the system itself."""
+    sides = []
+    for side, text in (("start", start), ("end", end)):
+        element, _, name = text.rpartition(":")
+        own = f'{side}Element="{element}" ' if element else ""
+        sides.append(f'{own}{side}Connector="{name}"')
+    return f"<ssd:Connection {' '.join(sides)} {more}>{change}</ssd:Connection>"
+
+
+def linear(factor: float, offset: float = 0.0) -> str:
+    return f'<ssc:LinearTransformation factor="{factor}" offset="{offset}"/>'
+
+
+def parameters(values: str, more: str = "", mapping: str = "") -> str:
+    return (
+        f"<ssd:ParameterBindings><ssd:ParameterBinding {more}><ssd:ParameterValues>"
+        f"{parameter_set(values)}</ssd:ParameterValues>{mapping}</ssd:ParameterBinding>"
+        "</ssd:ParameterBindings>"
+    )
+
+
+def parameter_set(values: str) -> str:
+    return (
+        f'<ssv:ParameterSet{SPACES} version="1.0" name="p"><ssv:Parameters>{values}'
+        f"</ssv:Parameters><ssv:Units>{UNITS}</ssv:Units></ssv:ParameterSet>"
+    )
+
+
+def value(name: str, text: str, kind: str = "Real", more: str = "") -> str:
+    return f'<ssv:Parameter name="{name}"><ssv:{kind} value="{text}" {more}/></ssv:Parameter>'
+
+
+def mapping(*entries: str) -> str:
+    return (
+        f'<ssd:ParameterMapping><ssm:ParameterMapping version="1.0">{"".join(entries)}'
+        "</ssm:ParameterMapping></ssd:ParameterMapping>"
+    )
+
+
+def entry(source: str, target: str, change: str = "", more: str = "") -> str:
+    return (
+        f'<ssm:MappingEntry source="{source}" target="{target}" {more}>{change}</ssm:MappingEntry>'
+    )
+
+
+def write(folder: Path, structure: str, **files: str | bytes) -> Path:
+    """Write an .ssp; file names have `__` for the dot."""
+    if "valid" not in files and find_spec("pyssp_standard"):
+        schema = Path(str(find_spec("pyssp_standard").origin)).parent / "resources" / "ssp2"
+        document = etree.fromstring(structure.encode())
+        etree.XMLSchema(etree.parse(schema / "SystemStructureDescription.xsd")).assertValid(
+            document
+        )
+    files.pop("valid", None)
+    path = folder / "test.ssp"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("SystemStructure.ssd", structure)
+        for name, content in files.items():
+            archive.writestr(f"resources/{name.replace('__', '.')}", content)
+        for fmi in (2, 3):
+            archive.write(toy_fmu(folder / f"toy{fmi}.fmu", fmi), f"resources/toy{fmi}.fmu")
+    return path
+
+
+def read(folder: Path, structure: str, **files: str | bytes) -> CoupledSystem:
+    return system_from_ssp(write(folder, structure, **files))
+
+
+def ends(system: CoupledSystem) -> dict[str, str]:
+    return {".".join(c.target): ".".join(c.source) for c in system.system.connections}
+
+
+# a feeds b, which is within S, by way of a connector of S in kN; what b gives is the system's.
+NESTED = (
+    toy("a", "u[1,1] y[1,1]")
+    + '<ssd:System name="S"><ssd:Connectors><ssd:Connector name="force" kind="input"><ssc:Real '
+    'unit="kN"/></ssd:Connector><ssd:Connector name="out" kind="output"/></ssd:Connectors>'
+    f"<ssd:Elements>{toy('b', 'u[2,3] y[2,3]')}</ssd:Elements><ssd:Connections>"
+    f"{wire('force', 'b:u[2,3]', linear(2.0))}{wire('out', 'b:y[2,3]')}</ssd:Connections>"
+    "</ssd:System>"
+)
+OUTSIDE = (
+    wire("a:y[1,1]", "S:force", linear(3.0, 1.0))
+    + wire("S:out", "result")
+    + wire("a:u[1,1]", "given")
+)
+OWN = (
+    '<ssd:Connectors><ssd:Connector name="result" kind="output"/><ssd:Connector name="given" '
+    'kind="input"/></ssd:Connectors>'
+)
+
+
+@pytest.mark.fmu
+@pytest.mark.own_process
+def test_nested_systems_convert_and_transform_on_the_way(tmp_path: Path) -> None:
+    more = OWN + parameters(value("given", "0.5") + value("S.b.k", "4"))
+    coupled = read(tmp_path, ssd(NESTED, OUTSIDE, more))
+    assert list(coupled.system.fmus) == ["a", "S.b"]
+    # N to kN, 3 x + 1 in kN, kN to N, 2 x
+    expected = Connection(("a", "y[1,1]"), ("S.b", "u[2,3]"), factor=6.0, offset=2000.0)
+    (connection,) = coupled.system.connections
+    assert (connection.source, connection.target) == (expected.source, expected.target)
+    assert connection.factor == pytest.approx(6.0, rel=1e-15)
+    assert connection.offset == 2000.0
+    rows = []
+    with open_system(coupled.system, coupled.start_values, stop=0.004, coupling="jacobi") as opened:
+        opened.master.run(4, np.zeros((5, 0)), lambda block: rows.append(block.copy()))
+        columns = opened.master.columns
+    table = dict(zip([("", "time"), *columns], np.concatenate(rows).T, strict=True))
+    time, y = table["", "time"], table["a", "y[1,1]"]
+    np.testing.assert_allclose(y, 0.5 + time, rtol=1e-15)  # k = 1: the input of the system, and t
+    given = 6.0 * y[:-1] + 2000.0  # with Jacobi, b takes what a gave at the beginning of the step
+    np.testing.assert_allclose(table["S.b", "y[2,3]"][1:], 4.0 * given + time[1:], rtol=1e-12)
+
+
+def test_suppressed_conversions_leave_the_numbers(tmp_path: Path) -> None:
+    outside = OUTSIDE.replace(
+        'endConnector="force" >', 'endConnector="force" suppressUnitConversion="true">'
+    )
+    coupled = read(tmp_path, ssd(NESTED, outside, OWN))
+    (connection,) = coupled.system.connections
+    # 3 x + 1, then kN to N, and 2 x
+    assert (connection.factor, connection.offset) == (6000.0, 2000.0)
+
+
+def test_components_may_be_systems_in_files(tmp_path: Path) -> None:
+    inner = ssd(
+        toy("c", "u[1,1] y[1,1]").replace("resources/", ""),
+        wire("in", "c:u[1,1]") + wire("c:y[1,1]", "out"),
+        connectors_of("in", "input").replace("</ssd:Connectors>", "")
+        + connectors_of("out", "output").replace("<ssd:Connectors>", "")
+        + parameters(value("c.k", "2")),
+    )
+    packed = tmp_path / "packed.ssp"
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("Variant.ssd", inner)
+        archive.write(toy_fmu(tmp_path / "toy2.fmu", 2), "toy2.fmu")
+    bind = parameters(value("c.k", "3"))
+    package = toy("p", "", "sub.ssp#Variant.ssd", kind="application/x-ssp-package")
+    coupled = read(
+        tmp_path,
+        ssd(
+            toy("d", "", "sub.ssd", kind="application/x-ssp-definition")
+            + package.replace("></ssd:Component>", f">{bind}</ssd:Component>"),
+            wire("d:out", "p:in"),
+        ),
+        sub__ssd=inner,
+        sub__ssp=packed.read_bytes(),
+    )
+    assert list(coupled.system.fmus) == ["d.c", "p.c"]
+    assert ends(coupled) == {"p.c.u[1,1]": "d.c.y[1,1]"}
+    assert coupled.start_values == {"d.c": {"k": 2.0}, "p.c": {"k": 3.0}}  # the component's is last
+
+
+def test_arrays_are_connected_whole_or_by_element(tmp_path: Path) -> None:
+    array = (
+        '<ssd:Connectors><ssd:Connector name="u" kind="input"><ssc:Float64/><ssc:Dimension '
+        'size="2"/><ssc:Dimension size="3"/></ssd:Connector><ssd:Connector name="y" '
+        'kind="output"><ssc:Float64/></ssd:Connector></ssd:Connectors>'
+    )
+    system = (
+        '<ssd:Connectors><ssd:Connector name="v" kind="output"><ssc:Float64/><ssc:Dimension '
+        'size="4"/></ssd:Connector></ssd:Connectors>'
+    )
+    parts = toy("a", fmi=3).replace("></ssd:Component>", f">{array}</ssd:Component>")
+    connections = (
+        wire("a:y", "b:u")
+        + wire("b:y", "c:u[2,3]", more='startIndices="1 2"')
+        + wire("c:y[1,1]", "a:u", more='endIndices="2 1"')
+        + wire("a:y", "v", more='startIndices="2 2" endIndices="4"')
+    )
+    coupled = read(
+        tmp_path,
+        ssd(parts + parts.replace('name="a"', 'name="b"') + toy("c", "u[2,3] y[1,1]"),
+            connections, system, version="2.0"),
+    )  # fmt: skip
+    assert ends(coupled) == {
+        **{f"b.u[{i},{j}]": f"a.y[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)},
+        "c.u[2,3]": "b.y[1,2]",
+        "a.u[2,1]": "c.y[1,1]",
+    }
+    assert len(coupled.system.outputs["b"]) == 6
+
+
+def test_parameters_of_higher_levels_and_later_bindings_take_precedence(tmp_path: Path) -> None:
+    own = parameters(value("k", "1") + value("u[1,1]", "7")).replace(
+        "</ssd:ParameterBindings>",
+        '<ssd:ParameterBinding source="resources/more.ssv"/></ssd:ParameterBindings>',
+    )
+    inner = (
+        '<ssd:System name="S">' + parameters(value("b.k", "3") + value("b.u[1,2]", "8"))
+        + f"<ssd:Elements>{toy('b', more=own)}</ssd:Elements></ssd:System>"
+    )  # fmt: skip
+    outer = parameters(value("b.u[1,2]", "9") + value("nobody", "1"), 'prefix="S."')
+    coupled = read(
+        tmp_path,
+        ssd(inner, "", outer),
+        more__ssv=parameter_set(value("k", "2") + value("u[1,3]", "2.5", more='unit="kN"')),
+    )
+    values = {"k": 3.0, "u[1,1]": 7.0, "u[1,2]": 9.0, "u[1,3]": 2500.0}
+    assert coupled.start_values == {"S.b": values}
+    (warning,) = coupled.warnings
+    assert "SystemStructure.ssd: parameter S.nobody: has no effect" in warning
+
+
+def test_parameter_mappings_rename_and_transform(tmp_path: Path) -> None:
+    words = '<ssc:EnumerationMappingTransformation><ssc:MapEntry source="double" target="twice"/>' \
+            "</ssc:EnumerationMappingTransformation>"  # fmt: skip
+    inverse = (
+        '<ssc:BooleanMappingTransformation><ssc:MapEntry source="true" target="false"/>'
+        '<ssc:MapEntry source="false" target="true"/></ssc:BooleanMappingTransformation>'
+    )
+    entries = mapping(
+        entry("gain", "k", linear(2.0, -1.0)),
+        entry("load", "u[1,1]", linear(2.0, 1.0)),
+        entry("load", "u[1,2]", linear(2.0), 'suppressUnitConversion="true"'),
+        entry("kind", "mode", words),
+        entry("right", "flip", inverse),
+    )
+    values = (
+        value("gain", "3") + value("load", "0.5", more='unit="kN"') + value("k", "100")
+        + value("kind", "double", "Enumeration") + value("right", "0", "Boolean")
+    )  # fmt: skip
+    coupled = read(tmp_path, ssd(toy("a", more=parameters(values, mapping=entries))))
+    assert coupled.start_values == {
+        "a": {"k": 5.0, "u[1,1]": 1001.0, "u[1,2]": 1.0, "mode": "twice", "flip": True}
+    }
+    assert not coupled.warnings  # what is not mapped is not applied
+
+
+def test_parameters_of_a_system_s_connectors_reach_all_that_they_feed(tmp_path: Path) -> None:
+    more = (
+        '<ssd:Connectors><ssd:Connector name="gain" kind="parameter"/><ssd:Connector name="load" '
+        'kind="input"/></ssd:Connectors>'
+        + parameters(value("gain", "2") + value("load", "3", more='unit="kN"'))
+    )
+    connections = (
+        wire("gain", "a:k") + wire("gain", "b:k", linear(2.0, 1.0)) + wire("load", "b:u[1,1]")
+    )
+    coupled = read(tmp_path, ssd(toy("a", "k") + toy("b", "k u[1,1]"), connections, more))
+    assert coupled.start_values == {"a": {"k": 2.0}, "b": {"k": 5.0, "u[1,1]": 3000.0}}
+    assert not coupled.system.connections
+
+
+def test_arrays_of_parameters_are_lists(tmp_path: Path) -> None:
+    load = value("u", "1 2 3 4 5 6", "Float64").replace(
+        "/></ssv:P", '/><ssc:Dimension size="2"/><ssc:Dimension size="3"/></ssv:P'
+    )
+    coupled = read(tmp_path, ssd(toy("a", fmi=3, more=parameters(load)), version="2.0"))
+    names = [f"u[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)]
+    assert coupled.start_values == {"a": dict(zip(names, map(float, range(1, 7)), strict=True))}
+
+
+A, B = toy("a", "u[1,1] y[1,1]"), toy("b", "u[1,1] y[1,1]")
+MASS = '<ssd:Connectors><ssd:Connector name="v" kind="input"><ssc:Real unit="s"/></ssd:Connector>' \
+       "</ssd:Connectors>" + parameters(value("v", "1"))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("structure", "expected"),
+    [
+        (ssd(A + B, wire("a:y[1,1]", "b:y[1,1]")), "y[1,1]; must be from an output to an input"),
+        (ssd(A + B, wire("a:y[1,1]", "b:u[1,1]") * 2), "b.u[1,1] is fed twice; must be fed once"),
+        (ssd(A + B, wire("v", "b:u[1,1]"), MASS), "unit 's' feeds unit 'N'; must be the same"),
+        (ssd(A, wire("a:y[1,1]", "a:u[1,1]", "<ssc:BooleanMappingTransformation><ssc:MapEntry "
+                     'source="true" target="true"/></ssc:BooleanMappingTransformation>')),
+         "a.u[1,1]: BooleanMappingTransformation; must be a LinearTransformation"),
+        (ssd('<ssd:SignalDictionaryReference name="d" dictionary="x"/>' + A),
+         "element 'd' is a SignalDictionaryReference; must be a Component or a System"),
+        (ssd(A.replace(" source", ' implementation="ModelExchange" source')),
+         "implementation 'ModelExchange'; must be an FMU for co-simulation"),
+        (ssd(toy("a", more=parameters(value("k", "1 2")))), "has 2 values; must be one value"),
+        (ssd(toy("a", more=parameters(value("k", "1", more='unit="s"')))), None),
+        (ssd(toy("a", more=parameters(value("u[1,1]", "1", more='unit="s"')))),
+         "parameter a.u[1,1]: unit 's'; must be 'N', or of the same SI base units"),
+        (ssd(toy("a", more=parameters(value("mode", "thrice", "Enumeration")))),
+         "parameter a.mode = 'thrice'; must be of type Enumeration"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_is_refused_in_one_line(
+    tmp_path: Path, structure: str, expected: str | None
+) -> None:
+    if expected is None:
+        read(tmp_path, structure)
+        return
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, structure)
+    assert str(refused.value).startswith(f"{tmp_path / 'test.ssp'}: SystemStructure.ssd: ")
+    assert expected in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_nested_fmu_is_named_on_the_command_line(tmp_path: Path) -> None:
+    ssp = write(tmp_path, ssd(NESTED, OUTSIDE, OWN))
+    done = command(
+        "run", ssp, "--out", tmp_path / "run", "--set", "S.b.k=4", "--coupling", "jacobi"
+    )
+    assert done.returncode == 0, done.stderr
+    recording = Recording.open(tmp_path / "run")
+    y = recording["a.y[1,1]"]
+    given = 4.0 * (6.0 * y[:-1] + 2000.0) + recording.time[1:]
+    np.testing.assert_allclose(recording["S.b.y[2,3]"][1:], given, rtol=1e-12)
