@@ -22,7 +22,7 @@ from panda_cosim.scenarios.sweep.design import keys_without_effect, make_design
 from panda_cosim.scenarios.sweep.engine import check_sweep
 from panda_cosim.scenarios.sweep.scenarios import load_scenarios
 from scipy.stats import kstest, norm
-from sweep_support import short_scenario
+from sweep_support import TABLE, short_scenario
 
 MASS = "plant.block_mass"
 UNIFORM = {MASS: {"uniform": [0.05, 0.5]}}
@@ -77,6 +77,13 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
         ({"criterion": "max_slip"}, 'only go with design = "search"'),
         ({"design": "grid", "samples": 5}, 'samples: cannot be combined with design = "grid"'),
         ({"goal": "best"}, 'only go with design = "search"'),
+        ({"min_success": 95}, "min_success: value 95; must be a number from 0 to 1"),
+        ({"min_success": 0.9, "design": "search"}, 'cannot be combined with design = "search"'),
+        ({"confidence": 0.9}, "confidence: only goes with min_success"),
+        (
+            {"min_success": 0.9, "confidence": 0.9, "design": "grid", "samples": 0},
+            "confidence: needs random rows",
+        ),
     ],
 )
 def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message: str) -> None:
@@ -239,6 +246,14 @@ def test_a_row_without_orientation_has_none_to_change() -> None:
 def test_a_vary_of_another_form_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="must be KEY=LOW:HIGH:STEPS"):
         sweep_of("push", [text])
+
+
+def test_a_success_rate_without_criteria_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "bare").mkdir()
+    for file, text in (("scenario.toml", "duration = 0.1\n"), ("trajectory.csv", TABLE)):
+        (tmp_path / "bare" / file).write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="bare has no criteria, so it would always be met"):
+        check_sweep(made(scenario=(str(tmp_path / "bare"),), min_success=0.9))
 
 
 def test_shipped_sweeps_can_be_run() -> None:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
 from forked import command
@@ -27,6 +28,7 @@ from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import Task, recording_digest
 from panda_cosim.scenarios.sweep.store import Store
+from scipy.stats import beta
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
 
 pytestmark = pytest.mark.fmu
@@ -116,6 +118,27 @@ def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus: dict[str, bytes
             rows[done.task.keep][done.task.index] = row
     assert len(rows[False]) == 2
     assert rows[False] == rows[True]
+
+
+def test_a_sweep_is_judged_by_its_success_rate(whole: Path, tmp_path: Path) -> None:
+    """By the share itself or, with a confidence, by what the rows prove at it."""
+    good = sum(row["status"] == "success" for row in rows_of(whole / "out"))
+    share, proved = good / 40, float(beta.ppf(0.05, good, 40 - good + 1))
+    sweep_ = ("sweep", write_sweep(whole, 40), "--out", whole / "out")
+    for required, more, code in (
+        (share, (), 0),
+        (share + 1e-6, (), 3),
+        (proved - 1e-6, ("--confidence", 0.95), 0),
+        (proved + 1e-6, ("--confidence", 0.95), 3),
+    ):
+        junit = tmp_path / f"{required}{code}.xml"
+        done = command(*sweep_, "--min-success", required, *more, "--junit", junit)
+        assert done.returncode == code, done.stdout + done.stderr
+        assert f"{'missed' if code else 'ok    '}  success rate" in done.stdout
+        (suite,) = ET.parse(junit).getroot()
+        assert (suite.get("tests"), suite.get("failures")) == ("1", "1" if code else "0")
+    in_file = write_sweep(whole, 40, "min_success = 1.0\n")
+    assert command("sweep", in_file, "--out", whole / "out").returncode == 3
 
 
 def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(

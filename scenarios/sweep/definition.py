@@ -183,6 +183,9 @@ class Sweep:
     file: Path | None = None  # CSV of design "list"
     goal: Annotated[str, Choice(GOALS)] = "fail"  # of a search
     criterion: Annotated[str, Line()] = ""  # whose margin is searched; "": the smallest
+    min_success: Annotated[float, Quantity(0.0, 1.0)] = 0.0  # required success rate; 0: none
+    # At which the lower bound of the success rate must reach it; 0: the share of rows itself must.
+    confidence: Annotated[float, Quantity(0.0, 1.0)] = 0.0
 
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
@@ -203,6 +206,12 @@ class Sweep:
             raise ValueError('goal and criterion: only go with design = "search"')
         if self.design == "search" and len(self.scenario) > 1:
             raise ValueError("scenario: a search has one")
+        if self.design == "search" and self.min_success:
+            raise ValueError('min_success: cannot be combined with design = "search"')
+        if self.confidence and not self.min_success:
+            raise ValueError("confidence: only goes with min_success")
+        if self.confidence and self.design not in SAMPLED:
+            raise ValueError(f"confidence: needs random rows; must be {', '.join(SAMPLED)}")
 
     @classmethod
     def read(cls, path: str | Path) -> Self:

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.sources.targets import build
+from ..judging.criterion import Criterion
 from ..run.folder import SUMMARY_FILE, default_folder
+from ..scenario.success import Success
 from ..work import cores
 from .backend import Backend, backend
 from .definition import Sweep, load_sweep
@@ -23,6 +25,7 @@ from .design import Design, check_design, keys_without_effect, make_design
 from .row import Done, Job, Task, margin_column
 from .scenarios import Loaded, load_scenarios, pack, scenario_names
 from .search import Search
+from .statistics import lower_bound
 from .store import Store, origin, schema
 
 # Time between two parts [s], the most a kill can cost. It grows to this share of the sweep's time,
@@ -46,6 +49,7 @@ class SweepResult:
 
     folder: Path  # where it is
     counts: Mapping[str, int]  # number of rows by status
+    gate: Criterion | None = None  # the success rate, judged; None: none is required
 
     @property
     def table(self) -> Any:
@@ -106,7 +110,19 @@ def sweep(  # noqa: PLR0913 - options, by keyword
             remark(change)
         _fill(store, definition, design, rows, progress)
         _keep_worst(store, definition, rows)
-    return SweepResult(store.folder, store.count())
+    counts = store.count()
+    gate = judge_rate(definition, counts, len(design)) if definition.min_success else None
+    return SweepResult(store.folder, counts, gate)
+
+
+def judge_rate(definition: Sweep, counts: Mapping[str, int], rows: int) -> Criterion:
+    """Compare the share of successes in all rows, or its lower bound, with what is required."""
+    good, confidence = counts.get("success", 0), definition.confidence
+    name, rate = "success rate", good / rows
+    if confidence:
+        name += f" (lower bound at {confidence:.6g} confidence)"
+        rate = lower_bound(good, rows, confidence)
+    return Criterion.judge(name, 100.0 * rate, 100.0 * definition.min_success, "%", "above")
 
 
 def check_sweep(
@@ -116,6 +132,12 @@ def check_sweep(
     kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition))
     scenarios, design = load_scenarios(definition, kept), make_design(definition)
     check_design(definition, design.columns, scenarios)
+    for each in scenarios:
+        if definition.min_success and each.scenario.success == Success():
+            raise InputError(
+                f"min_success: scenario {each.name} has no criteria, so it would always be met; "
+                "must have a section [success]"
+            )
     return scenarios, design
 
 

@@ -32,6 +32,12 @@ def share_bounds(count: int, total: int) -> tuple[float, float]:
     return float(bounds.low), float(bounds.high)
 
 
+def lower_bound(count: int, total: int, confidence: float) -> float:
+    """Return the one-sided lower bound of a probability by Clopper and Pearson."""
+    test = binomtest(count, total, alternative="greater")
+    return float(test.proportion_ci(confidence, "exact").low)
+
+
 @dataclass(frozen=True)
 class Influence:
     """Influence of a varied value on a result."""

@@ -76,7 +76,8 @@ Origin = dict[str, Any]
 def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) -> Origin:
     """Return all that the rows depend on, as plain values; for files, their SHA-256."""
     definition = asdict(sweep)
-    del definition["keep"]  # which recordings are kept changes no row
+    for name in ("keep", "min_success", "confidence"):  # change no row
+        del definition[name]
     vary = definition.pop("vary")
     file = definition["file"]
     definition["file"] = _sha256(Path(file).read_bytes()) if file is not None else None

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 
+import typer
+
 from ....fmus.atomic import check_replaceable
-from ....fmus.errors import InputError
+from ....fmus.errors import CosimError, InputError
+from ...compare.junit import Case, write_cases
+from ...judging.criterion import line as criterion_line
+from ...judging.criterion import miss_text
 from ...run.folder import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import SAMPLED, Sweep, load_sweep, sweep_of
@@ -19,6 +26,7 @@ from ...sweep.statistics import share_bounds
 from ...sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
 from ..options import JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
+from ..outcome import NOT_A_SUCCESS, Fault
 
 SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
 ROW = argument(
@@ -53,6 +61,19 @@ def command(  # noqa: PLR0913 - one for each option
     time_limit: float | None = option(
         "--time-limit SECONDS", "Wall time after which a run is ended."
     ),
+    min_success: float | None = option(
+        "--min-success SHARE",
+        "Required success rate, such as 0.95: the share of successes in all rows or, with "
+        "--confidence, its lower bound. Exit code 3 if it is missed. In the file: min_success.",
+    ),
+    confidence: float | None = option(
+        "--confidence LEVEL",
+        "With --min-success, compare the one-sided lower bound by Clopper and Pearson at this "
+        "confidence, such as 0.95. For random rows. In the file: confidence.",
+    ),
+    junit: Path | None = option(
+        "--junit FILE", "With --min-success, write the verdict as JUnit XML, for CI."
+    ),
     json: bool = JSON,
 ) -> None:
     """Run a scenario many times with varied values, on all cores or a cluster.
@@ -67,6 +88,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim sweep random_box --out box
     panda-cosim sweep pick_and_place --vary plant.block_mass=0.05:2:100
     panda-cosim sweep report box
+    panda-cosim sweep random_box --min-success 0.99 --confidence 0.95
     ```
     """
     if dask is not None and jobs is not None and dask != "local":
@@ -74,20 +96,40 @@ def command(  # noqa: PLR0913 - one for each option
             "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
         )
     definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    given = {"min_success": min_success, "confidence": confidence}
+    definition = replace(definition, **{k: v for k, v in given.items() if v is not None})
+    if junit is not None:
+        if not definition.min_success:
+            raise InputError("--junit: needs --min-success; without it, there is no verdict")
+        check_replaceable(junit)
     check_sweep(definition, out)  # before anything is built
     announce_build()
     folder = out or default_folder("sweep")
+    name, began = Path(sweep).stem, time.perf_counter()
     try:
         done = _run(definition, folder, jobs, dask, time_limit)
     except BaseException as error:  # also Ctrl-C and SIGTERM
         if Store(folder).parts() and not isinstance(error, InputError):
             more = "" if out else f" with --out {quote(str(folder))}"
             tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
+        if isinstance(error, CosimError):
+            _write_junit(junit, name, began, ("error", "failed", str(error)))
         raise
     if json:
-        show_json({"folder": done.folder, "counts": done.counts})
+        show_json({"folder": done.folder, "counts": done.counts, "min_success": done.gate})
     else:
         _show_counts(done, definition)
+    if done.gate is not None:
+        text = miss_text(done.gate)
+        _write_junit(junit, name, began, None if done.gate.ok else ("failure", "missed", text))
+        if not done.gate.ok:
+            raise typer.Exit(NOT_A_SUCCESS)
+
+
+def _write_junit(path: Path | None, name: str, began: float, fault: Fault | None) -> None:
+    if path is not None:
+        case = Case(name, time.perf_counter() - began, *(fault or ()))
+        write_cases("panda-cosim sweep", [case], path)
 
 
 def _run(
@@ -119,6 +161,8 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
         show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
     if good and (beyond := Store(done.folder).beyond_limits()) is not None:
         show(f"{beyond} of the {good} successes exceeded a limit of the robot")
+    if done.gate is not None:
+        show(criterion_line(done.gate), "bold green" if done.gate.ok else "bold red")
     show(f"{done.folder}/results/  {total} rows")
     tell(f"Next: panda-cosim sweep report {quote(str(done.folder))}")
 
