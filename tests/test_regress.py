@@ -231,6 +231,43 @@ def test_a_run_that_dies_fails_alone(mine: Path, tmp_path: Path) -> None:
     assert other.verdict == "holds"
 
 
+SWEEP = """scenario = "."
+design = "grid"
+min_success = 0.75
+[vary."success.tracking_max"]
+values = [1e-9, 0.01, 0.02, 0.03]
+"""
+
+
+@pytest.fixture
+def swept(mine: Path) -> Path:
+    """Return the suite with a sweep in it, of whose four rows three succeed."""
+    (mine / "short" / "sweep.toml").write_text(SWEEP)
+    return mine
+
+
+def test_a_suite_judges_the_sweeps_in_it(swept: Path, tmp_path: Path) -> None:
+    good = cli("regress", "--scenarios", swept)
+    assert good.returncode == 0, good.stdout + good.stderr
+    assert "2 of 2 scenarios and sweeps pass" in good.stdout
+    sweep = swept / "short" / "sweep.toml"
+    sweep.write_text(SWEEP.replace("0.75", "0.76"))
+    bad = cli("regress", "--scenarios", swept, "--report", tmp_path / "report")
+    assert bad.returncode == 1, bad.stderr
+    assert "success rate 75 %, required 76 %" in bad.stdout
+    assert (tmp_path / "report" / "runs" / "short (sweep)" / "report.html").is_file()
+    assert "success rate 75 %" in (tmp_path / "report" / "junit.xml").read_text()
+    assert cli("regress", "--scenarios", swept, "--no-sweeps").returncode == 0
+    sweep.write_text(SWEEP.replace("min_success", "# min_success"))
+    for more, code, words in (
+        ((), 1, "sweep.toml: min_success is missing; must be above 0 in a suite"),
+        (("--set", "controller.kp=7"), 2, "must have --no-sweeps, too"),
+    ):
+        refused = cli("regress", "--scenarios", swept, *more)
+        assert refused.returncode == code
+        assert words in " ".join((refused.stdout + refused.stderr).split())
+
+
 PYTEST = "import os, sys, pytest; os.chdir(sys.argv[1]); sys.exit(pytest.main(sys.argv[2:]))"
 
 
@@ -247,6 +284,13 @@ def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "1 failed, 1 passed" in tests.stdout
     assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
+
+
+def test_pytest_collects_the_sweep_of_a_scenario(swept: Path) -> None:
+    (swept / "short" / "sweep.toml").write_text(SWEEP.replace("0.75", "0.76"))
+    tests = run_pytest(swept.parent, "-v", "--panda-scenarios", "mine", "mine")
+    assert "1 failed, 1 passed" in tests.stdout, tests.stdout + tests.stderr
+    assert "short (sweep): missed: success rate 75 %, required 76 %" in tests.stdout
 
 
 def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path: Path) -> None:

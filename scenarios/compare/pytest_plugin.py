@@ -1,5 +1,7 @@
 """Turns scenarios into tests: `pytest --panda-scenarios DIR` collects one for each in DIR.
 
+Sweeps beside them, and the fixture `scenario_run`, are in `sweep/pytest_plugin.py`.
+
 A test passes if the run matches its reference or, without one, if its verdict is the expected one,
 see `panda-cosim regress`. Scenarios run side by side from the first test on, `--panda-jobs` at a
 time.
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from .regress import Outcome
 
 SCENARIO_FILE = "scenario.toml"
+pytest_plugins = ("panda_cosim.scenarios.sweep.pytest_plugin",)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -49,11 +52,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
     """Make a test from a scenario file in one of the folders."""
-    folders = parent.config.getoption("--panda-scenarios")
-    chosen = any(file_path.resolve().is_relative_to(folder.resolve()) for folder in folders)
-    if file_path.name != SCENARIO_FILE or not chosen:
+    if file_path.name != SCENARIO_FILE or not is_chosen(file_path, parent.config):
         return None
     return ScenarioFile.from_parent(parent, path=file_path)
+
+
+def is_chosen(path: Path, config: pytest.Config) -> bool:
+    """Return whether a file is in one of the scenarios' folders."""
+    folders = config.getoption("--panda-scenarios")
+    return any(path.resolve().is_relative_to(folder.resolve()) for folder in folders)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -75,14 +82,18 @@ class ScenarioFile(pytest.File):
         yield ScenarioItem.from_parent(self, name=self.path.parent.name)
 
 
-class ScenarioItem(pytest.Item):
-    """A scenario whose run must match its reference or, without one, meet its criteria."""
+class JudgedItem(pytest.Item):
+    """A test that passes if its outcome does."""
+
+    def outcome(self) -> Outcome:
+        """Return the outcome of what is tested."""
+        raise NotImplementedError
 
     def runtest(self) -> None:
-        """Wait for the scenario's run and compare it."""
+        """Wait for the outcome."""
         from ..judging.criterion import line  # noqa: PLC0415 - only where there is a scenario
 
-        outcome = _runs(self.session).outcome(self)
+        outcome = self.outcome()
         if not outcome.ok:
             criteria = [f"  {line(criterion)}" for criterion in outcome.criteria]
             raise DifferenceError("\n".join([f"{outcome.verdict}: {outcome.reason}", *criteria]))
@@ -98,6 +109,14 @@ class ScenarioItem(pytest.Item):
     def reportinfo(self) -> tuple[Path, None, str]:
         """Return the test's name for pytest's report."""
         return self.path, None, f"scenario {self.name}"
+
+
+class ScenarioItem(JudgedItem):
+    """A scenario whose run must match its reference or, without one, meet its criteria."""
+
+    def outcome(self) -> Outcome:
+        """Wait for the scenario's run and compare it."""
+        return _runs(self.session).outcome(self)
 
 
 class DifferenceError(Exception):

@@ -9,7 +9,7 @@ from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt
@@ -31,6 +31,18 @@ Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"
 TIMEOUT: Final = 600.0  # [s] wall time of one scenario; a hanging one must not hang the others
 
 
+class Member(Protocol):
+    """A member of a suite: a scenario, one that cannot be read, or a sweep."""
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+
+    @property
+    def purpose(self) -> str:
+        """What it is for, in one line."""
+
+
 @dataclass(frozen=True)
 class Unusable:
     """A scenario's folder that cannot be read: it alone fails, the rest of the suite runs."""
@@ -48,14 +60,14 @@ class Unusable:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one scenario.
+    """The outcome of one scenario, or of a sweep, which has no reference.
 
     The verdict is `same` as the reference, `differs` from it, or `failed` to run. Without a
     reference it is `holds` or `missed` by the criteria; `no reference` if there are none of these,
     or the reference is damaged.
     """
 
-    scenario: Scenario | Unusable
+    scenario: Member
     verdict: Verdict
     run: Path  # folder of the run
     seconds: float  # wall time of the run [s]
@@ -217,7 +229,9 @@ def headline(outcomes: Sequence[Outcome]) -> str:
     """Say in one line how many scenarios pass."""
     is_judged = any(outcome.verdict in ("holds", "missed") for outcome in outcomes)
     words = "pass" if is_judged else "match their references"
-    return f"{sum(outcome.ok for outcome in outcomes)} of {len(outcomes)} scenarios {words}"
+    alone = all(isinstance(outcome.scenario, Scenario | Unusable) for outcome in outcomes)
+    what = "scenarios" if alone else "scenarios and sweeps"
+    return f"{sum(outcome.ok for outcome in outcomes)} of {len(outcomes)} {what} {words}"
 
 
 def exit_code(outcomes: Iterable[Outcome]) -> int:

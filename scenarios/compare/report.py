@@ -20,6 +20,7 @@ from ...fmus.errors import InputError
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..run.start import Overrides
+from ..scenario.scenario import Scenario
 from ..view.export import shown_run
 from .compare import Comparison, Deviation, deviation_text, matching_rows, tube_of
 from .differences import metrics_of, side_by_side
@@ -71,7 +72,7 @@ def _rank(outcome: Outcome) -> tuple[int, float, str]:
 def _about(outcomes: Sequence[Outcome]) -> str:
     """Return date, duration and versions in one line."""
     facts = [time.strftime("%Y-%m-%d %H:%M"), f"{sum(o.seconds for o in outcomes):.0f} s of runs"]
-    ran = [o for o in outcomes if o.verdict != "failed"]
+    ran = [o for o in outcomes if o.verdict != "failed" and isinstance(o.scenario, Scenario)]
     if ran:
         versions = Recording.open(ran[0].run).metadata.get("versions", {})
         facts += [f"{name} {version}" for name, version in versions.items()]

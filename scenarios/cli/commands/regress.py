@@ -23,6 +23,7 @@ from ...compare.regress import (
     run_suite,
 )
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
+from ...sweep.suite import SuiteSweep, find_sweeps
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..options import JSON, OVERWRITE, PARAMETERS, argument, option, overrides
@@ -58,6 +59,11 @@ def command(  # noqa: PLR0913 - one for each option
     folder: Path | None = option(
         "--scenarios DIR", "Folder with scenarios of your own, instead of the shipped ones."
     ),
+    sweeps: bool = option(
+        "--sweeps/--no-sweeps",
+        "Run the sweeps of the scenarios, too: sweep.toml beside them.",
+        True,
+    ),
     overwrite: bool = OVERWRITE,
     yes: bool = option("--yes -y", "With --update: do not ask.", False),
     json: bool = JSON,
@@ -71,6 +77,8 @@ def command(  # noqa: PLR0913 - one for each option
     Exit code 0: every run matches its reference, or without one has the expected verdict. 1: a run
     differs, fails or misses its criteria. 2: bad input, or a scenario has neither reference nor
     criteria.
+
+    A sweep.toml in a scenario's folder is judged by the success rate that it requires.
 
     ```
     panda-cosim regress
@@ -89,9 +97,13 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError("--overwrite: only goes with --report")
     chosen = find_scenarios(scenarios or (), folder)
     suite = Suite(chosen, overrides(assignments), exact, jobs or cores())
+    # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
+    swept = find_sweeps(chosen) if sweeps and not update else []
+    if swept and assignments:
+        raise InputError(f"--set: does not go with {swept[0].file}; must have --no-sweeps, too")
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
-        check_kept_runs(report / "runs", (scenario.name for scenario in chosen))
+        check_kept_runs(report / "runs", (each.name for each in (*chosen, *swept)))
     with ExitStack() as stack:
         # Beside the report's, so that runs can be moved there.
         parent = report or cache_folder()
@@ -99,7 +111,7 @@ def command(  # noqa: PLR0913 - one for each option
             runs = stack.enter_context(temporary_folder(parent))
         except OSError as error:
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
-        outcomes = _run(suite, runs)
+        outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
         if report is not None:
             write_report(outcomes, report / REPORT_FILE, suite.overrides)
             write_junit(outcomes, report / JUNIT_FILE)
@@ -133,6 +145,14 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
         return run_suite(suite, folder, on_outcome)
 
 
+def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
+    """Run a sweep of the suite, with a progress bar of its own."""
+    with progress(f"Running {swept.file}") as advance:
+        outcome = swept.judge(folder / swept.name, jobs, lambda now: advance(now.done, now.total))
+        advance.say(_line(outcome), STYLES.get(outcome.verdict, BAD))
+    return outcome
+
+
 def _line(outcome: Outcome) -> str:
     worst = outcome.comparison.worst if outcome.comparison else None
     share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
@@ -155,7 +175,8 @@ def _show_result(outcomes: list[Outcome]) -> None:
             for o in wrong
         ]
         show(table(("Scenario", "Verdict", "Why*"), rows))
-    judged = [outcome.name for outcome in outcomes if outcome.verdict in ("holds", "missed")]
+    runs = [outcome for outcome in outcomes if not isinstance(outcome.scenario, SuiteSweep)]
+    judged = [outcome.name for outcome in runs if outcome.verdict in ("holds", "missed")]
     show(headline(outcomes), "bold red" if wrong else "bold green")
     if judged:
         show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
