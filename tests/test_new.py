@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,10 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.check.check import check_folder
 from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.writer import make_scenario
+from panda_cosim.scenarios.sweep.definition import load_sweep
+from panda_cosim.scenarios.sweep.engine import check_sweep
 from typer.testing import CliRunner
 
 
@@ -25,6 +29,39 @@ def folder(tmp_path: Path) -> Path:
 def test_a_new_scenario_runs_at_the_first_try(folder: Path, tmp_path: Path) -> None:
     run = run_scenario(folder, tmp_path / "run")
     assert run.summary.success, run.summary.criteria
+
+
+@pytest.mark.fmu
+def test_a_new_scenario_with_parts_of_its_own_runs_and_is_swept(tmp_path: Path) -> None:
+    runner = CliRunner()
+    new = runner.invoke(app, ["new", str(tmp_path / "own"), "--law", "--plant", "--sweep"])
+    assert new.exit_code == 0, new.output
+    assert f"panda-cosim sweep {tmp_path / 'own'}/sweep.toml" in new.output
+    run = run_scenario(tmp_path / "own", tmp_path / "run")
+    assert run.summary.success, run.summary.criteria
+    assert "plant.pillar_xpos[1]" in run.recording.columns
+    _, design = check_sweep(load_sweep(tmp_path / "own" / "sweep.toml"))
+    assert len(design) == 40
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_a_copy_of_a_shipped_scenario_is_equal_to_it(name: str, tmp_path: Path) -> None:
+    make_scenario(tmp_path / "copy", copied=name)
+    shipped = Scenario.read(shipped_scenarios()[name])
+    same = replace(shipped, name="copy", folder=tmp_path / "copy")
+    assert Scenario.read(tmp_path / "copy") == same
+    assert not (tmp_path / "copy" / "reference.parquet").exists()
+
+
+def test_what_cannot_be_copied_is_refused(tmp_path: Path) -> None:
+    for options, words in (
+        (("--from", "pusch"), "did you mean 'push'"),
+        (("--from", "push", "--law"), "--from: cannot be combined with --law or --plant"),
+    ):
+        refused = CliRunner().invoke(app, ["new", str(tmp_path / "copy"), *options])
+        assert refused.exit_code == 2
+        assert words in refused.output
+        assert not (tmp_path / "copy").exists()
 
 
 @pytest.mark.parametrize("name", ["-lift", "li/ft\n", "..", "x" * 201])

@@ -71,7 +71,7 @@ above = 0.04
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     made = tmp_path / "mine"
-    make_scenario(made, controller=True)
+    make_scenario(made, ["law"])
     return made
 
 
@@ -217,7 +217,7 @@ def test_a_law_that_cannot_start_says_why_in_one_line(
     tmp_path: Path, line: str, code: int, error: str
 ) -> None:
     made = tmp_path / "mine"
-    make_scenario(made, controller=True)
+    make_scenario(made, ["law"])
     (made / "my_law.py").write_text(
         '"""A law."""\nclass ResolvedRate:\n    gain = 1.0\n'
         f"    def update(self, time, pos_cmd, qpos): return [0.0] * 8\n\n    {line}\n"

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -16,38 +16,71 @@ from numpy.typing import ArrayLike
 
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt
+from ...fmus.messages import did_you_mean, excerpt
 from ..files import write_all
 from .criteria import toml_keys
-from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario
+from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
 from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, TrajectoryTable
 from .trajectory import COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
-LAW_FILE: Final = "my_law.py"
 INPUTS_FILE: Final = "inputs.csv"
+FROM_TEMPLATE: Final = {  # files of the template that an option of `new` adds
+    "law": ("my_law.py",),
+    "plant": ("my_scene.xml", "my_scene.toml"),
+    "sweep": ("sweep.toml",),
+}
+_OWN_PLANT: Final = (
+    'plant = "my_scene.xml"  # a scene of its own; my_scene.toml says what its FMU has\n'
+)
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
 _RARE = ("system", "step", "timing", "timing_share")  # keys that are written if they say something
 
 
-def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
+def make_scenario(
+    folder: Path, parts: Collection[str] = (), copied: str | None = None
+) -> list[Path]:
     """Make the files of a new scenario, which can be run without changes, and return them.
 
-    The folder's name becomes the scenario's; `controller` adds a control law.
+    The folder's name becomes the scenario's. `parts` of `FROM_TEMPLATE` are added to the template,
+    or a sweep to the shipped scenario that is copied, without its reference.
     """
     if not _NAME.fullmatch(folder.name):
         raise InputError(
             f"scenario name {excerpt(folder.name)}: must be at most 200 letters, digits, _ . and "
             "-, and not begin with a sign"
         )
-    sources = {SCENARIO_FILE: SCENARIO_FILE, TABLE_FILE: TABLE_FILE}
-    if controller:
-        sources |= {SCENARIO_FILE: "scenario_with_law.toml", LAW_FILE: LAW_FILE}
-    contents = {folder / name: (TEMPLATE / file).read_text() for name, file in sources.items()}
+    sources = _template(parts) if copied is None else _shipped(copied)
+    contents = {folder / name: text for name, text in sources.items()}
+    for name in (name for part in parts for name in FROM_TEMPLATE[part]):
+        contents[folder / name] = (TEMPLATE / name).read_text(encoding="utf-8")
     write_all(contents)
     return list(contents)
+
+
+def _template(parts: Collection[str]) -> dict[str, str]:
+    """Return settings that name the parts, and the table, by file."""
+    file = "scenario_with_law.toml" if "law" in parts else SCENARIO_FILE
+    settings, table = ((TEMPLATE / name).read_text(encoding="utf-8") for name in (file, TABLE_FILE))
+    if "plant" in parts:
+        head = "[fmus]\n"
+        settings = settings if head in settings else f"{settings}\n{head}"
+        settings = settings.replace(head, head + _OWN_PLANT)
+    return {SCENARIO_FILE: settings, TABLE_FILE: table}
+
+
+def _shipped(name: str) -> dict[str, str]:
+    """Return the text files of a shipped scenario; a reference is of its own results alone."""
+    shipped = shipped_scenarios()
+    if name not in shipped:
+        raise InputError(
+            f"--from {excerpt(name)}: no shipped scenario; valid: {', '.join(shipped)}"
+            f"{did_you_mean(name, shipped)}"
+        )
+    paths = [path for path in sorted(shipped[name].iterdir()) if path.is_file()]
+    return {p.name: p.read_text(encoding="utf-8") for p in paths if p.suffix != ".parquet"}
 
 
 def write_scenario(scenario: Scenario, folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ....fmus.errors import InputError
 from ...files import as_argument
 from ...scenario.scenario import Scenario, shipped_scenarios
 from ...scenario.writer import make_scenario
@@ -13,9 +14,16 @@ from ..options import JSON, argument, option
 
 def command(
     name: Path = argument("NAME", "Folder to make."),
-    controller: bool = option(
-        "--controller", "Add a control law in Python, for you to edit.", False
+    source: str | None = option(
+        "--from SCENARIO", "Copy a shipped scenario, without its reference."
     ),
+    law: bool = option(
+        "--law --controller", "Add a control law in Python, for you to edit.", False
+    ),
+    plant: bool = option(
+        "--plant", "Add a scene of your own with one more body, for you to edit.", False
+    ),
+    sweep: bool = option("--sweep", "Add a sweep, which `regress` judges, too.", False),
 ) -> None:
     """Make a scenario of your own, ready to run.
 
@@ -25,13 +33,19 @@ def command(
     ```
     panda-cosim new my-scenarios/lift
     panda-cosim run my-scenarios/lift
-    panda-cosim new my-law --controller
+    panda-cosim new my-law --law --sweep
+    panda-cosim new my-push --from push
     ```
     """
-    for path in make_scenario(name, controller=controller):
+    if source is not None and (law or plant):
+        raise InputError("--from: cannot be combined with --law or --plant")
+    options = {"law": law, "plant": plant, "sweep": sweep}
+    parts = [part for part, is_asked_for in options.items() if is_asked_for]
+    for path in make_scenario(name, parts, source):
         show(str(path))
     folder = as_argument(name)
-    show(f"Next: panda-cosim check {folder}; panda-cosim run {folder}", "dim")
+    more = f"; panda-cosim sweep {folder}/sweep.toml" if sweep else ""
+    show(f"Next: panda-cosim check {folder}; panda-cosim run {folder}{more}", "dim")
 
 
 def list_scenarios(json: bool = JSON) -> None:
