@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import command
 from panda_cosim import Recording
 from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.scenarios.scenario.writer import make_scenario
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -114,3 +116,34 @@ def test_every_path_exists() -> None:
     paths -= {"scenarios/cli/commands/NAME.py", ".ci/typing/panda_cosim/..."}
     assert paths
     assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+@pytest.mark.fmu
+def test_a_changed_result_is_bisected(tmp_path: Path) -> None:
+    """The commits of a repository change a law; the scenario and its reference stand outside."""
+    repository, scenario = tmp_path / "repository", tmp_path / "push"
+    make_scenario(repository / "law", ["law"])
+    law, scenario = repository / "law" / "my_law.py", make_scenario(scenario)[0].parent
+    part = '[fmus]\ncontroller = "../repository/law/my_law.py:ResolvedRate"\n'
+    (scenario / "scenario.toml").write_text(SCENARIO + part)
+    (scenario / "trajectory.csv").write_text(TABLE)
+    recorded = command("regress", scenario, "--update")
+    assert recorded.returncode == 0, recorded.stderr
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+
+    def shell(words: str) -> str:
+        environment = os.environ | {"PATH": path}
+        done = subprocess.run(words, shell=True, cwd=repository, capture_output=True, text=True,
+                              env=environment, check=False, timeout=300)  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    shell("git init -q; git config user.name a; git config user.email a@b")
+    first = law.read_text()
+    for number, gain in enumerate(("10.0", "10.00", "5.0", "5.00")):
+        law.write_text(first.replace("gain = 10.0", f"gain = {gain}"))
+        shell(f"git add -A; git commit -qm 'commit {number}'")
+    (script,) = re.findall(r"^git bisect run .*$", TEXT, re.MULTILINE)
+    shell("git bisect start HEAD HEAD~3")
+    assert "is the first bad commit" in shell(script)
+    assert shell("git log -1 --format=%s refs/bisect/bad").strip() == "commit 2"

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
@@ -161,6 +164,29 @@ def test_references_are_overwritten_only_if_asked_for(approved: Path, tmp_path: 
     assert moved.returncode == 0, moved.stderr
     assert re.search(r"renamed: controller\.\w+_cmd\[2\] off by", moved.stdout)
     assert (folder / REFERENCE_FILE).read_bytes() != before
+
+
+def test_a_page_shows_the_differences_before_a_reference_is_overwritten(
+    approved: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(approved, tmp_path / "renamed")
+    (folder / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
+    before = (folder / REFERENCE_FILE).read_bytes()
+    program = Path(sys.executable).with_name("panda-cosim")
+    for answer, code in (("n", 1), ("y", 0)):
+        keyboard, terminal = pty.openpty()
+        os.write(keyboard, f"{answer}\n".encode())
+        words = [str(program), "regress", "--scenarios", str(folder), "--update"]
+        asked = subprocess.run(words, stdin=terminal, cwd=tmp_path, capture_output=True, text=True,
+                               check=False, timeout=120)  # fmt: skip
+        assert asked.returncode == code, asked.stderr
+        assert ((folder / REFERENCE_FILE).read_bytes() == before) == (answer == "n")
+        told = re.search(r"runs/update-.*/report.html", asked.stdout)
+        assert told
+        page = (tmp_path / told[0]).read_text()
+        assert asked.stdout.index(told[0]) < asked.stdout.index("Overwrite 1 of 1")
+        assert "vel_cmd" in page
+        assert "times its tolerance" in page
 
 
 def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced(

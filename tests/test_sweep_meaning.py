@@ -133,9 +133,10 @@ def test_rows_not_measured_and_expected_failures_are_what_they_are(tmp_path: Pat
     assert calm["margin"] > 0.0
     assert (pushed["status"], pushed["missed"]) == ("success", "tracking_max")
     assert sorted(path.name for path in (out / "runs").iterdir())[-1] == "0000002"  # of 3
-    for index, expect in ((2, "success"), (3, "failure")):
-        promote_row(out, index, tmp_path / "mine" / str(index))
-        assert load_scenario(tmp_path / "mine" / str(index)).expect == expect
+    for index, is_as_expected in ((2, False), (3, True)):
+        files = promote_row(out, index, tmp_path / "mine" / str(index))
+        assert load_scenario(tmp_path / "mine" / str(index)).expect == "failure"
+        assert (tmp_path / "mine" / str(index) / "reference.parquet" in files) == is_as_expected
 
 
 def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -263,13 +264,26 @@ def test_a_row_is_shown_against_the_unvaried_scenario(whole: Path) -> None:
 
 def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path) -> None:
     missed = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
-    promote_row(whole / "out", missed["index"], tmp_path / "mine" / "pushed")
-    made = load_scenario(tmp_path / "mine" / "pushed")
+    mine = tmp_path / "mine"
+    promote = ("sweep", "promote", whole / "out")
+    limit = command(*promote, missed["index"], mine / "limit", "--expect", "failure")
+    assert "A known limit" in limit.stdout, limit.stderr
+    made = load_scenario(mine / "limit")
     assert made.push[0].force[1] == missed[FORCE]
     assert made.expect == "failure"
     assert missed["missed"] in made.expect_reason
-    done = command("regress", "--scenarios", tmp_path / "mine", "--exact")
+    good = next(row for row in rows_of(whole / "out") if row["status"] == "success")
+    refused = command(*promote, good["index"], mine / "other", "--expect", "failure")
+    assert "status success; must be missed" in refused.stderr
+    assert "A regression test" in command(*promote, good["index"], mine / "good").stdout
+    done = command("regress", "--scenarios", mine, "--exact")
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 of 2 scenarios match their references" in done.stdout
+    assert "A red test" in command(*promote, missed["index"], mine / "red").stdout
+    assert load_scenario(mine / "red").expect == "success"
+    done = command("regress", "--scenarios", mine)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert re.search(f"red +missed +{missed['missed']}", done.stdout)
     with pytest.raises(InputError, match=r"has no row 4711; must be one of its .* rows, from 0 to"):
         promote_row(whole / "out", 4711, tmp_path / "other")
 

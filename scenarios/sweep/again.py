@@ -56,30 +56,39 @@ def _run(scenario: Scenario, folder: Path) -> Path:
     return folder
 
 
-def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
-    """Make a scenario of a row in a new folder, with a reference; return its files."""
+def promote_row(
+    folder: str | Path, index: int, new: str | Path, *, known_limit: bool = False
+) -> list[Path]:
+    """Make a scenario of a row in a new folder; return its files.
+
+    A row with success gets a reference. One without fails in `regress`, by its criteria, until it
+    is mended; a known limit expects the failure instead, and has a reference of it.
+    """
     store, new = Store(folder), Path(new)
     _, _, changed = scenario_of(store, index)
     refuse_existing(new)
-    promoted = replace(changed, **_purpose(store.row(index)), name=new.resolve().name)
+    row = store.row(index)
+    promoted = replace(changed, **_keys(row, known_limit), name=new.resolve().name)
     with temporary_folder(cache_folder()) as scratch:
         run = run_scenario(promoted, scratch / "run")
-        reference = Reference.of(run.recording, run.summary.to_dict(), promoted.regression)
         kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs
         shutil.copytree(kept, new, dirs_exist_ok=True)
-    with replacing(new / REFERENCE_FILE) as path:
-        reference.write(path)
+        if run.summary.as_expected:
+            reference = Reference.of(run.recording, run.summary.to_dict(), promoted.regression)
+            with replacing(new / REFERENCE_FILE) as path:
+                reference.write(path)
     return sorted(new.iterdir())
 
 
-def _purpose(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys `purpose` and, for a row without success, those that expect what it did."""
-    keys: dict[str, Any] = {"purpose": f"Row {row['index']} of a sweep of {row['scenario']}"}
-    if row["status"] == "unmeasured":
-        raise InputError(f"row {row['index']}: {row['error']}; must have a verdict")
-    if row["status"] == "unexpected":
-        keys |= {"expect": "success", "expect_reason": ""}
-    elif row["status"] != "success":
-        reason = f"{row['missed']} is missed" if row["missed"] else f"status {row['status']}"
-        keys |= {"expect": "failure", "expect_reason": f"found by a sweep: {reason}"}
+def _keys(row: Mapping[str, Any], known_limit: bool) -> dict[str, Any]:
+    """Return the key `purpose` and, for a known limit, those that expect the failure."""
+    index, status = row["index"], row["status"]
+    if status == "unmeasured":
+        raise InputError(f"row {index}: {row['error']}; must have a verdict")
+    keys: dict[str, Any] = {"purpose": f"Row {index} of a sweep of {row['scenario']}"}
+    if known_limit:
+        if status != "missed":
+            raise InputError(f"--expect failure: row {index}: status {status}; must be missed")
+        reason = f"found by a sweep: {row['missed']} is missed"
+        keys |= {"expect": "failure", "expect_reason": reason}
     return keys

@@ -23,6 +23,7 @@ from ...compare.regress import (
     run_suite,
 )
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
+from ...run.folder import default_folder
 from ...sweep.suite import SuiteSweep, find_sweeps
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
@@ -47,7 +48,7 @@ def command(  # noqa: PLR0913 - one for each option
     ),
     update: bool = option(
         "--update",
-        "Make the results the new references. Shows what changes, and asks first.",
+        "Make the results the new references. Shows what changes, in a page, too, and asks first.",
         False,
     ),
     assignments: list[str] | None = PARAMETERS,
@@ -184,7 +185,7 @@ def _show_result(outcomes: list[Outcome]) -> None:
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:
     """Show what changes, and overwrite the references."""
-    new, refused = [], 0
+    new, changed, refused = [], [], 0
     for outcome in outcomes:
         try:
             reference = candidate(outcome)
@@ -197,9 +198,17 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
             show(f"{outcome.name}: {line}", None if lines else "dim")
         if lines:
             new.append((outcome.reference_path, reference))
+            changed.append(outcome)
     replaced = sum(path.exists() for path, _ in new)
     if replaced and not yes:
-        _confirm(f"Overwrite {replaced} of {len(outcomes)} references?")
+        question = f"Overwrite {replaced} of {len(outcomes)} references?"
+        _refuse_without_terminal(question)
+        page = default_folder("update") / REPORT_FILE
+        write_report(changed, page, {})
+        show_file(page)  # with the differences from the references, before they are gone
+        if not typer.confirm(question):
+            warn("nothing was overwritten")
+            raise typer.Exit(1)
     for path, reference in new:
         reference.write(path)
         show_file(path)
@@ -207,13 +216,9 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
         raise typer.Exit(CosimError.exit_code)
 
 
-def _confirm(question: str) -> None:
-    """Ask, and end the command if the answer is no."""
+def _refuse_without_terminal(question: str) -> None:
     if sys.stdin is None or not sys.stdin.isatty():
         raise InputError(
             f"--update: nothing was overwritten: {question} must be answered with --yes, because "
             "standard input is not a terminal"
         )
-    if not typer.confirm(question):
-        warn("nothing was overwritten")
-        raise typer.Exit(1)

@@ -6,12 +6,14 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
+from typing import Literal
 
 import typer
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import CosimError, InputError
 from ...compare.junit import Case, write_cases
+from ...compare.reference import REFERENCE_FILE
 from ...judging.criterion import line as criterion_line
 from ...judging.criterion import miss_text
 from ...run.folder import default_folder
@@ -198,14 +200,31 @@ def promote(
     folder: Path = SWEEP,
     index: int = ROW,
     new: Path = argument("NEW", "Folder to make.", show_default=False),
+    expect: Literal["failure"] | None = option(
+        "--expect failure",
+        "The row misses a criterion, and that is a known limit: the scenario expects it. "
+        "Default: what the swept scenario expects.",
+    ),
 ) -> None:
-    """Make a scenario of one row, with its reference for `panda-cosim regress`.
+    """Make a scenario of one row, for `panda-cosim regress`.
 
-    If the row has no success, the scenario expects the failure.
+    A row with success gets a reference. A row without is a red test: `regress` fails until it is
+    mended. With `--expect failure` it is a known limit: `regress` passes as long as it fails.
+
+    ```
+    panda-cosim sweep promote box 17 my-scenarios/too-heavy --expect failure
+    ```
     """
     _warn_if_changed(folder)
-    for path in promote_row(folder, index, new):
+    paths = promote_row(folder, index, new, known_limit=expect is not None)
+    for path in paths:
         show(str(path))
+    if expect is not None:
+        show("A known limit: regress passes as long as it fails as in the reference.")
+    elif any(path.name == REFERENCE_FILE for path in paths):
+        show("A regression test: regress passes as long as it is as in the reference.")
+    else:
+        show("A red test: regress fails until the criteria have the expected verdict.")
 
 
 def _warn_if_changed(folder: Path) -> None:
