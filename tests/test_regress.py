@@ -319,6 +319,56 @@ def test_pytest_collects_the_sweep_of_a_scenario(swept: Path) -> None:
     assert "short (sweep): missed: success rate 75 %, required 76 %" in tests.stdout
 
 
+OWN_TESTS = """
+import pytest
+
+FOLDER = "mine/short"
+
+def test_good(scenario_run):
+    run = scenario_run(FOLDER, {"controller.kp": 8.0})
+    run.assert_matches_reference()
+    run.assert_success()
+    assert run.recording["time"][-1] == 0.2
+    assert run.summary["success"]
+
+def test_reference(scenario_run):
+    scenario_run(FOLDER, {"table.rows[2].y": 0.006}).assert_matches_reference()
+
+def test_criteria(scenario_run):
+    scenario_run(FOLDER, {"success.tracking_max": 1e-9}).assert_success()
+
+def test_nothing(scenario_run):
+    scenario_run("mine/bare").assert_success()
+
+def test_no_reference(scenario_run):
+    scenario_run("mine/bare").assert_matches_reference()
+
+def test_dies(scenario_run):
+    with pytest.raises(Exception, match="its process ended with signal 11"):
+        scenario_run("mine/dies")
+"""
+
+
+def test_a_fixture_runs_scenarios_with_other_values(approved: Path, tmp_path: Path) -> None:
+    shutil.copytree(approved, tmp_path / "mine" / "short")
+    bare, dies = (write_short(tmp_path / "mine" / name) for name in ("bare", "dies"))
+    (bare / "scenario.toml").write_text("duration = 0.2\n")
+    (dies / "scenario.toml").write_text('duration = 0.2\n[fmus]\ncontroller = "dies.py:Dies"\n')
+    (dies / "dies.py").write_text(DIES)
+    (tmp_path / "test_own.py").write_text(OWN_TESTS)
+    tests = run_pytest(tmp_path, "test_own.py")
+    assert "4 failed, 2 passed" in tests.stdout, tests.stdout + tests.stderr
+    for words in (
+        "short: expected a reference that it matches",
+        r"controller.pos_cmd\[2\]: [\d,.]+ times its",
+        r"short: expected success by criteria of its own\n+ *missed  tracking_max .* 1e-06 mm",
+        "bare: expected success by criteria of its own",
+        "bare: expected a reference that it matches",
+        "reference.parquet: does not exist",
+    ):
+        assert re.search(words, tests.stdout), tests.stdout
+
+
 def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path: Path) -> None:
     """Even beside tests that pass: pytest looks into no folder called build."""
     write_short(tmp_path / "build" / "short")

@@ -40,10 +40,11 @@ def _case_of(outcome: Outcome) -> Case:
     problem: Literal["failure", "error"] = (
         "failure" if outcome.verdict in ("differs", "missed") else "error"
     )
-    return Case(name, seconds, problem, outcome.verdict, outcome.reason, _details(outcome))
+    return Case(name, seconds, problem, outcome.verdict, outcome.reason, details(outcome))
 
 
-def _details(outcome: Outcome) -> str:
+def details(outcome: Outcome) -> str:
+    """Return a line for each criterion, problem and signal outside its tube."""
     criteria = [line(criterion) for criterion in outcome.criteria]
     if outcome.comparison is None:
         return "\n".join([outcome.error, *criteria])

@@ -1,6 +1,6 @@
 """Turns scenarios into tests: `pytest --panda-scenarios DIR` collects one for each in DIR.
 
-Sweeps beside them, and the fixture `scenario_run`, are in `sweep/pytest_plugin.py`.
+Sweeps are in `sweep/pytest_plugin.py`. The fixture `scenario_run` runs a scenario in a test.
 
 A test passes if the run matches its reference or, without one, if its verdict is the expected one,
 see `panda-cosim regress`. Scenarios run side by side from the first test on, `--panda-jobs` at a
@@ -9,15 +9,17 @@ time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
+    from ..scenario.scenario import Scenario
     from .regress import Outcome
 
 SCENARIO_FILE = "scenario.toml"
@@ -123,6 +125,56 @@ class DifferenceError(Exception):
     """The run does not match its reference, or misses its criteria."""
 
 
+class TestedRun:
+    """A run in a test, with the data of its `summary.json` and its recording."""
+
+    __test__ = False  # no class of tests, though its name begins so
+
+    def __init__(self, outcome: Outcome) -> None:
+        from ..recording import Recording  # noqa: PLC0415 - only where there is a scenario
+
+        self._outcome = outcome
+        self.summary = outcome.summary
+        self.recording = Recording.open(outcome.run)
+
+    def assert_success(self) -> None:
+        """Check that the scenario has criteria, and that they have the expected verdict."""
+        __tracebackhide__ = True
+        if not (self.summary["criteria"] and self.summary["as_expected"]):
+            self._fail(f"expected {self.summary['expect']} by criteria of its own")
+
+    def assert_matches_reference(self) -> None:
+        """Check that each signal stays within its tube around the scenario's reference."""
+        __tracebackhide__ = True
+        if self._outcome.verdict != "same":
+            self._fail("expected a reference that it matches")
+
+    def _fail(self, expected: str) -> None:
+        from .junit import details  # noqa: PLC0415 - see above
+
+        __tracebackhide__ = True
+        pytest.fail(f"{self._outcome.name}: {expected}\n{details(self._outcome)}", pytrace=False)
+
+
+@pytest.fixture
+def scenario_run(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., TestedRun]:
+    """Run scenarios: `scenario_run("push", {"controller.kp": 7})`, with keys as for `--set`."""
+    from ...fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
+    from ..run.options import with_values  # noqa: PLC0415 - see above
+    from ..scenario.scenario import load_scenario  # noqa: PLC0415 - see above
+
+    numbers = count(1)
+
+    def run(scenario: str | Path, values: Mapping[str, Any] | None = None) -> TestedRun:
+        changed = with_values(load_scenario(scenario), values or {})
+        outcome = _runs(request.session).run(changed, tmp_path / f"run-{next(numbers)}")
+        if outcome.verdict == "failed":
+            raise CosimError(f"{outcome.name}: {outcome.error}")
+        return TestedRun(outcome)
+
+    return run
+
+
 class _Runs:
     """Runs of all chosen scenarios in a temporary folder, started when the first is needed."""
 
@@ -146,6 +198,12 @@ class _Runs:
     def outcome(self, item: ScenarioItem) -> Outcome:
         """Return the outcome of a scenario."""
         return (self._futures.get(item.nodeid) or self._start(item)).result()
+
+    def run(self, scenario: Scenario, folder: Path) -> Outcome:
+        """Run a scenario into a folder, and compare it."""
+        from .regress import start  # noqa: PLC0415 - only where there is a scenario
+
+        return start(self._workers, scenario, folder).result()
 
     def _start(self, item: ScenarioItem) -> Future[Outcome]:
         from .regress import read_scenario, start  # noqa: PLC0415 - only where there is a scenario
