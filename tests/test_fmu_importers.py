@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import ctypes
 import zipfile
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
-from panda_cosim.fmus.build.ssp import write_panda_ssp
+from panda_cosim.fmus.build.container import write_container
+from panda_cosim.fmus.build.ssp import write_ssp
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
+from panda_cosim.fmus.master.step import Coupling
 from panda_cosim.fmus.master.system import open_system
-from panda_cosim.fmus.sources.targets import Target, build, build_trajectory
-from panda_cosim.scenarios.run.start import instants, resolve, start_values
+from panda_cosim.fmus.sources.targets import Target, build
+from panda_cosim.scenarios.run.written import written_system
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 TICKS, TICK = 300, 0.001
@@ -27,12 +31,8 @@ pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
 @pytest.fixture(scope="module")
 def ssp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The system, with a task that has moved on to where it gets interesting."""
-    scenario = load_scenario("pick_and_place")
-    values = start_values(scenario)
-    commands = resolve(scenario, values).sample(instants(scenario))
-    fmus = build() | {"trajectory": build_trajectory(commands)}
-    folder = tmp_path_factory.mktemp("importers")
-    return write_panda_ssp(folder / "Panda.ssp", fmus, None, scenario.duration)
+    system = written_system(load_scenario("pick_and_place"), Target())
+    return write_ssp(tmp_path_factory.mktemp("importers") / "Panda.ssp", system)
 
 
 def outputs(ssp: Path) -> dict[str, int]:
@@ -41,7 +41,7 @@ def outputs(ssp: Path) -> dict[str, int]:
     return {n: v.value_reference for n, v in variables.items() if v.variable.causality == "output"}
 
 
-def ours(ssp: Path) -> Any:
+def ours(ssp: Path, coupling: Coupling = "jacobi") -> Any:
     """The plant's outputs after each step, by our master."""
     coupled = system_from_ssp(ssp)
     blocks: list[Any] = []
@@ -50,7 +50,7 @@ def ours(ssp: Path) -> Any:
         coupled.start_values,
         stop=coupled.stop_time,
         step_size=coupled.step_size,
-        coupling="jacobi",
+        coupling=coupling,
     ) as session:
         columns = [session.master.columns.index(("plant", n)) + 1 for n in outputs(ssp)]
         empty = np.zeros((TICKS + 1, 0))
@@ -125,3 +125,43 @@ def test_an_importer_that_binds_all_functions_loads_the_plant(fmi: int) -> None:
     path = build(("plant",), target=Target(fmi=fmi))["plant"]
     slave = fmi2.Fmi2Slave if fmi == 2 else fmi3.Fmi3Slave
     assert slave(path, model_identifier="PandaPlant").get_version() == f"{fmi}.0"
+
+
+needs_toolbox = pytest.mark.skipif(
+    find_spec("fmu_manipulation_toolbox") is None, reason="no toolbox"
+)
+
+
+@needs_toolbox
+@pytest.mark.parametrize(
+    ("coupling", "fmi"), [("gauss-seidel", 2), ("gauss-seidel", 3), ("jacobi", 2)]
+)
+def test_a_container_is_the_coupled_system_in_plain_fmpy(
+    ssp: Path, tmp_path: Path, coupling: Coupling, fmi: int
+) -> None:
+    scenario = replace(load_scenario("pick_and_place"), coupling=coupling)
+    fmu = write_container(tmp_path / "Panda.fmu", written_system(scenario, Target()), fmi)
+    description = fmpy.read_model_description(fmu)
+    assert (description.fmiVersion, description.defaultExperiment.stopTime) == (f"{fmi}.0", "6.5")
+    assert description.author == "The panda-cosim engineers"
+    result = fmpy.simulate_fmu(fmu, stop_time=TICKS * TICK, output_interval=TICK)
+    expected = ours(ssp, coupling)
+    shown = [n for n in outputs(ssp) if n.startswith(("hand_x", "target_x"))]
+    assert len(shown) == 19
+    for i, name in enumerate(outputs(ssp)):
+        if name in shown:
+            assert (result[name][1:] == expected[:, i]).all(), name
+
+
+@needs_toolbox
+def test_the_toolbox_makes_a_container_of_the_ssp(ssp: Path) -> None:
+    from fmu_manipulation_toolbox.assembly import Assembly  # noqa: PLC0415 - only here
+
+    assembly = Assembly(ssp.name, fmu_directory=ssp.parent, default_step_size=TICK)
+    assembly.make_fmu()
+    fmu = ssp.with_suffix(".fmu")
+    result = fmpy.simulate_fmu(fmu, stop_time=TICKS * TICK, output_interval=TICK)
+    assert len(result.dtype.names) == 1 + 27  # time; hand, block and servo targets
+    names = list(outputs(ssp))
+    for name in ("hand_xpos[1]", "target_xpos[3]"):
+        assert (result[name][1:] == ours(ssp)[:, names.index(name)]).all()

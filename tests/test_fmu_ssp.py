@@ -2,38 +2,45 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import fmpy
-import numpy as np
 import pytest
 from lxml import etree
-from panda_cosim.fmus.build.ssp import (
-    CONNECTORS_FILE,
-    STRUCTURE_FILE,
-    TABLES,
-    panda_connections,
-    write_panda_ssp,
-)
+from panda_cosim.fmus.build.ssp import CONNECTORS_FILE, STRUCTURE_FILE, WrittenSystem, write_ssp
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.inside.trajectory import HOME
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
-from panda_cosim.fmus.sources.targets import build, build_trajectory
+from panda_cosim.fmus.sources.targets import Target
+from panda_cosim.scenarios.run.written import written_system
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 
-SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureDescription.xsd"
-PARAMETERS = {"plant": {"block_pos[1]": 0.45, "block_mass": 0.2}}
+SCHEMAS = {"1.0": Path(fmpy.__file__).parent / "ssp" / "schema"}
+if package := find_spec("pyssp_standard"):
+    SCHEMAS["2.0"] = Path(str(package.origin)).parent / "resources" / "ssp2"
+PARAMETERS = "resources/plant.ssv"
+VALUES = {"block_pos[1]": 0.45, "block_mass": 0.2}
+
+
+def system(fmi: int, name: str = "pick_and_place") -> WrittenSystem:
+    scenario = load_scenario(name)
+    return written_system(replace(scenario, plant={**scenario.plant, **VALUES}), Target(fmi=fmi))
 
 
 @pytest.fixture(scope="module")
-def fmus() -> dict[str, Path]:
-    return build() | {"trajectory": build_trajectory(np.tile(HOME, (3, 1)))}
+def ssps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The system by its version of SSP."""
+    folder = tmp_path_factory.mktemp("ssp")
+    return {f"{fmi - 1}.0": write_ssp(folder / f"{fmi}.ssp", system(fmi)) for fmi in (2, 3)}
 
 
 @pytest.fixture(scope="module")
-def ssp(fmus: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_panda_ssp(tmp_path_factory.mktemp("ssp") / "Panda.ssp", fmus, PARAMETERS)
+def ssp(ssps: dict[str, Path]) -> Path:
+    return ssps["1.0"]
 
 
 def structure(ssp: Path, name: str = STRUCTURE_FILE) -> str:
@@ -41,25 +48,56 @@ def structure(ssp: Path, name: str = STRUCTURE_FILE) -> str:
         return archive.read(name).decode()
 
 
-@pytest.mark.parametrize("name", [STRUCTURE_FILE, CONNECTORS_FILE])
-def test_the_structure_follows_the_schema(ssp: Path, name: str) -> None:
-    document = etree.fromstring(structure(ssp, name).encode())
-    etree.XMLSchema(etree.parse(SCHEMA)).assertValid(document)
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+def test_all_files_follow_the_schemas_of_their_version(ssps: dict[str, Path], version: str) -> None:
+    if version not in SCHEMAS:
+        pytest.skip("no pyssp_standard")
+    schemas = {"ssd": "Description", "ssv": "ParameterValues"}
+    with zipfile.ZipFile(ssps[version]) as archive:
+        names = [name for name in archive.namelist() if name.endswith((".ssd", ".ssv"))]
+    assert {STRUCTURE_FILE, CONNECTORS_FILE, PARAMETERS} <= {*names}
+    for name in names:
+        document = etree.fromstring(structure(ssps[version], name).encode())
+        assert document.get("version") == version
+        schema = SCHEMAS[version] / f"SystemStructure{schemas[name[-3:]]}.xsd"
+        etree.XMLSchema(etree.parse(schema)).assertValid(document)
 
 
-def test_the_same_system_gives_the_same_bytes(
-    fmus: dict[str, Path], ssp: Path, tmp_path: Path
+def test_the_same_system_gives_the_same_bytes(ssp: Path, tmp_path: Path) -> None:
+    assert write_ssp(tmp_path / "x.ssp", system(2)).read_bytes() == ssp.read_bytes()
+
+
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+def test_every_input_connector_is_fed_and_every_unit_declared(
+    ssps: dict[str, Path], version: str
 ) -> None:
-    assert write_panda_ssp(tmp_path / "x.ssp", fmus, PARAMETERS).read_bytes() == ssp.read_bytes()
+    document = etree.fromstring(structure(ssps[version]).encode()).find("{*}System")
+    inputs = {
+        (component.get("name"), connector.get("name"))
+        for component in document.iterfind("{*}Elements/{*}Component")
+        for connector in component.iterfind("{*}Connectors/{*}Connector[@kind='input']")
+    }
+    connections = document.findall("{*}Connections/{*}Connection")
+    assert inputs == {(c.get("endElement"), c.get("endConnector")) for c in connections}
+    used = {typed.get("unit") for typed in document.iterfind(".//{*}Connector/*[@unit]")}
+    assert used <= {unit.get("name") for unit in document.getparent().iterfind(".//{*}Unit")}
 
 
-def test_every_input_connector_is_fed_and_every_unit_declared(ssp: Path) -> None:
-    document = etree.fromstring(structure(ssp).encode())
-    inputs = document.findall(".//{*}Connector[@kind='input']")
-    connections = document.findall(".//{*}Connection")
-    assert len(inputs) == len(connections) == len(panda_connections())
-    used = {real.get("unit") for real in document.iterfind(".//{*}Connector/{*}Real")}
-    assert used <= {unit.get("name") for unit in document.iterfind(".//{*}Unit")}
+def test_connectors_of_fmi_3_are_the_variables_of_the_fmus(ssps: dict[str, Path]) -> None:
+    document = etree.fromstring(structure(ssps["2.0"]).encode())
+    for component in document.iterfind(".//{*}Component"):
+        with zipfile.ZipFile(ssps["2.0"]) as archive:
+            fmu = zipfile.ZipFile(io.BytesIO(archive.read(component.get("source"))))
+        described = etree.fromstring(fmu.read("modelDescription.xml"))
+        shapes = {
+            variable.get("name"): [d.get("start") for d in variable.iterfind("Dimension")]
+            for variable in described.find("ModelVariables")
+        }
+        connectors = component.findall("{*}Connectors/{*}Connector")
+        assert connectors
+        for connector in connectors:
+            sizes = [d.get("size") for d in connector.iterfind("{*}Dimension")]
+            assert shapes[connector.get("name")] == sizes
 
 
 def test_the_system_as_one_block_has_hand_block_and_servo_targets(ssp: Path) -> None:
@@ -73,25 +111,29 @@ def test_the_system_as_one_block_has_hand_block_and_servo_targets(ssp: Path) -> 
     assert all(c.get("startConnector") == c.get("endConnector") for c in own)
 
 
-def test_it_is_read_as_it_was_written(ssp: Path) -> None:
-    coupled = system_from_ssp(ssp)
-    assert list(coupled.system.fmus) == list(TABLES)
-    assert list(coupled.system.connections) == list(panda_connections())
-    assert coupled.start_values == PARAMETERS
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+def test_it_is_read_as_it_was_written(ssps: dict[str, Path], version: str) -> None:
+    coupled, written = system_from_ssp(ssps[version]), system(int(version[0]) + 1)
+    assert list(coupled.system.fmus) == ["controller", "plant", "trajectory"]
+    assert list(coupled.system.connections) == written.connections
+    given = {name: dict(each.start_values) for name, each in written.components.items()}
+    assert coupled.start_values == {name: values for name, values in given.items() if values}
+    assert given["plant"].items() >= VALUES.items()
     assert (coupled.name, coupled.stop_time, coupled.step_size) == ("Panda", 6.5, 0.001)
+    assert (coupled.coupling, dict(coupled.steps)) == ("gauss-seidel", {})
 
 
 def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
     """Copy an SSP with another structure."""
-    target = folder / "changed.ssp"
+    target, is_changed = folder / "changed.ssp", False
     with zipfile.ZipFile(ssp) as source, zipfile.ZipFile(target, "w") as archive:
         for member in source.namelist():
             content = source.read(member)
-            if member == STRUCTURE_FILE:
-                text = change(content.decode())
-                assert text != content.decode()
-                content = text.encode()
+            if member in (STRUCTURE_FILE, PARAMETERS):
+                content = change(content.decode()).encode()
+            is_changed |= content != source.read(member)
             archive.writestr(member, content)
+    assert is_changed
     return target
 
 
@@ -108,11 +150,12 @@ def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
         ('source="resources/PandaPlant.fmu"', 'source="../PandaPlant.fmu"', "a path inside"),
         ('source="resources/PandaPlant.fmu"', 'source="resources/x.fmu"', "is missing"),
         ('source="resources/PandaPlant.fmu"', 'source="SystemStructure.ssd"', "d.ssp: Sy"),
-        ('type="application/x-fmu-sharedlibrary"', 'type="x"', "of type 'x', implementation 'any'; must be an FMU"),
+        ('type="application/x-fmu-sharedlibrary"', 'type="x"',
+         "of type 'x', implementation 'any'; must be a System, or a"),
         ('name="controller"', 'name="plant"', "component name 'plant'; must be given, and unique"),
         ('<ssv:Real value="0.2"', '<ssv:Real value="heavy"', "= 'heavy'; must be of type Real"),
         ('<ssv:Real value="0.2"', '<ssv:Real value="99"',
-         "changed.ssp: SystemStructure.ssd: parameter plant.block_mass: 99.0 kg is out of range"),
+         "SystemStructure.ssd: resources/plant.ssv: parameter plant.block_mass: 99.0 kg is out of"),
         ('<ssv:Real value="0.2"', '<ssv:Boolean value="true"', "must be one value of type Real"),
         ('<ssv:Real value="0.2"', '<ssv:Real value="0_2"', "= '0_2'; must be of type Real"),
         ('stepSize="0.001"', 'stepSize="-1"', "must be above 0"),
@@ -132,11 +175,11 @@ def test_a_broken_structure_is_refused_by_name(
 
 
 def test_sensors_are_connected_between_plant_and_controller() -> None:
-    plain, measured = panda_connections(), panda_connections(sensors=True)
+    measured = system(2, "calibrated").connections
     assert len({c.target for c in measured}) == len(measured)  # each input is fed once
     sources = {c.target: c.source for c in measured}
     assert sources["controller", "jac[6,7]"] == ("sensors", "jac_measured[6,7]")
     assert sources["sensors", "jac[6,7]"] == ("plant", "jac[6,7]")
     assert sources["sensors", "target_xpos[3]"] == ("plant", "target_xpos[3]")
-    assert {c.target for c in plain} <= set(sources)
+    assert {c.target for c in system(2).connections} <= set(sources)
     assert {c.source[0] for c in measured if c.target[0] == "plant"} == {"controller"}

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from forked import command
 from panda_cosim.fmus.atomic import MARK, check_replaceable
-from panda_cosim.fmus.build.ssp import STRUCTURE_FILE, structure_description
+from panda_cosim.fmus.build.ssp import STRUCTURE_FILE, WrittenSystem, structure_description
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.compare.junit import write_cases
 from panda_cosim.scenarios.files import marked_json
@@ -96,7 +96,7 @@ def test_texts_and_archives_that_were_made_here_are_known(tmp_path: Path) -> Non
     paths = {name: tmp_path / name for name in ("a.json", "a.xml", "a.ssp", "b.ssp", "c.ssp")}
     paths["a.json"].write_text(marked_json(json.dumps({"kp": 8})))
     write_cases("panda-cosim run", [], paths["a.xml"])
-    system = structure_description({}, (), {}, 1.0)
+    system = structure_description(WrittenSystem({}, (), 1.0))
     others = {"b.ssp": system.replace(b"panda-cosim", b"another"), "c.ssp": MARK.encode()}
     for name, description in {"a.ssp": system, **others}.items():
         with zipfile.ZipFile(paths[name], "w") as archive:

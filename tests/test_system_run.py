@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import zipfile
 from pathlib import Path
 
 import pytest
 from forked import command as program
 from panda_cosim import Recording
+from panda_cosim.scenarios.scenario.writer import make_scenario
+from parts_jobs import write_arm
 
 TOML = 'duration = 0.05\nscene = "tutorial"\ngains = "tutorial"\ninterpolation = "linear"\n'
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.05,home,0,0,-0.01,0.08\n"
@@ -41,6 +45,105 @@ def test_a_system_runs_as_its_scenario_bit_for_bit(folder: Path, coupling: str) 
     for signal in ("plant.qpos", "plant.actuator_force", "controller.ctrl"):
         assert (system[signal] == scenario[signal]).all()
     assert system.units["plant.qpos[1]"] == "rad"
+
+
+REFERENCE_FMUS = Path(os.environ.get("REFERENCE_FMUS", "/nowhere"))
+TYPES = """duration = 1.0
+step = 0.1
+[fmus]
+a = "{folder}/fmi2/Feedthrough.fmu"
+b = "{folder}/fmi3/Feedthrough.fmu"
+[connect]
+"b.Float64_continuous_input" = "a.Float64_continuous_output"
+"b.Int32_input" = "a.Int32_output"
+"b.Int16_input" = "convert(a.Float64_continuous_output)"
+[inputs]
+file = "inputs.csv"
+"a.Int32_input" = 5
+"b.Boolean_input" = true
+"b.String_input" = "text"
+"""
+OWN = """coupling = "jacobi"
+duration = 0.3
+[fmus]
+controller = "my_law.py:ResolvedRate"
+[controller]
+gain = 12.0
+[plant]
+block_mass = 0.2
+[mismatch]
+preset = "calibrated"
+seed = 3
+[[push]]
+start = 0.1
+duration = 0.1
+force = [1.0, 3.0, -2.0]
+[[push]]
+start = 0.2
+duration = 0.1
+force = [0.0, 0.5, 0.0]
+on = "block"
+"""
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("fmi", ["2", "3"])
+@pytest.mark.parametrize("kind", ["law, errors and pushes", "plant and slave", "all types"])
+def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(
+    tmp_path: Path, kind: str, fmi: str
+) -> None:
+    mine, files = tmp_path / "mine", tmp_path / "files"
+    if kind == "all types":
+        if not REFERENCE_FMUS.is_dir():
+            pytest.skip("needs REFERENCE_FMUS")
+        mine.mkdir()
+        (mine / "scenario.toml").write_text(TYPES.format(folder=REFERENCE_FMUS))
+        (mine / "inputs.csv").write_text("time,a.Float64_continuous_input\n0,1\n0.45,3\n1,5\n")
+    elif kind == "plant and slave":
+        write_arm(mine)
+        with (mine / "scenario.toml").open("a") as file:
+            file.write("[steps]\ncontroller = 5\n")
+    else:
+        make_scenario(mine, controller=True)
+        (mine / "scenario.toml").write_text(OWN)
+    for arguments in (
+        ("build", "--scenario", mine, "--fmi", fmi, "--out", files),
+        ("run", mine, "--no-video", "--out", tmp_path / "scenario"),
+        ("run", files / "Panda.ssp", "--no-video", "--out", tmp_path / "system"),
+    ):
+        done = program(*arguments)
+        assert done.returncode in (0, 3), done.stderr
+    scenario, system = Recording.open(tmp_path / "scenario"), Recording.open(tmp_path / "system")
+    assert system.complete
+    assert system.rows == scenario.rows
+    shared = {*scenario.columns} & {*system.columns}
+    others = {name.partition("[")[0] for name in {*scenario.columns} - shared}
+    assert all(name.endswith(("_cmd", "_force", "_input")) for name in others)  # from outside
+    assert len(shared) > 10
+    assert [name for name in shared if (scenario[name] != system[name]).any()] == []
+    check = program("check", files / "Panda.ssp")
+    assert check.returncode == 0
+    assert "it can run" in check.stdout
+
+
+@pytest.mark.fmu
+def test_run_and_check_refuse_a_system_in_the_same_words(folder: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.ssp"
+    with (
+        zipfile.ZipFile(folder / "files" / "Panda.ssp") as source,
+        zipfile.ZipFile(bad, "w") as copy,
+    ):
+        for name in source.namelist():
+            content = source.read(name).replace(
+                b'startConnector="qvel[1]"', b'startConnector="qvl[1]"'
+            )
+            copy.writestr(name, content)
+    run, check = program("run", bad, "--out", tmp_path / "run"), program("check", bad)
+    assert (run.returncode, check.returncode) == (2, 2)
+    assert (
+        check.stdout.removeprefix("wrong  ").strip() == run.stderr.removeprefix("Error: ").strip()
+    )
+    assert "did you mean 'qvel[1]'" in check.stdout
 
 
 @pytest.mark.fmu

@@ -1,19 +1,22 @@
-"""Writes the coupled system as one SSP 1.0 file, with its FMUs and connections."""
+"""Writes a coupled system as one SSP file: its FMUs, connections and parameters.
+
+FMUs of FMI 2.0 make an SSP 1.0. With one of FMI 3.0 it is an SSP 2.0, whose connectors are arrays.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 from ..atomic import replacing
 from ..inside.base import TICK
-from ..interface.sensors import SEEN, SENSORS, measurement_of
-from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
-from ..interface.trajectory import TRAJECTORY
-from ..interface.variables import Interface, Scalar, Value
-from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, STOP_TIME, literal, render
+from ..interface.tables import Connection
+from ..interface.units import BASES, Unit, Units
+from ..interface.variables import Scalar, Value, Variable
+from .description import AUTHOR, COPYRIGHT, LICENSE, literal, render
 from .native import archive
 
 _SSP: Final = "http://ssp-standard.org/SSP1/SystemStructure"
@@ -25,110 +28,180 @@ PREFIXES: Final = {
     # Some importers read the master's step size from annotations of these names.
     "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "panda": "urn:panda-cosim:ssp",  # our master's coupling
 }
 STRUCTURE_FILE: Final = "SystemStructure.ssd"
-# The same system with outputs of its own, for tools that use it as one block. It is a second
-# file, which SSP allows, because some importers reject connections to the system itself.
+# The same system with outputs of its own. It is a second file, which SSP allows, because libcosim
+# and Ecos fail on connections to the system itself. FMU containers look for these connections
+# anywhere in the first file, so it holds them in an annotation, which the others pass over.
 CONNECTORS_FILE: Final = "SystemConnectors.ssd"
-# In the order of stepping: the controller leads, see `fmus.master.step`.
-TABLES: Final = {**{k: INTERFACES[k] for k in ("controller", "plant")}, "trajectory": TRAJECTORY}
 
-# Outputs of the whole system: pose of the hand, centre of the block's top, servo targets.
+# Outputs of the whole system, if it has them: pose of the hand, centre of the block's top, servo
+# targets. Any other system has all outputs of its FMUs.
 SYSTEM_OUTPUTS: Final = {
     "plant": ("hand_xpos", "hand_xquat", "target_xpos", "target_xmat"),
     "controller": ("ctrl",),
 }
+Name = tuple[str, str]  # component and scalar variable
 
 
-def panda_connections(*, sensors: bool = False) -> tuple[Connection, ...]:
-    """Connections of the whole Panda; with sensors, these are between plant and controller."""
-    commands = [n for name in COMMANDS for n in TRAJECTORY.variable(name).names()]
-    return (
-        *(sensor_connections() if sensors else CONNECTIONS),
-        *(Connection(("trajectory", name), ("controller", name)) for name in commands),
-    )
+@dataclass(frozen=True)
+class Component:
+    """An FMU of a system that is written."""
+
+    file: Path
+    file_name: str  # in the archive
+    fmi: int  # major version of FMI
+    variables: Mapping[str, Scalar]  # of its description, by the names in connections
+    units: Units
+    start_values: Mapping[str, Value] = field(default_factory=dict)  # that are not its own
+    steps: int = 1  # of the system in one of its own
 
 
-def sensor_connections() -> Iterator[Connection]:
-    """Connections of plant and controller by way of PandaSensors, which also sees the block."""
-    for connection in CONNECTIONS:
-        if connection.target[0] == "controller":
-            signal, bracket, index = connection.target[1].partition("[")
-            yield Connection(connection.source, ("sensors", connection.target[1]))
-            measured = f"{measurement_of(signal)}{bracket}{index}"
-            yield Connection(("sensors", measured), connection.target)
-        else:
-            yield connection
-    for name in (n for signal in SEEN for n in SENSORS.variable(signal).names()):
-        yield Connection(("plant", name), ("sensors", name))
+@dataclass(frozen=True)
+class WrittenSystem:
+    """A system that is written as one file."""
+
+    components: Mapping[str, Component]  # in the order of stepping
+    connections: Sequence[Connection]
+    stop_time: float  # [s]
+    step_size: float = TICK  # [s]
+    coupling: str = "gauss-seidel"
+
+    def scalar(self, name: Name) -> Scalar:
+        """Return a variable of a component."""
+        return self.components[name[0]].variables[name[1]]
+
+    def outputs(self) -> dict[str, tuple[str, Variable]]:
+        """Outputs of the whole system by their names, with their components."""
+        rows = [
+            (component, scalar.name.partition("[")[0], scalar.variable)
+            for component, each in self.components.items()
+            for scalar in each.variables.values()
+            if scalar.variable.causality == "output" and scalar.variable.kind == "Real"
+        ]
+        of_panda = {v.name: (c, v) for c, name, v in rows if name in SYSTEM_OUTPUTS.get(c, ())}
+        return of_panda or {f"{c}.{v.name}": (c, v) for c, _, v in rows}
 
 
-def write_panda_ssp(
-    path: Path,
-    fmus: Mapping[str, Path],
-    parameters: Mapping[str, Mapping[str, Value]] | None = None,
-    stop_time: float = STOP_TIME,
-) -> Path:
-    """Write the file `Panda.ssp`."""
-    sensors = "sensors" in fmus
-    tables = {"sensors": SENSORS, **TABLES} if sensors else TABLES
-    wires = panda_connections(sensors=sensors)
-    values = parameters or {}
+def write_ssp(path: Path, system: WrittenSystem) -> Path:
+    """Write a system as an .ssp file."""
     members = {
-        STRUCTURE_FILE: structure_description(tables, wires, values, stop_time),
-        CONNECTORS_FILE: structure_description(tables, wires, values, stop_time, SYSTEM_OUTPUTS),
+        STRUCTURE_FILE: structure_description(system),
+        CONNECTORS_FILE: structure_description(system, has_connectors=True),
     }
-    for name, table in tables.items():
-        members[f"resources/{table.model}.fmu"] = fmus[name].read_bytes()
+    for name, component in system.components.items():
+        members[f"resources/{component.file_name}"] = component.file.read_bytes()
+        if component.start_values:
+            parameters = _parameters(component)
+            content = _render("parameters.ssv.j2", system, component=name, parameters=parameters)
+            members[f"resources/{name}.ssv"] = content
     content = archive(members)
     with replacing(path) as partial:  # whoever is killed meanwhile leaves the old file
         partial.write_bytes(content)
     return path
 
 
-def structure_description(
-    tables: Mapping[str, Interface],
-    connections: Sequence[Connection],
-    parameters: Mapping[str, Mapping[str, Value]],
-    stop_time: float,
-    outputs: Mapping[str, Sequence[str]] = MappingProxyType({}),
-) -> bytes:
-    """Make an .ssd file; `outputs` are those of the whole system, by component."""
-    scalars = [(name, scalar) for name, table in tables.items() for scalar in table.scalars()]
-    # Connected or given; other inputs get no connector, since FMPy feeds an unconnected one from
-    # the connector before it. Some importers accept no other type of connector than Real.
-    used = {c.target for c in connections}
-    used |= {(name, parameter) for name, values in parameters.items() for parameter in values}
-    connectors: dict[str, list[Scalar]] = {name: [] for name in tables}
-    for name, scalar in scalars:
-        is_used = scalar.variable.causality == "output" or (name, scalar.name) in used
-        if scalar.variable.kind == "Real" and is_used:
-            connectors[name].append(scalar)
-    start_values: dict[str, list[Any]] = {name: [] for name in tables}
-    for name, values in parameters.items():
-        by_name = {scalar.name: scalar for scalar in tables[name].scalars()}
-        start_values[name] = [_parameter(by_name[each], value) for each, value in values.items()]
-    return render(
+def structure_description(system: WrittenSystem, *, has_connectors: bool = False) -> bytes:
+    """Make an .ssd file, with connectors of the whole system if asked for."""
+    return _render(
         "system.ssd.j2",
-        {},
-        prefixes=PREFIXES,
-        author=AUTHOR,
-        copyright=COPYRIGHT,
-        license=LICENSE,
-        tables=tables,
-        connectors=connectors,
-        parameters=start_values,
-        connections=connections,
-        outputs=[(n, s) for n, s in scalars if s.variable.name in outputs.get(n, ())],
-        step_size=TICK,
-        units={unit: BASE_UNITS[unit] for unit in sorted({s.unit for _, s in scalars if s.unit})},
-        stop_time=stop_time,
+        system,
+        connectors={name: _connectors(system, name) for name in system.components},
+        connections=list(_connections(system)),
+        outputs=system.outputs(),
+        has_connectors=has_connectors,
     )
 
 
-def _parameter(scalar: Scalar, value: Value) -> tuple[str, str, dict[str, str | None]]:
-    """Name, type and value; an enumeration's as a number, which more importers support."""
-    kind, text = str(scalar.variable.kind), literal(value)
-    if kind == "Enumeration":
-        kind, text = "Integer", str(scalar.variable.number_of(str(value)))
-    return scalar.name, kind, {"value": text, "unit": scalar.unit or None}
+def _render(template: str, system: WrittenSystem, **context: Any) -> bytes:
+    components = system.components.values()
+    return render(
+        template,
+        {"base_unit": _base_unit},
+        system=system,
+        prefixes=PREFIXES,
+        about={"author": AUTHOR, "copyright": COPYRIGHT, "license": LICENSE},
+        version="2.0" if any(each.fmi == 3 for each in components) else "1.0",
+        units=dict(sorted((name, unit) for c in components for name, unit in c.units.items())),
+        **context,
+    )
+
+
+def _base_unit(unit: Unit) -> dict[str, float | None]:
+    """Attributes of a unit's definition."""
+    factor = None if unit.factor == 1.0 else unit.factor
+    exponents = {base: e or None for base, e in zip(BASES, unit.exponents, strict=True)}
+    return {**exponents, "factor": factor, "offset": unit.offset or None}
+
+
+def _connectors(system: WrittenSystem, name: str) -> list[Variable]:
+    """Variables that are connected, outputs, and parameters that are given.
+
+    Other inputs get no connector, since FMPy feeds an unconnected one from the connector before it.
+    """
+    component = system.components[name]
+    used = {end for c in system.connections for end in (c.source, c.target)}
+    rows: dict[str, Variable] = {}
+    for key, scalar in component.variables.items():
+        variable = scalar.variable
+        is_given = variable.causality == "parameter" and key in component.start_values
+        is_output = variable.causality == "output" and variable.kind != "Clock"
+        if is_output or is_given or (name, key) in used:
+            rows[variable.name] = variable
+    return [*rows.values()]
+
+
+def _connections(system: WrittenSystem) -> Iterator[tuple[dict[str, Any], tuple[float, float]]]:
+    """Yield attributes and transformation; an array whose elements are fed in order is one."""
+
+    def common(connection: Connection) -> tuple[Any, ...]:
+        ends = (connection.source, connection.target)
+        names = [text for end in ends for text in (end[0], system.scalar(end).variable.name)]
+        linear = (connection.factor, connection.offset)
+        is_plain = linear == (1.0, 0.0) and not connection.converts_types
+        return (*names, connection.converts_units, None if is_plain else linear)
+
+    for key, group in groupby(system.connections, common):
+        (source, output, target, input_, converts_units, linear) = key
+        pairs = [(system.scalar(c.source), system.scalar(c.target)) for c in group]
+        one, other = pairs[0][0].variable, pairs[0][1].variable
+        in_order = [(i, i) for i in range(one.size)] == [(a.element, b.element) for a, b in pairs]
+        is_whole = one.shape == other.shape and in_order
+        for a, b in pairs[:1] if is_whole else pairs:
+            attributes = {
+                "startElement": source, "startConnector": output,
+                "startIndices": None if is_whole else _indices(a),
+                "endElement": target, "endConnector": input_,
+                "endIndices": None if is_whole else _indices(b),
+                "suppressUnitConversion": None if converts_units else "true",
+            }  # fmt: skip
+            yield attributes, linear
+
+
+def _indices(scalar: Scalar) -> str | None:
+    """Indices of an element as SSP 2.0 writes them."""
+    element = scalar.variable.names()[scalar.element].removeprefix(scalar.variable.name)
+    return element.strip("[]").replace(",", " ") or None
+
+
+def _parameters(component: Component) -> Iterator[tuple[Variable, str, str]]:
+    """Yield variable, type and values; enumerations as numbers, which more importers support."""
+    variables: dict[str, list[Scalar]] = {}
+    for scalar in component.variables.values():
+        variables.setdefault(scalar.variable.name, []).append(scalar)
+    for scalars in variables.values():
+        if any(scalar.name in component.start_values for scalar in scalars):
+            variable, texts = scalars[0].variable, []
+            for scalar in scalars:
+                value = component.start_values.get(scalar.name, scalar.start_value())
+                texts.append(written(scalar, value))
+            kind = "Integer" if variable.kind == "Enumeration" else variable.fmi_type
+            yield variable, kind, " ".join(texts)
+
+
+def written(scalar: Scalar, value: Value) -> str:
+    """Write a value, an enumeration's as a number."""
+    number = scalar.converted(value)
+    is_whole = isinstance(number, int) and not isinstance(number, bool)
+    return str(number) if is_whole else literal(number)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..errors import InputError
@@ -105,7 +105,7 @@ def parse_assignment(
     `keys` are what else the caller takes instead of INSTANCE.NAME; they are only named in messages.
     """
     left, equals, right = text.partition("=")
-    (instance, name), dot = split_name(left.strip(), instances), "." in left
+    instance, dot, name = left.strip().partition(".")
     if not (equals and dot and name and right.strip()):
         tables = {each: INTERFACES[each] for each in instances if each in INTERFACES and not dot}
         bare = instance.partition("[")[0]
@@ -121,13 +121,6 @@ def parse_assignment(
             f"{did_you_mean(instance, instances)}"
         )
     return instance, name.strip(), literal(right.strip(), f"--set {text!r}: ")
-
-
-def split_name(text: str, instances: Iterable[str]) -> tuple[str, str]:
-    """Split `INSTANCE.NAME`; a nested instance, such as `arm.motor`, has dots itself."""
-    known = [each for each in instances if text.startswith(f"{each}.")]
-    instance = max(known, key=len, default=text.partition(".")[0])
-    return instance, text[len(instance) + 1 :]
 
 
 def literal(text: str, place: str = "") -> ParameterValue:

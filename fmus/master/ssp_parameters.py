@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Final
 from xml.etree import ElementTree as ET
 
@@ -15,7 +16,7 @@ from ..messages import did_you_mean
 from ..reading import read_xml
 from .fmu_file import read_value
 from .ssp_document import Document, choice, converts_units, local
-from .ssp_structure import End, Structure, shown
+from .ssp_structure import PLAIN, End, Structure, shown
 
 _REALS: Final = ("Real", "Float64", "Float32")
 _INTEGERS: Final = ("Integer", *(f"{u}Int{bits}" for u in ("", "U") for bits in (8, 16, 32, 64)))
@@ -26,19 +27,7 @@ _TYPES: Final = {
     "Integer": _INTEGERS,
     "Enumeration": (*_INTEGERS, "Enumeration", "String"),
 }
-_SHOWN: Final = 3  # parameters without effect that are named
 _Elements = list[list[list[End]]]  # for each element of a parameter, the chains that it goes along
-
-
-@dataclass(frozen=True)
-class _Given:
-    """A parameter of a parameter set."""
-
-    place: str  # in messages
-    typed: ET.Element  # its type, with the values
-    units: Units
-    entry: ET.Element  # of a parameter mapping; an empty one if there is none
-    document: Document
 
 
 class Parameters:
@@ -47,36 +36,31 @@ class Parameters:
     def __init__(self, structure: Structure) -> None:
         self.values: dict[str, dict[str, Value]] = {}  # by component and variable
         self.warnings: list[str] = []
-        self._structure = structure
+        self._structure, self._document = structure, structure.document
         self._targets = _targets(structure) if structure.bindings else {}
-        for binding in structure.bindings:
-            self._apply(*binding)
+        for binding, owner in structure.bindings:
+            self._apply(binding, owner)
 
-    def _apply(self, binding: ET.Element, owner: str, document: Document) -> None:
+    def _apply(self, binding: ET.Element, owner: str) -> None:
+        document = self._document
         values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", document)
-        units = {
-            **document.units,
-            **document.units_of(values.iterfind("ssv:Units/ssc:Unit", PREFIXES)),
-        }
-        entries = _entries(binding, document)
-        unused: list[str] = []
+        own_units = document.units_of(values.iterfind("ssv:Units/ssc:Unit", PREFIXES))
+        entries, unused = _entries(binding, document), []
         for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
             name, typed = binding.get("prefix", "") + parameter.get("name", ""), choice(parameter)
-            plain = [ET.Element("", target=name)]
-            for entry in plain if entries is None else entries[name]:
-                full = shown((owner, entry.get("target", "")))
-                place = f"{label}: parameter {full}"
-                if typed is None:
-                    raise InputError(f"{place}: has no type; must be one such as ssv:Real")
-                for elements in self._targets.get(full, ()):
-                    self._set(elements, _Given(place, typed, units, entry, document))
-                if full not in self._targets:
-                    unused.append(full)
+            typed = parameter if typed is None else typed
+            as_it_is = [ET.Element("", target=name)]
+            for entry in as_it_is if entries is None else entries[name]:
+                target = _full_name(owner, entry.get("target", ""))
+                given = _Given(f"{label}: parameter {target}", typed, entry, own_units)
+                for elements in self._targets.get(target, ()):
+                    self._set(elements, given)
+                if target not in self._targets:
+                    unused.append(target)
         if unused:
-            more = f" and {len(unused) - _SHOWN} more" if len(unused) > _SHOWN else ""
             self.warnings.append(
-                f"{label}: parameter {', '.join(unused[:_SHOWN])}{more}: has no effect, as no "
-                f"variable has this name{did_you_mean(unused[0], self._targets)}"
+                f"{label}: no variable is called {', '.join(unused[:3])}"
+                f"{', ...' * (len(unused) > 3)}{did_you_mean(unused[0], self._targets)}"
             )
 
     def _set(self, elements: _Elements, given: _Given) -> None:
@@ -98,12 +82,12 @@ class Parameters:
             raise InputError(f"{given.place}: {typed}; must be one value of type {kind}")
         steps = [self._converted(chain, given)]
         if change is not None and local(change) == "LinearTransformation":
-            steps.append(given.document.linear(change))
+            steps.append(self._document.linear(change))
         elif change is not None:
             text = _mapped(change, text, given.place)
         value = read_value(f"{given.place} =", scalar.variable, text)
         for factor, offset in (*steps, self._structure.linear(chain)):
-            if (factor, offset) != (1.0, 0.0):
+            if (factor, offset) != PLAIN:
                 if kind not in ("Real", "Float32"):
                     raise InputError(
                         f"{given.place}: a transformation of a {kind}; must be of a Real"
@@ -113,17 +97,26 @@ class Parameters:
 
     def _converted(self, chain: list[End], given: _Given) -> tuple[float, float]:
         """Factor and offset from the unit of a value to that of the chain's first end."""
-        known = [
-            u for u in map(self._structure.units.get, chain) if u and u[0]
-        ]  # or the next one's
-        if not (known and converts_units(given.entry)):
-            return 1.0, 0.0
-        unit = given.typed.get("unit", "")
-        linear = conversion(unit, given.units, *known[0])
+        if not converts_units(given.entry):
+            return PLAIN
+        ends = (self._structure.units[end] for end in chain)
+        # An end without a unit has the next one's.
+        known, unit = next(filter(itemgetter(0), ends), ("", {})), given.typed.get("unit", "")
+        linear = conversion(unit, {**self._document.units, **given.units}, *known)
         if linear is None:
-            valid = f"{known[0][0]!r}, or of the same SI base units"
+            valid = f"{known[0]!r}, or of the same SI base units"
             raise InputError(f"{given.place}: unit {unit!r}; must be {valid}")
         return linear
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A parameter of a parameter set."""
+
+    place: str  # in messages
+    typed: ET.Element  # its type, with the values
+    entry: ET.Element  # of a parameter mapping; an empty one if there is none
+    units: Units  # of the parameter set
 
 
 def _targets(structure: Structure) -> dict[str, list[_Elements]]:
@@ -138,8 +131,12 @@ def _targets(structure: Structure) -> dict[str, list[_Elements]]:
             ends = [(element, item) for item in items]
             is_fmu = element in structure.fmus
             elements = [[[end]] if is_fmu else fed[end] for end in ends]
-            targets[shown((element, name))].append(elements)
+            targets[_full_name(element, name)].append(elements)
     return targets
+
+
+def _full_name(element: str, name: str) -> str:
+    return shown((element.replace("/", "."), name))
 
 
 def _mapped(change: ET.Element, text: str, place: str) -> str:

@@ -13,7 +13,7 @@ from ..interface.tables import Connection
 from ..interface.variables import Value
 from ..reading import finite_number
 from .ssp_parameters import Parameters
-from .ssp_structure import Structure
+from .ssp_structure import Structure, shown
 from .system import RECORDED_KINDS, System
 
 DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
@@ -21,6 +21,7 @@ DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an F
 STEP_SIZES: Final = {
     "oms:FixedStepMaster": "stepSize", "osp:FixedStepAlgorithm": "baseStepSize"
 }  # fmt: skip
+MASTER: Final = "ssd:Annotations/ssc:Annotation/panda:Master"
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class CoupledSystem:
     start_time: float  # [s]
     stop_time: float  # [s]
     step_size: float  # [s]
+    coupling: str  # one of `COUPLINGS`
+    steps: Mapping[str, int]  # of components, in the system's
     warnings: tuple[str, ...] = ()  # parts of the file that have no effect
 
 
@@ -43,6 +46,7 @@ def system_from_ssp(path: Path) -> CoupledSystem:
     connections = list(structure.connections())
     outputs, warnings = _outputs(structure, connections)
     start, stop, step = _experiment(structure)
+    master = structure.document.system.find(MASTER, PREFIXES)
     return CoupledSystem(
         structure.document.system.get("name", "system"),
         System(
@@ -55,6 +59,8 @@ def system_from_ssp(path: Path) -> CoupledSystem:
         start,
         stop,
         step,
+        "gauss-seidel" if master is None else master.get("coupling", ""),
+        {name: max(round(size / step), 1) for name, size in structure.step_sizes.items()},
         (*parameters.warnings, *warnings),
     )
 
@@ -68,15 +74,12 @@ def _outputs(
         for connector, row in structure.connectors[name].items():
             if row.kind == "output":
                 ends |= dict.fromkeys((name, item) for item in structure.items[name][connector])
+    kinds = {end: structure.fmus[end[0]].variable(end[1]).variable.kind for end in ends}
     outputs: dict[str, list[str]] = {name: [] for name in structure.fmus}
-    warnings = []
-    for name, variable in ends:
-        kind = structure.fmus[name].variable(variable).variable.kind
-        if kind in RECORDED_KINDS:
-            outputs[name].append(variable)
-        else:
-            warnings.append(f"{name}.{variable} is not recorded: it is a {kind}")
-    return outputs, warnings
+    for name, variable in (end for end, kind in kinds.items() if kind in RECORDED_KINDS):
+        outputs[name].append(variable)
+    others = {shown(end): kind for end, kind in kinds.items() if kind not in RECORDED_KINDS}
+    return outputs, [f"{name} is not recorded: it is a {kind}" for name, kind in others.items()]
 
 
 def _experiment(structure: Structure) -> tuple[float, float, float]:

@@ -37,6 +37,7 @@ from ..scenario.scenario import (
     shipped_scenarios,
 )
 from ..scenario.trajectory import TIME_TOLERANCE
+from ..system.assembly import system_scenario
 from ..system.parts import UnreadSlaveError
 from ..timing.joint_reference import joint_reference
 from ..timing.violations import LimitViolation, find_violations
@@ -45,6 +46,7 @@ from .suggestions import suggestions
 
 Level = Literal["wrong", "hint", "good"]
 
+SYSTEM: Final = ".ssp"
 SHOWN: Final = 4  # limit violations that are listed
 
 
@@ -61,11 +63,11 @@ def check_folder(
     overrides: Overrides | None = None,
     settings: Mapping[str, ParameterValue] | None = None,
 ) -> list[Diagnostic]:
-    """Check a scenario's folder: prepare it as `run` does, run it in memory, say what is wrong."""
-    if not folder.is_dir():
+    """Check a scenario's folder, or an .ssp file, as `run` prepares it; say what is wrong."""
+    if folder.suffix != SYSTEM and not folder.is_dir():
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
-        scenario = with_values(Scenario.read(folder), settings or {})
+        scenario = with_values(read_checked(folder), settings or {})
         prepared = prepare(scenario, Options(overrides=overrides or {}), run_code=False)
         is_foreign = prepared.scenario.has_own_parts
         diagnostics = _foreign(prepared) if is_foreign else _rehearsed(prepared)
@@ -73,9 +75,17 @@ def check_folder(
         text = f"{error}; connections and parameters are checked by a run"
         return _diagnostics("hint", [*_remarks(scenario), text])
     except (InputError, ValueError) as error:
-        place = "" if str(error).startswith(str(folder)) else f"{folder / SCENARIO_FILE}: "
+        file = folder if folder.suffix == SYSTEM else folder / SCENARIO_FILE
+        place = "" if str(error).startswith(str(folder)) else f"{file}: "
         return [Diagnostic("wrong", f"{place}{error}")]
-    return [*_diagnostics("hint", _remarks(prepared.scenario)), *diagnostics]
+    # An .ssp file has neither a purpose nor criteria.
+    remarks = () if folder.suffix == SYSTEM else _remarks(prepared.scenario)
+    return [*_diagnostics("hint", remarks), *diagnostics]
+
+
+def read_checked(path: Path) -> Scenario:
+    """Read a scenario's folder, or what runs the system of an .ssp file."""
+    return system_scenario(path) if path.suffix == SYSTEM else Scenario.read(path)
 
 
 def _diagnostics(level: Level, texts: Iterable[str]) -> list[Diagnostic]:

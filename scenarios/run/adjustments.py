@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import ParameterValue, expand, split_name
+from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.step import SWITCHED
 from ...fmus.messages import did_you_mean, excerpt
@@ -63,7 +63,7 @@ class Adjustments:
         if name in self.inputs:
             self.inputs.hold(name, value)
             return {}
-        instance, parameter = split_name(name, self.interfaces)
+        instance, _dot, parameter = name.partition(".")
         if instance not in self.interfaces:
             names = ", ".join(self.interfaces)
             raise InputError(f"{name}: no instance {instance!r}; valid: {names}")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import ParameterValue, literal, split_name
+from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.master.step import Coupling
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
@@ -24,7 +24,6 @@ from ..fields import Quantity, check_choice, check_keys, field_names
 from ..scenario.mismatch import Mismatch, default_of
 from ..scenario.scenario import DURATION, TABLE_FILE, Scenario
 from ..scenario.table import QUATERNION_COLUMNS
-from ..system.assembly import instances
 from .start import Overrides
 
 MAX_TIME_LIMIT = 1e9  # [s]
@@ -179,14 +178,13 @@ def _with_all(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scena
     changes: dict[Steps, Any] = {}
     inputs: dict[str, ParameterValue] = {}
     parameters: dict[str, dict[str, ParameterValue]] = {}
-    known = instances(scenario) if scenario.system else ()
     for key, value in values.items():
-        instance, name = split_name(key, known)
+        instance, dot, name = key.partition(".")
         if instance == "inputs":
             inputs[name] = value
         elif _is_setting(key):
             changes[_steps(key)] = value
-        elif "." in key:
+        elif dot:
             parameters.setdefault(instance, {})[name] = value
         else:
             raise _no_such(key)

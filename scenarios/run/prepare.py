@@ -39,6 +39,15 @@ class Prepared:
         """Return the external inputs, of a changed scenario if one is given."""
         return Inputs(scenario or self.scenario, self.values, self.assembly)
 
+    def start_values(self) -> StartValues:
+        """Return the start values that the FMUs are given, with those of driven inputs."""
+        assembly = self.assembly
+        values = assembly.changed(self.values)
+        driven = assembly.driven.at_start(assembly.start_time, assembly.scalars)
+        for name, inputs in driven.items():
+            values[name] = {**values.get(name, {}), **inputs}
+        return values
+
     def open(self, warnings: list[str]) -> AbstractContextManager[OpenSystem]:
         """Build, open and initialize the FMUs; their messages are appended to `warnings`."""
 
@@ -46,13 +55,10 @@ class Prepared:
             kind = "" if status.lower() == "warning" else f" {status.lower()}"
             warnings.append(f"{instance}{kind}: {text}")
 
-        assembly, start = self.assembly, self.assembly.start_time
-        values = assembly.changed(self.values)
-        for name, driven in assembly.driven.at_start(start, assembly.scalars).items():
-            values[name] = {**values.get(name, {}), **driven}
+        start = self.assembly.start_time
         return open_system(
-            assembly.system,
-            values,
+            self.assembly.system,
+            self.start_values(),
             start=start,
             stop=start + self.scenario.duration,
             step_size=self.scenario.step,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from ...fmus.master.wiring import Array, Name
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
 from ..recording import Column
-from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Scenario
+from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Coupling, Scenario
 from .connector import Connector
 from .driven import DrivenInputs, driven_inputs
 from .parts import Part, read_parts
@@ -305,6 +306,8 @@ def system_scenario(path: Path, duration: float | None = None) -> Scenario:
         table=NO_TABLE,
         duration=duration,
         step=step,
+        coupling=cast("Coupling", coupled.coupling),
+        steps=coupled.steps,
         system=path.name,
         folder=path.parent.resolve(),
     )

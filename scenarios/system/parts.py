@@ -39,7 +39,7 @@ class Part:
     name: str  # of the instance
     file: Path | None  # where it comes from; None: the project's own
     interface: Interface
-    make: Callable[[], Path]  # builds the FMU, if need be, and returns its path
+    make: Callable[..., Path]  # builds the FMU, if need be, for a Target if given; returns its path
 
     @property
     def place(self) -> str:
@@ -90,8 +90,8 @@ def read_parts(
 def _own(name: str, kind: Kind, files: Mapping[str, Path]) -> Part:
     interface = SENSORS if name == "sensors" else INTERFACES[name]
 
-    def make() -> Path:
-        return files[name] if name in files else build([name], target=Target(kind))[name]
+    def make(target: Target | None = None) -> Path:
+        return files[name] if name in files else build([name], target=target or Target(kind))[name]
 
     return Part(name, None, interface, make)
 
@@ -117,15 +117,20 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
                                    "only known when it is run")  # fmt: skip
         from ...fmus.sources.python_fmu import slave_fmu  # noqa: PLC0415 - see above
 
-        path = build_fmu(slave_fmu(law.path, law.name))
-    elif path.suffix != ".fmu":
+        slave = slave_fmu(law.path, law.name)
+        path = build_fmu(slave)
+        interface = described_interface(read_fmu(path))
+        return Part(name, path, interface, lambda target=None: build_fmu(slave, target=target))
+    if path.suffix != ".fmu":
         from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - see above
 
         model = model_part(path)
-        return Part(name, path, model.interface, lambda: build_fmu(model))
+        return Part(
+            name, path, model.interface, lambda target=None: build_fmu(model, target=target)
+        )
     values = {"plant": scenario.plant, "controller": scenario.controller, **scenario.parameters}
     fmu = read_fmu(path).restructured(values.get(name, {}))
-    return Part(name, path, described_interface(fmu), lambda: path)
+    return Part(name, path, described_interface(fmu), lambda _target=None: path)
 
 
 class UnreadSlaveError(InputError):
@@ -153,7 +158,11 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
 
     interface = law_interface(law, signal, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
-    return Part(name, law.path, interface, lambda: build_fmu(law_fmu(law, interface, start)))
+
+    def make(target: Target | None = None) -> Path:
+        return build_fmu(law_fmu(law, interface, start), target=target)
+
+    return Part(name, law.path, interface, make)
 
 
 def measures_a_panda(interface: Interface) -> bool:

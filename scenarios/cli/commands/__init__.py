@@ -26,7 +26,7 @@ COMMANDS = {
     "compare": (RESULTS, "Compare runs: parameters, verdicts, metrics and signals."),
     "export": (RESULTS, "Write a recording as CSV."),
     "analyze": (RESULTS, "Linearise the control loop: margins, bandwidth, Bode plots."),
-    "build": (MACHINE, "Build the FMUs, and Panda.ssp that connects them, for other tools."),
+    "build": (MACHINE, "Build the FMUs of a scenario, and Panda.ssp that connects them."),
     "mjcf2fmu": (MACHINE, "Make an FMU from any MuJoCo model, without run-time dependencies."),
     "info": (MACHINE, "Show the FMUs' variables and how they are connected."),
     "doctor": (MACHINE, "Show what is installed, what is missing, and how to get it."),

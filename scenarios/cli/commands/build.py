@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from ....fmus.atomic import check_replaceable
-from ....fmus.build.ssp import write_panda_ssp
+from ....fmus.atomic import check_replaceable, replacing
+from ....fmus.build.ssp import write_ssp
 from ....fmus.errors import CosimError, InputError
-from ....fmus.interface.sensors import SENSORS
-from ....fmus.interface.tables import INTERFACES
 from ....fmus.sources.python_fmu import slave_fmu
-from ....fmus.sources.targets import OWN, Kind, Target, build, build_fmu, build_trajectory
+from ....fmus.sources.targets import Kind, Target, build_fmu
 from ...check.experiments import (
     Experiment,
     add_experiment,
     experiments_of,
     write_compatibility,
 )
-from ...run.start import instants, resolve, start_values
+from ...run.written import written_system
 from ...scenario.scenario import Scenario
 from ..console import show_file, warn
 from ..options import (
@@ -38,14 +37,20 @@ from ..options import (
 )
 
 SYSTEM_FILE: Final = "Panda.ssp"
+CONTAINER_FILE: Final = "Panda.fmu"
 
 
 def command(  # noqa: PLR0913 - one for each option
     out: Path = option("--out -o DIR", "Folder to write the files to.", Path()),
     scenario: str = option(
         "--scenario SCENARIO",
-        "Scenario whose commands PandaTrajectory.fmu plays, and whose parameters Panda.ssp sets.",
+        "Scenario to build: its FMUs, and Panda.ssp with its connections and parameters.",
         DEFAULT_SCENARIO,
+    ),
+    container: bool = option(
+        "--container",
+        "Build only Panda.fmu, which contains the whole system. Needs the extra `container`.",
+        False,
     ),
     kind: Kind = KIND,
     fmi: FmiVersion = FMI,
@@ -64,39 +69,41 @@ def command(  # noqa: PLR0913 - one for each option
     ),
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Build the FMUs, and Panda.ssp that connects them, for other tools.
+    """Build the FMUs of a scenario, and Panda.ssp that connects them.
 
-    PandaTrajectory.fmu plays the commands of a scenario. Panda.ssp contains all three FMUs, their
-    connections and the scenario's parameters; --names flat leaves it out. If the scenario's
-    [mismatch] affects the readings, PandaSensors.fmu is added. Each FMU holds a reference
-    experiment (FMI-LS-REF), driven as in the scenario, which `check` runs. `run` needs no `build`:
-    it builds its FMUs itself and keeps them in a cache. With --slave, a class written for PythonFMU
-    becomes CLASS.fmu; a machine that runs it needs the packages that the class imports.
+    PandaTrajectory.fmu plays the commands of the scenario. Panda.ssp contains all FMUs, their
+    connections and the scenario's parameters; with --fmi 3 it is an SSP 2.0. The scenario may have
+    FMUs of its own. Each FMU holds a reference experiment (FMI-LS-REF), driven as in the scenario,
+    which `check` runs. `run` needs no `build`: it builds its FMUs itself and keeps them in a cache.
+    With --slave, a class written for PythonFMU becomes CLASS.fmu; a machine that runs it needs the
+    packages that the class imports.
 
     ```
     panda-cosim build --out fmus-for-my-tool
     panda-cosim build --scenario calibrated --out with-sensors
     panda-cosim build --fmi 3 --platform linux64,win64 --out fmus-for-all
     panda-cosim run fmus-for-my-tool/Panda.ssp
+    panda-cosim build --scenario ./mine --container
     panda-cosim build --slave my_sensor.py:Sensor --fmi 3
     ```
     """
     target = target_of(kind, fmi, platform, scalars=scalars, names=names)
     if slave:
-        if scenario != DEFAULT_SCENARIO or kind != "native":
-            name = "--kind" if scenario == DEFAULT_SCENARIO else "--scenario"
+        others = {"--scenario": scenario != DEFAULT_SCENARIO, "--kind": kind != "native",
+                  "--container": container}  # fmt: skip
+        for name in (name for name, is_used in others.items() if is_used):
             raise InputError(f"{name}: cannot be combined with --slave")
-        paths, experiments = [_build_slave(slave, out, target, overwrite=overwrite)], {}
+        built = {_build_slave(slave, out, target, overwrite=overwrite): ""}
+        experiments: dict[str, Experiment] = {}
     else:
         chosen = find_scenario(scenario)
-        announce_build(target)
-        paths = build_all(chosen, out, target, overwrite=overwrite)
-        experiments = experiments_of(chosen)
-    instances = {own.interface.model: name for name, own in OWN.items()}
-    for path in paths:
+        if not chosen.is_system:
+            announce_build(target)
+        built = build_all(chosen, out, target, container=container, overwrite=overwrite)
+        experiments = {} if container else experiments_of(chosen)
+    for path, instance in built.items():
         if path.suffix == ".fmu":
-            experiment = experiments.get(instances.get(path.stem, ""))
-            put_reference(path, experiment, compatibility=compatibility)
+            put_reference(path, experiments.get(instance), compatibility=compatibility)
         show_file(path)
 
 
@@ -125,38 +132,29 @@ def _build_slave(slave: str, out: Path, target: Target, *, overwrite: bool) -> P
 
 
 def build_all(
-    scenario: Scenario, out: Path, target: Target | None = None, *, overwrite: bool = True
-) -> list[Path]:
-    """Build PandaPlant, PandaController, PandaTrajectory and Panda.ssp.
+    scenario: Scenario,
+    out: Path,
+    target: Target | None = None,
+    *,
+    container: bool = False,
+    overwrite: bool = True,
+) -> dict[Path, str]:
+    """Build a scenario as FMUs, one of which plays its inputs, and Panda.ssp; or as one FMU.
 
-    A scenario whose readings have errors adds PandaSensors.
+    Returns the instance of each file, or "".
     """
-    if scenario.has_own_parts:
-        raise InputError(
-            f"scenario {scenario.name!r}: has FMUs, connections or parameters of its own; must "
-            "have only the project's plant and controller"
-        )
-    values = start_values(scenario)
-    commands = resolve(scenario, values).sample(instants(scenario))
-    # The system is made of those in the cache: another `build` may write to the same folder.
-    fmus = build(values, target=target)
-    fmus["trajectory"] = build_trajectory(commands, target=target)
-    system = out / SYSTEM_FILE
-    check_replaceable(*(out / path.name for path in fmus.values()), system, overwrite=overwrite)
-    copies = [*build(values, out, target).values()]
-    copies.append(build_trajectory(commands, out / fmus["trajectory"].name, target))
-    if target is not None and target.flat:  # the system's connectors have structured names
-        return copies
-    # Few importers set parameters that are not Real: write these only where they differ.
-    tables = {**INTERFACES, "sensors": SENSORS}
-    defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in tables.items()}
-    parameters = {
-        instance: {
-            name: value
-            for name, value in start.items()
-            if isinstance(value, float) or value != defaults[instance][name]
-        }
-        for instance, start in values.items()
-    }
-    ssp = write_panda_ssp(system, fmus, parameters, scenario.duration)
-    return [*copies, ssp]
+    target = target or Target()
+    if container:
+        from ....fmus.build.container import write_container  # noqa: PLC0415 - an extra
+
+        check_replaceable(out / CONTAINER_FILE, overwrite=overwrite)
+        system = written_system(scenario, replace(target, fmi=2))
+        return {write_container(out / CONTAINER_FILE, system, target.fmi): ""}
+    system = written_system(scenario, target)
+    files = {out / each.file_name: (each.file, name) for name, each in system.components.items()}
+    check_replaceable(*files, out / SYSTEM_FILE, overwrite=overwrite)
+    for path, (file, _) in files.items():
+        with replacing(path) as partial:
+            partial.write_bytes(file.read_bytes())
+    instances = {path: name for path, (_, name) in files.items()}
+    return {**instances, write_ssp(out / SYSTEM_FILE, system): ""}

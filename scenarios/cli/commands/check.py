@@ -9,10 +9,9 @@ from pathlib import Path
 import typer
 
 from ....fmus.errors import InputError
-from ...check.check import check_folder
+from ...check.check import check_folder, read_checked
 from ...check.experiments import check_experiments
 from ...run.options import TOP, split_settings
-from ...scenario.scenario import Scenario
 from ...system.assembly import instances
 from ..console import show, show_json
 from ..options import JSON, SETTINGS, argument, overrides
@@ -22,7 +21,7 @@ STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
 
 
 def command(
-    folder: Path = argument("FOLDER", "Folder of a scenario, or an .fmu file."),
+    folder: Path = argument("FOLDER", "Folder of a scenario, or an .fmu or .ssp file."),
     assignments: list[str] | None = SETTINGS,
     json: bool = JSON,
 ) -> None:
@@ -44,6 +43,7 @@ def command(
     panda-cosim check my-scenarios/lift
     panda-cosim check my-scenarios/lift --set plant.block_mass=2 --set mismatch.preset=worn
     panda-cosim check Feedthrough.fmu
+    panda-cosim check Panda.ssp
     ```
     """
     if folder.suffix == ".fmu":
@@ -54,7 +54,7 @@ def command(
     settings, parameters = split_settings(assignments or ())
     names: tuple[str, ...] = ()
     with suppress(InputError):  # a scenario that cannot be read: the check explains why
-        names = tuple(instances(Scenario.read(folder)))
+        names = tuple(instances(read_checked(folder)))
     diagnostics = check_folder(folder, overrides(parameters, names, TOP), settings)
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:

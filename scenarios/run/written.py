@@ -1,0 +1,100 @@
+"""A scenario for other tools: FMUs, one of which plays its inputs, connections and parameters."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from ...fmus.build.native import NativeFmu
+from ...fmus.build.ssp import Component, WrittenSystem
+from ...fmus.errors import InputError
+from ...fmus.interface.tables import Connection
+from ...fmus.interface.trajectory import TABLE_FILE, TRAJECTORY
+from ...fmus.interface.variables import Interface, output
+from ...fmus.master.fmu_file import read_fmu
+from ...fmus.master.wiring import Name
+from ...fmus.sources.targets import Target, build_fmu, build_trajectory
+from ..scenario.scenario import Scenario
+from .options import Options
+from .prepare import Prepared, prepare
+
+LAW: Final = (
+    "Plays a table, one row per step from t = 0 on. After the last row its values are kept."
+)
+
+
+def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
+    """Build the FMUs of a scenario, and say how they are connected."""
+    if scenario.system:
+        raise InputError(
+            f"scenario {scenario.name!r}: system = {scenario.system!r} is an .ssp file already; "
+            "must be a scenario of FMUs"
+        )
+    prepared = prepare(scenario, Options(kind=target.kind))
+    assembly, values = prepared.assembly, prepared.start_values()
+    makers: dict[str, Callable[..., Path]] = {part.name: part.make for part in assembly.parts}
+    connections = list(assembly.connections)
+    # Values that never change are start values; the others are played.
+    played = [name for name in assembly.external if name not in assembly.driven.constant]
+    if played:
+        player = "trajectory"
+        while player in makers:
+            player += "_"
+        counts = Counter(name for _, name in played)
+        outputs = [name if counts[name] == 1 else f"{i}.{name}" for i, name in played]
+        ends = zip(outputs, played, strict=True)
+        connections += [Connection((player, name), end) for name, end in ends]
+        makers[player] = lambda target: _build_player(prepared, played, outputs, target)
+    files = {name: make(target) for name, make in makers.items()}
+    counts = Counter(file.name for file in {*files.values()})  # two files may have one name
+    components: dict[str, Component] = {}
+    for name, file in files.items():
+        fmu = read_fmu(makers[name](replace(target, platforms=())))  # for this machine
+        fmu = fmu.restructured(values.get(name, {}))
+        given = {
+            scalar: value
+            for scalar, value in values.get(name, {}).items()
+            # Few importers set what is not Real.
+            if isinstance(value, float) or value != assembly.scalars[name, scalar].start
+        }
+        components[name] = Component(
+            file,
+            file.name if counts[file.name] == 1 else f"{name}.fmu",
+            fmu.fmi,
+            fmu.variables,
+            fmu.units,
+            given,
+            assembly.steps.get(name, 1),
+        )
+    return WrittenSystem(
+        components, connections, scenario.duration, scenario.step, scenario.coupling
+    )
+
+
+def _build_player(
+    prepared: Prepared, played: Sequence[Name], outputs: Sequence[str], target: Target
+) -> Path:
+    """Build the FMU that plays external inputs, one row for each step."""
+    assembly, scenario = prepared.assembly, prepared.scenario
+    columns = [assembly.external.index(name) for name in played]
+    rows = prepared.inputs()[: scenario.ticks + 1][:, columns]
+    if outputs == [name for v in TRAJECTORY.of("output") for name in v.names()]:
+        return build_trajectory(rows, target=target)
+    scalars = [assembly.scalars[name] for name in played]
+    for scalar in scalars:
+        if scalar.variable.kind != "Real":
+            raise InputError(
+                f"[inputs] {scalar.name}: is a {scalar.variable.kind}; must be a Real, or a value "
+                "that does not change over time"
+            )
+    variables = tuple(
+        output(name, (), scalar.unit, scalar.variable.description)
+        for name, scalar in zip(outputs, scalars, strict=True)
+    )
+    interface = Interface(TRAJECTORY.model, "Plays a scenario's inputs", variables)
+    resources, options = {TABLE_FILE: rows.astype("<f8").tobytes()}, (("table", TABLE_FILE),)
+    player = NativeFmu(interface, "player", LAW, resources, options, step_size=scenario.step)
+    return build_fmu(player, target=target)
