@@ -46,7 +46,7 @@ def _head(path: Path) -> bytes:
 
 
 def _is_ours(path: Path, head: bytes) -> bool:
-    if not head.startswith(b"PK"):
+    if not head.startswith(b"PK") or MARK.encode() in head:
         return MARK.encode() in head
     with suppress(Exception), zipfile.ZipFile(path) as archive:  # ten types for damaged ones
         names = _DESCRIPTIONS.intersection(archive.namelist())

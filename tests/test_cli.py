@@ -371,24 +371,18 @@ def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
     assert call("export", finished, file, "--overwrite").exit_code == 0
 
 
-def test_an_analysis_takes_scenario_gains_and_mismatch(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(f"{MODULES}.analyze.PERIODS", (0.002,))
-    monkeypatch.setenv("COLUMNS", "80")
+@pytest.mark.fmu
+def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path: Path) -> None:
     given = ("--set", "controller.period=0.002", "--set", "mismatch.delay=0.002")
-    result = call("analyze", "worn_joints", *given, "--out", tmp_path / "new")
+    result = forked("analyze", "worn_joints", *given, "--out", tmp_path / "new", COLUMNS="80")
 
-    assert result.exit_code == 0
-    assert "period 2 ms, gauss-seidel: stable" in result.stdout
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.index("period 2 ms, gauss-seidel") < result.stdout.index("period 1 ms")
+    assert "period 2 ms, jacobi: stable" in result.stdout
     words = result.stdout.split()
     assert {"joint", "gain", "phase", "[dB]", "[deg]", "[Hz]", "[ms]", "settling"} <= set(words)
     assert "disk margin" in result.stdout
-    assert "saturation" in result.stdout
-    # What is not in the linear model.
-    assert "of this scenario: hand_pose_source, joint_friction" in result.stdout
     assert max(map(len, result.stdout.replace(str(tmp_path), "").splitlines())) <= 80
-    assert {p.name for p in (tmp_path / "new").iterdir()} == {"analysis.json", "loops.png"}
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

@@ -119,12 +119,13 @@ def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path: Path)
         "from pathlib import Path\n"
         "from test_plot import made_up_run\n"
         "from regress_support import columns, record\n"
-        "from panda_cosim.controller.design import analyze\n"
-        "from panda_cosim.controller.design_plot import plot_analysis\n"
+        "from panda_cosim import analyze\n"
+        "from panda_cosim.scenarios.analysis.plot import plot_analysis\n"
         "from panda_cosim.scenarios.pictures.plot import plot_run, plot_signals\n"
         "plot_run(made_up_run(), 'run.png')\n"
         "plot_signals(record(Path('run'), columns()), Path('signals.png'))\n"
-        "plot_analysis(analyze(periods=(0.001,)), Path('loops.png'))\n"
+        "loops = analyze('pick_and_place')\n"
+        "plot_analysis(loops, [loops.margins], Path('loops.png'))\n"
     )
     pictures = []
     for index, own in enumerate(("", MATPLOTLIBRC)):

@@ -29,6 +29,7 @@ class LawSlave:
         layout = json.loads(Path(resources, "layout.json").read_text(encoding="utf-8"))
         self._variables, self._start = layout["variables"], layout["start"]
         self._step = float(layout["step"])
+        self._first = layout.get("first")  # what the first `ctrl` must be like
         self._law: Any = None
         self._ticks, self._start_time = 0, 0.0
 
@@ -80,6 +81,13 @@ class LawSlave:
             raise ValueError(f"update: ctrl of shape {ctrl.shape}; must be {self._ctrl.shape}")
         if not np.isfinite(ctrl).all():
             raise ValueError(f"update: ctrl at t = {time:.3f} s is not finite: {ctrl}")
+        if self._first and self._ticks == 0:
+            arm = ctrl[: len(self._first["low"])]
+            within = bool(((arm >= self._first["low"]) & (arm <= self._first["high"])).all())
+            if within != self._first["within"]:
+                raise ValueError(
+                    f"update: ctrl starts with {arm.round(2)}; {self._first['reason']}"
+                )
         self._ctrl[...] = ctrl
 
     def get_state(self) -> bytes:

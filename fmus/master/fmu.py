@@ -70,7 +70,7 @@ class FmuSlave(ABC):
         # wrapper needs it at once; calls to other FMUs release it, so that other threads run.
         kind = ctypes.PyDLL if fmu.in_python else ctypes.CDLL
         self._library: Any = kind("", handle=self._instance.dll._handle)
-        self.step = self._make_step()
+        self.step = self._make_step(goes_back=False)
 
     # Different in FMI 2.0 and 3.0.
 
@@ -85,8 +85,8 @@ class FmuSlave(ABC):
         """Make the instance; raises any Exception."""
 
     @abstractmethod
-    def _make_step(self) -> StepCall:
-        """Make the function `step`, by one communication step."""
+    def _make_step(self, *, goes_back: bool) -> StepCall:
+        """Make the function `step`, by one communication step; the FMU may have to go back."""
 
     @abstractmethod
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
@@ -267,6 +267,17 @@ class FmuSlave(ABC):
         values: Array = np.full(len(names), math.nan)
         self.bind_get(names, values[np.newaxis])(0)
         return values
+
+    def save(self) -> Callable[[], None]:
+        """Save the state; returns a function that goes back to it, as often as it is called."""
+        if not self.fmu.description.coSimulation.canGetAndSetFMUstate:
+            raise InputError(
+                f"{self.fmu.label}: {self.name} cannot go back to a state; its FMU must have "
+                f"canGetAndSetFMU{'s' if self.fmu.fmi == 2 else 'S'}tate"
+            )
+        self.step = self._make_step(goes_back=True)
+        self.save_state()
+        return self.restore_state
 
     def save_state(self) -> None:
         """Keep the present state in the one place for it."""

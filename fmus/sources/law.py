@@ -21,7 +21,7 @@ from __future__ import annotations
 import ast
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
@@ -157,7 +157,19 @@ def _parameter(name: str, value: bool | Numbers) -> Variable:
     return Variable(name, shape, "1", "parameter", "tunable", text, value)
 
 
-def law_fmu(law: LawFile, interface: Interface, start: tuple[float, ...]) -> NativeFmu:
+@dataclass(frozen=True)
+class FirstCtrl:
+    """What a scene's first `ctrl` must be like, so that torques and angles are not confused."""
+
+    low: tuple[float, ...]  # of the first elements
+    high: tuple[float, ...]
+    within: bool  # whether all must be within these bounds, or at least one beyond
+    reason: str  # for the message, otherwise
+
+
+def law_fmu(
+    law: LawFile, interface: Interface, start: tuple[float, ...], first: FirstCtrl | None = None
+) -> NativeFmu:
     """Describe a law's FMU; `start` is `ctrl` before the first update, by element."""
     set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n"
     slave = {SLAVE_FILE: SLAVE.read_bytes() + set_law.encode()}
@@ -167,19 +179,20 @@ def law_fmu(law: LawFile, interface: Interface, start: tuple[float, ...]) -> Nat
         slave | law_code(law.path),
         (SLAVE_FILE.removesuffix(".py"), "LawSlave"),
         ("numpy",),
-        resources={LAYOUT: _layout(interface, start)},
+        resources={LAYOUT: _layout(interface, start, first)},
         private=True,
     )
 
 
-def _layout(interface: Interface, start: tuple[float, ...]) -> bytes:
+def _layout(interface: Interface, start: tuple[float, ...], first: FirstCtrl | None) -> bytes:
     """Layout of the variables, for the slave, as JSON."""
     rows = [
         {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
          "is_switch": v.kind == "Boolean"}
         for v in interface.variables
     ]  # fmt: skip
-    return json.dumps({"step": STEP_SIZE, "variables": rows, "start": start}).encode()
+    layout = {"step": STEP_SIZE, "variables": rows, "start": start}
+    return json.dumps(layout | ({"first": asdict(first)} if first else {})).encode()
 
 
 def law_code(path: Path) -> dict[str, bytes]:

@@ -124,7 +124,9 @@ def code_of(path: Path, root: Path) -> dict[str, bytes]:
     while waiting:
         name = waiting.pop()
         if name not in code and (name == first or (root / name).is_file()):
-            imports = _imports(name, parse_file(root / name))
+            tree = parse_file(root / name)
+            _refuse_late_imports(root, name, tree)
+            imports = _imports(name, tree)
             code[name] = (root / name).read_bytes()
             for module in imports:
                 stem = module.replace(".", "/")
@@ -132,7 +134,20 @@ def code_of(path: Path, root: Path) -> dict[str, bytes]:
     return code
 
 
-def _imports(path: str, tree: ast.Module) -> Iterator[str]:
+def _refuse_late_imports(root: Path, path: str, tree: ast.Module) -> None:
+    """Refuse imports of modules beside a file in its functions: the FMU's loader is gone then."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            for module in filter(None, _imports("", node)):
+                stem = root / module.replace(".", "/")
+                if stem.with_suffix(".py").is_file() or (stem / "__init__.py").is_file():
+                    raise InputError(
+                        f"{root / path}: {node.name} imports {module}; must import it at the top "
+                        "of the file, since an FMU finds its modules only while it is loaded"
+                    )
+
+
+def _imports(path: str, tree: ast.AST) -> Iterator[str]:
     """Yield the names that a module imports and that may be modules beside it."""
     folders = path.split("/")[:-1]
     yield from (".".join(folders[: i + 1]) for i in range(len(folders)))  # its packages

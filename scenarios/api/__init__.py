@@ -15,6 +15,7 @@ The public names are imported when first used, so that `import panda_cosim` cost
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
+    from panda_cosim.scenarios.analysis.analysis import Analysis, analyze
     from panda_cosim.scenarios.compare.between_runs import RunComparison, compare
     from panda_cosim.scenarios.recording.reader import Recording
     from panda_cosim.scenarios.run.options import Options
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from panda_cosim.scenarios.sweep.engine import sweep
 
 __all__ = [
+    "Analysis",
     "CosimError",
     "InputError",
     "Options",
@@ -53,6 +55,7 @@ __all__ = [
     "Trajectory",
     "TrajectoryTable",
     "__version__",
+    "analyze",
     "compare",
     "load_scenario",
     "replay",
@@ -62,6 +65,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "Analysis": "scenarios.analysis.analysis",
     "CosimError": "fmus.errors",
     "InputError": "fmus.errors",
     "Options": "scenarios.run.options",
@@ -78,6 +82,7 @@ _MODULES = {
     "TableRow": "scenarios.scenario.table",
     "Trajectory": "scenarios.scenario.trajectory",
     "TrajectoryTable": "scenarios.scenario.table",
+    "analyze": "scenarios.analysis.analysis",
     "compare": "scenarios.compare.between_runs",
     "load_scenario": "scenarios.scenario.scenario",
     "replay": "scenarios.run.replay",

@@ -17,7 +17,7 @@ from ...fmus.master.system import notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.criterion import miss_text
-from ..run.options import Options, with_values
+from ..run.options import Options, with_options, with_values
 from ..run.prepare import Prepared, prepare
 from ..run.result import Run
 from ..run.start import (
@@ -62,12 +62,14 @@ def check_folder(
     folder: Path,
     overrides: Overrides | None = None,
     settings: Mapping[str, ParameterValue] | None = None,
+    parts: Mapping[str, str] | None = None,
 ) -> list[Diagnostic]:
     """Check a scenario's folder, or an .ssp file, as `run` prepares it; say what is wrong."""
     if folder.suffix != SYSTEM and not folder.is_dir():
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
-        scenario = with_values(read_checked(folder), settings or {})
+        scenario = with_options(read_checked(folder), Options(parts=parts or {}))
+        scenario = with_values(scenario, settings or {})
         prepared = prepare(scenario, Options(overrides=overrides or {}), run_code=False)
         is_foreign = prepared.scenario.has_own_parts
         diagnostics = _foreign(prepared) if is_foreign else _rehearsed(prepared)

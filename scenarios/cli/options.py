@@ -15,7 +15,7 @@ from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind, Target, outdated
-from ..run.options import TOP, Options, split_settings, with_values
+from ..run.options import TOP, Options, split_settings, with_options, with_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
 from ..system.assembly import instances
 from .console import tell, warn
@@ -55,6 +55,13 @@ RUN = argument("RUN", "Folder of a run, or its recording.", show_default=False)
 CSV_FILE = argument("FILE.csv", "The file to write.")
 PARAMETERS = option("--set -s NAME=VALUE", _START_VALUE)
 SETTINGS = option("--set -s NAME=VALUE", _START_VALUE + _KEYS)
+CONTROLLER = option(
+    "--controller FILE",
+    "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your permissions.",
+)
+PLANT = option(
+    "--plant FILE", "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file."
+)
 JSON = option("--json", "Print the result as JSON instead of tables.", False)
 OPEN_PAGE = option("--open", "Open the page in the browser.", False)
 OVERWRITE = option("--overwrite", "Replace existing files, whoever made them.", False)
@@ -120,10 +127,18 @@ def overrides(
 def assigned(
     scenario: Scenario, assignments: list[str] | None, options: Options | None = None
 ) -> tuple[Scenario, Options]:
-    """Return a scenario with its keys changed by `--set`, and options with the FMUs' parameters."""
+    """Return a scenario with parts and its keys changed, and options with the FMUs' parameters."""
+    options = options or Options()
     settings, parameters = split_settings(assignments or ())
-    changed = overrides(parameters, instances(scenario), TOP)
-    return with_values(scenario, settings), replace(options or Options(), overrides=changed)
+    with_parts = with_options(scenario, Options(parts=options.parts))  # a scene may need a law
+    values = overrides(parameters, instances(with_parts), TOP)
+    return with_values(with_parts, settings), replace(options, overrides=values)
+
+
+def named_parts(controller: str | None, plant: str | None) -> dict[str, str]:
+    """Return the parts that `--controller` and `--plant` name."""
+    parts = {"controller": controller, "plant": plant}
+    return {name: file for name, file in parts.items() if file is not None}
 
 
 def announce_build(target: Target | None = None) -> None:

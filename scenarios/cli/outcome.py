@@ -39,10 +39,14 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "position": "move the rows before and after it, or turn the hand",
     "velocity": f"give that row more time ({MORE_TIME})",
     "acceleration": f"give that row more time ({MORE_TIME})",
-    "jerk": f"give that row more time ({MORE_TIME}), or keep the path away from the stretched arm; "
-    "with noisy readings, lower controller.ik_gain",
-    "torque": f"give that row more time ({MORE_TIME}), or carry less; with friction, elastic "
-    "joints or weak servos, lower controller.kp and controller.ik_gain",
+    "jerk": f"give that row more time ({MORE_TIME}), or keep the path away from the stretched arm",
+    "torque": f"give that row more time ({MORE_TIME}), or carry less",
+}
+NOISE = "; with noisy readings, lower controller.ik_gain"
+GAIN_REMEDIES = {  # besides, if the controller is our own
+    "jerk": NOISE,
+    "torque": "; with friction, elastic joints or weak servos, lower controller.kp and "
+    "controller.ik_gain",
 }
 SHOWN = 3  # unwanted contacts that are named
 NO_VERDICT = "Neither success nor failure, as not all criteria could be measured"
@@ -96,7 +100,8 @@ def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
         if not output.json:
             if done.summary.criteria:
                 show(verdict_table(done.summary))
-            for text, style in outcome_lines(done.summary, realtime=realtime):
+            ours = "controller.limit" in done.recording
+            for text, style in outcome_lines(done.summary, realtime=realtime, ours=ours):
                 show(text, style)
         _draw(done, output)
     _end(done, output)
@@ -192,11 +197,13 @@ def verdict_table(summary: Summary) -> Table:
     return table(("criterion*", *right, "verdict"), rows, right=right)
 
 
-def outcome_lines(summary: Summary, *, realtime: bool) -> Iterator[tuple[str, str]]:
-    """Yield the lines below the table, each with its style."""
+def outcome_lines(
+    summary: Summary, *, realtime: bool, ours: bool = True
+) -> Iterator[tuple[str, str]]:
+    """Yield the lines below the table, each with its style; `ours`: it has our controller."""
     yield _verdict_line(summary)
     yield _speed_line(summary), ""
-    for line in (*_contact_lines(summary), *_limit_lines(summary)):
+    for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
         yield line, "yellow"
     if realtime:
         timing = summary.timing
@@ -244,7 +251,7 @@ def _contact_lines(summary: Summary) -> Iterator[str]:
         yield f"Unwanted contacts, with up to {peak:.3g} N"
 
 
-def _limit_lines(summary: Summary) -> Iterator[str]:
+def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
     """Yield the robot limits that were exceeded, and the first one that bound the controller."""
     beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
     if beyond:
@@ -252,15 +259,16 @@ def _limit_lines(summary: Summary) -> Iterator[str]:
     first = summary.first_limit
     if first:
         touched = contacts and contacts[0]["time_s"] <= first["time_s"]
-        remedy = "after the contact above" if touched else REMEDIES[first["kind"]]
+        remedy = REMEDIES[first["kind"]] + (GAIN_REMEDIES.get(first["kind"], "") if ours else "")
+        remedy = "after the contact above" if touched else remedy
         yield (
             f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "
             f"t = {first['time_s']:.3f} s: {remedy}"
         )
     elif not contacts and any(limit.startswith("torque rate") for limit in beyond):
         yield (
-            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently; "
-            "with noisy readings, lower controller.ik_gain"
+            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently"
+            f"{NOISE if ours else ''}"
         )
 
 

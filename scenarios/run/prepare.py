@@ -48,8 +48,13 @@ class Prepared:
             values[name] = {**values.get(name, {}), **inputs}
         return values
 
-    def open(self, warnings: list[str]) -> AbstractContextManager[OpenSystem]:
-        """Build, open and initialize the FMUs; their messages are appended to `warnings`."""
+    def open(
+        self, warnings: list[str], *, longer: float = 0.0
+    ) -> AbstractContextManager[OpenSystem]:
+        """Build, open and initialize the FMUs; their messages are appended to `warnings`.
+
+        `longer`: time for which they can be stepped beyond the scenario's end [s].
+        """
 
         def hear(instance: str, status: str, text: str) -> None:
             kind = "" if status.lower() == "warning" else f" {status.lower()}"
@@ -60,7 +65,7 @@ class Prepared:
             self.assembly.system,
             self.start_values(),
             start=start,
-            stop=start + self.scenario.duration,
+            stop=start + self.scenario.duration + longer,
             step_size=self.scenario.step,
             coupling=self.scenario.coupling,
             on_message=hear,

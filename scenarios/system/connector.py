@@ -27,6 +27,8 @@ OUR_UNITS: Final[Units] = {
 }
 _OF_ARM: Final = ("qpos", "qvel")  # of PandaPlant, which begin with the arm's
 _CONVERT: Final = re.compile(r"convert\((.+)\)", re.S)
+# What takes an arm's ctrl, by its unit.
+FITTING: Final = {"N.m": '; scene "motors" takes torques', "rad": '; scene "tabletop" takes angles'}
 SHOWN: Final = 8  # unconnected inputs of an FMU that are named
 
 
@@ -148,8 +150,10 @@ class Connector:
         known = self._units(source), self._units(target)
         for one, other in zip(giving.units, fed.units, strict=True):
             if conversion(one, known[0], other, known[1]) is None:
+                fitting = FITTING.get(one, "") if other in FITTING else ""
                 raise InputError(
-                    f"{ends}; must have the same unit, or both be defined by the same SI base units"
+                    f"{ends}; must have the same unit, or both be defined by the same SI base "
+                    f"units{fitting}"
                 )
 
     def _units(self, end: str) -> Units:

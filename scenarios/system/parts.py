@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ...assets.franka import CTRL_OPEN
+import numpy as np
+
+from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
 from ...fmus.errors import InputError
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import COMMANDS, INTERFACES
@@ -19,7 +21,7 @@ from ...fmus.sources.targets import Kind, Target, build, build_fmu
 from ..scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from ...fmus.sources.law import LawFile
+    from ...fmus.sources.law import FirstCtrl, LawFile
 
 OURS: Final = ("controller", "plant")
 MODELS: Final = (".xml", ".urdf", ".mjb")
@@ -29,6 +31,9 @@ TORQUES: Final = Variable(
     "ctrl", (8,), joints("N.m", "1"), "input", "continuous", "Torques of seven joints, then the "
     "gripper, 0 (closed) to 255 (open)", (0.0,) * 7 + (CTRL_OPEN,),
 )  # fmt: skip
+# A law's first output that is surely not what the scene takes:
+AT_HOME: Final = 0.2  # [rad] torques of all joints that are so near to the joints' angles
+BEYOND: Final = 1.0  # [rad] angles that are so far beyond a joint's range
 _NAME: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
 
@@ -158,11 +163,26 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
 
     interface = law_interface(law, signal, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
+    first = _first_ctrl(scenario) if name == "controller" and not scenario.is_system else None
 
     def make(target: Target | None = None) -> Path:
-        return build_fmu(law_fmu(law, interface, start), target=target)
+        return build_fmu(law_fmu(law, interface, start, first), target=target)
 
     return Part(name, law.path, interface, make)
+
+
+def _first_ctrl(scenario: Scenario) -> FirstCtrl | None:
+    """What torques, or servo targets, of the arm are like at the start, where it rests."""
+    from ...fmus.sources.law import FirstCtrl  # noqa: PLC0415 - few scenarios need it
+
+    if scenario.is_torque_driven:
+        low, high = (np.array(HOME_Q) + side * AT_HOME for side in (-1.0, 1.0))
+        reason = 'that is where the arm is [rad]; scene "tabletop" takes angles, this one torques'
+        return FirstCtrl(tuple(low), tuple(high), False, reason)
+    if "plant" in scenario.fmus:
+        return None
+    reason = 'the joints cannot get there [rad]; scene "motors" takes torques, this one angles'
+    return FirstCtrl(tuple(Q_MIN - BEYOND), tuple(Q_MAX + BEYOND), True, reason)
 
 
 def measures_a_panda(interface: Interface) -> bool:

@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
-from ....controller.design import PERIODS, STEP_TIME, Analysis, Variant, analyze
-from ....controller.design_plot import plot_analysis
-from ....controller.gains import Gains
+import numpy as np
+from pydantic_core import to_json
+
 from ....fmus.atomic import MARK, check_replaceable, replacing
-from ....fmus.errors import InputError
-from ....fmus.interface.parameters import grouped
-from ....fmus.interface.sensors import SENSORS
-from ....fmus.interface.tables import INTERFACES
-from ...fields import field_names
+from ....fmus.master.step import COUPLINGS
+from ...analysis.analysis import Analysis, analyze
+from ...analysis.margins import STEP_TIME, Margins
+from ...analysis.plot import plot_analysis
 from ...files import marked_json
-from ...run.options import with_options
-from ...run.start import start_values
-from ...scenario.mismatch import Mismatch, default_of
-from ..console import show, show_json, table, tell
+from ...run.options import Options
+from ...scenario.scenario import Scenario
+from ..console import show, show_json, table, tell, warn
 from ..options import (
+    CONTROLLER,
     JSON,
     OVERWRITE,
+    PLANT,
     SCENARIO_OR_DEFAULT,
     SETTINGS,
     assigned,
     find_scenario,
+    named_parts,
     option,
 )
 
+PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s] of our own controller
 _COLUMNS = {  # heading and unit: attribute of a loop
     "joint": "joint",
     "gain\nmargin\n[dB]": "gain_margin_db",
@@ -41,97 +45,112 @@ _COLUMNS = {  # heading and unit: attribute of a loop
     "step\npeak": "peak_ratio",
     "settling\n[ms]": "settling_ms",
 }
-_ALWAYS_LEFT_OUT = "elastic joints, noise, saturation, contact, nonlinearity away from `home`"
-NUMBERS_FILE, PLOT_FILE = "analysis.json", "loops.png"
-_SCENE = "tabletop"  # of the linear model
-_SEEN = ("preset", "seed", "servo_scale", "delay")  # keys of [mismatch] that the analysis takes
-
-Values = dict[str, dict[str, Any]]  # parameters by instance and name
+LEFT_OUT = "larger signals, at which limits are met or contacts change; noise; other poses"
+NUMBERS_FILE, PLOT_FILE, MODEL_FILE = "analysis.json", "loops.png", "analysis.npz"
 
 
-def command(
+def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO_OR_DEFAULT,
-    out: Path = option("--out -o DIR", "Folder for the plots and numbers.", Path("runs/analysis")),
+    at: str = option(
+        "--at TIME",
+        "Instant of the run: seconds, or an event such as grasp or 'release + 0.5'.",
+        "start",
+    ),
+    loop: str = option(
+        "--loop INPUT",
+        "Input at which the loops are opened. Default: those of the plant that an FMU feeds.",
+        "",
+    ),
+    out: Path = option("--out -o DIR", "Folder for the results.", Path("runs/analysis")),
     assignments: list[str] | None = SETTINGS,
+    controller: str | None = CONTROLLER,
+    plant: str | None = PLANT,
     json: bool = JSON,
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Linearise the control loop: margins, bandwidth, Bode plots.
+    """Measure the control loops: margins, bandwidth, Bode plots, a state-space model.
 
-    Uses the gains, servo_scale and delay of the readings that the scenario sets. For the margins of
-    a joint, its loop is opened at its servo target, with the other six closed. The disk margin lets
-    all seven loops vary at once. Step responses and Bode plots are drawn to loops.png.
+    Takes any scenario whose FMUs can go back to a state: own laws, plants and systems, too. Small
+    pulses are added to each servo target, or torque, at one instant of the run. For the margins of
+    a joint, its loop is opened there, with the others closed. The disk margin lets all loops vary
+    at once. The folder gets loops.png, analysis.json, and the model in analysis.npz.
 
     ```
     panda-cosim analyze
-    panda-cosim analyze worn_joints --out runs/analysis
+    panda-cosim analyze payload --at grasp --out runs/analysis
     panda-cosim analyze --set mismatch.delay=0.003 --set controller.kp=12
+    panda-cosim analyze --controller my_law.py:MyLaw --set scene=motors --at 2.3
     ```
     """
-    chosen = find_scenario(scenario)
-    if chosen.is_system or chosen.fmus or chosen.connect:
-        raise InputError(
-            f"scenario {chosen.name!r}: has FMUs or connections of its own; must have only the "
-            "project's plant and controller"
-        )
-    chosen = with_options(*assigned(chosen, assignments))
-    numbers, plot = out / NUMBERS_FILE, out / PLOT_FILE
-    check_replaceable(numbers, plot, overwrite=overwrite)
-    tell("Linearising plant and controller ...")
-    tables = {**INTERFACES, "sensors": SENSORS}
-    values: Values = {"sensors": {}}
-    for name, flat in start_values(chosen).items():
-        values[name] = grouped(tables[name], flat)
-    result = _analyzed(values)
-    with replacing(numbers) as path:
-        path.write_text(marked_json(result.to_json()), encoding="utf-8")
-    with replacing(plot) as path:
-        plot_analysis(result, path, MARK)
-    left_out = _left_out(values)
+    options = Options(parts=named_parts(controller, plant))
+    chosen, options = assigned(find_scenario(scenario), assignments, options)
+    files = [out / name for name in (NUMBERS_FILE, PLOT_FILE, MODEL_FILE)]
+    check_replaceable(*files, overwrite=overwrite)
+    tell("Measuring the loops ...")
+    first = analyze(chosen, _time(at), options, loop=loop)
+    variants = [first.margins]
+    for others in _variants(chosen, options, first):
+        variants.append(analyze(chosen, first.at, others, loop=loop).margins)
+    model = {n: np.asarray(value).tolist() for n, value in first.matrices.items()}
+    content = {
+        "scenario": first.scenario, "folder": out, "at": first.at, "left_out": LEFT_OUT,
+        "remarks": first.remarks, "variants": variants, "model": model,
+    }  # fmt: skip
+    text = to_json(content, inf_nan_mode="null").decode()
+    with replacing(files[0]) as path:
+        path.write_text(marked_json(text), encoding="utf-8")
+    with replacing(files[1]) as path:
+        plot_analysis(first, variants, path, MARK)
+    with replacing(files[2]) as path:
+        np.savez(path, note=np.bytes_(MARK), allow_pickle=False, **first.matrices)
     if json:
-        content = {"scenario": chosen.name, "folder": out, "left_out": left_out}
-        show_json({**content, "variants": result.variants})
+        show_json(content)
         return
-    for variant in result.variants:
+    show(f"{first.scenario} at t = {first.at:g} s; loops opened at")
+    show(fill(f"{', '.join(first.inputs)}", 79) + "\n")
+    for variant in variants:
         _show_variant(variant)
-    show(fill(f"Not in these margins: {left_out}.", 79) + "\n")
-    show(f"{numbers}\n{plot}")
+    for remark in first.remarks:
+        warn(remark)
+    show(fill(f"Not in these margins: {LEFT_OUT}.", 79) + "\n")
+    show("\n".join(map(str, files)))
 
 
-def _analyzed(values: Values) -> Analysis:
-    """Analyse the loop of these parameters, first with the controller's own period."""
-    gains = dict(values["controller"])
-    period = gains.pop("period")
-    periods = (period, *(p for p in PERIODS if p != period))
-    servo_scale, delay = values["plant"]["servo_scale"], values["sensors"].get("delay")
-    return analyze(Gains(**gains), periods, servo_scale, delay)
+def _time(at: str) -> float | str:
+    with suppress(ValueError):
+        return float(at)
+    return at
 
 
-def _left_out(values: Values) -> str:
-    """Name what the linear model leaves out, including parameters of this scenario."""
-    now = values["plant"] | values["sensors"]
-    names = (name for name in field_names(Mismatch) if name not in _SEEN)
-    own = [name for name in names if now.get(name, default_of(name)) != default_of(name)]
-    if now["scene"] != _SCENE:
-        own.append(f"scene {now['scene']!r} ({_SCENE!r} is taken)")
-    return _ALWAYS_LEFT_OUT + (f"; of this scenario: {', '.join(own)}" if own else "")
+def _variants(scenario: Scenario, options: Options, first: Analysis) -> Iterator[Options]:
+    """Yield options for other periods of our own controller, and for the other coupling."""
+    if not scenario.is_system and "controller" not in scenario.fmus:
+        for period in PERIODS:
+            if not math.isclose(period, first.period):
+                own = {**options.overrides.get("controller", {}), "period": period}
+                yield replace(options, overrides={**options.overrides, "controller": own})
+    yield from (replace(options, coupling=c) for c in COUPLINGS if c != first.margins.coupling)
 
 
-def _show_variant(variant: Variant) -> None:
-    """Show the joints' table and the disk margin of one period and coupling."""
-    head = f"period {variant.period * 1e3:g} ms, {variant.coupling}"
-    if not variant.stable:
-        show(f"{head}: UNSTABLE, a pole of modulus {variant.pole_modulus:.4f}\n")
-        return
-    rows = [[_cell(key, getattr(loop, key)) for key in _COLUMNS.values()] for loop in variant.loops]
-    show(table(tuple(_COLUMNS), rows, right=tuple(_COLUMNS), title=f"{head}: stable"))
-    show(
-        f"All joints at once: disk margin {variant.disk_margin:.2f}, any gains within "
-        f"{variant.disk_gain_db:.1f} dB\nor any phases within {variant.disk_phase_deg:.0f} deg\n"
-    )
+def _show_variant(margins: Margins) -> None:
+    """Show the loops' table and the disk margin of one period and coupling."""
+    head = f"period {margins.period * 1e3:g} ms, {margins.coupling}"
+    if not margins.linear:
+        show(f"{head}: NOT LINEAR, twice a pulse gives another response; no margins\n")
+    elif not margins.stable:
+        show(f"{head}: UNSTABLE, a pole of modulus {margins.pole_modulus:.4f}\n")
+    else:
+        rows = [[_cell(key, getattr(loop, key)) for key in _COLUMNS.values()]
+                for loop in margins.loops]  # fmt: skip
+        show(table(tuple(_COLUMNS), rows, right=tuple(_COLUMNS), title=f"{head}: stable"))
+        gain, phase = f"{margins.disk_gain_db:.1f} dB", f"{margins.disk_phase_deg:.0f} deg"
+        show(f"All joints at once: disk margin {margins.disk_margin:.2f}, any gains within {gain}")
+        show(f"or any phases within {phase}\n")
 
 
-def _cell(key: str, value: float) -> str:
+def _cell(key: str, value: float | None) -> str:
+    if value is None:
+        return "-"
     if key == "settling_ms" and math.isinf(value):
         return f"> {STEP_TIME * 1e3:g}"
     return f"{value:.4g}"

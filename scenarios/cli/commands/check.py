@@ -14,7 +14,7 @@ from ...check.experiments import check_experiments
 from ...run.options import TOP, split_settings
 from ...system.assembly import instances
 from ..console import show, show_json
-from ..options import JSON, SETTINGS, argument, overrides
+from ..options import CONTROLLER, JSON, PLANT, SETTINGS, argument, named_parts, overrides
 from ..outcome import NOT_A_SUCCESS
 
 STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
@@ -23,6 +23,8 @@ STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
 def command(
     folder: Path = argument("FOLDER", "Folder of a scenario, or an .fmu or .ssp file."),
     assignments: list[str] | None = SETTINGS,
+    controller: str | None = CONTROLLER,
+    plant: str | None = PLANT,
     json: bool = JSON,
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
@@ -52,10 +54,12 @@ def command(
         _check_fmu(folder, as_json=json)
         return
     settings, parameters = split_settings(assignments or ())
+    parts = named_parts(controller, plant)
     names: tuple[str, ...] = ()
     with suppress(InputError):  # a scenario that cannot be read: the check explains why
         names = tuple(instances(read_checked(folder)))
-    diagnostics = check_folder(folder, overrides(parameters, names, TOP), settings)
+    changed = overrides(parameters, (*names, *parts), TOP)
+    diagnostics = check_folder(folder, changed, settings, parts)
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
         show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})

@@ -16,14 +16,17 @@ from ...run.run import run_prepared
 from ...scenario.scenario import Scenario
 from ..console import Update
 from ..options import (
+    CONTROLLER,
     DEFAULT_SCENARIO,
     JSON,
     KIND,
     OUT_RUN,
+    PLANT,
     SETTINGS,
     argument,
     assigned,
     find_scenario,
+    named_parts,
     option,
     scenario_argument,
 )
@@ -59,14 +62,8 @@ def command(  # noqa: PLR0913 - one for each option
     video: bool = VIDEO,
     plot: bool | None = PLOT,
     view: bool = VIEW,
-    controller: str | None = option(
-        "--controller FILE",
-        "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your "
-        "permissions.",
-    ),
-    plant: str | None = option(
-        "--plant FILE", "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file."
-    ),
+    controller: str | None = CONTROLLER,
+    plant: str | None = PLANT,
     system: Path | None = option(
         "--system FILE.ssp",
         "Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as `run FILE.ssp`.",
@@ -93,10 +90,9 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim run Panda.ssp --duration 2
     ```
     """
-    parts = {"controller": controller, "plant": plant}
     options = Options(
         coupling=coupling,
-        parts={name: file for name, file in parts.items() if file is not None},
+        parts=named_parts(controller, plant),
         realtime=1.0 if realtime else 0.0,
         isolate=isolate,
         step_timeout=step_timeout,

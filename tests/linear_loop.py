@@ -16,11 +16,10 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-
-from ..assets import STEP_SIZE, asset_files
-from .controller import STATE, Controller
-from .gains import Gains
-from .signals import Buffer
+from panda_cosim.assets import STEP_SIZE, asset_files
+from panda_cosim.controller.controller import STATE, Controller
+from panda_cosim.controller.gains import Gains
+from panda_cosim.controller.signals import Buffer
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -1,0 +1,235 @@
+"""Analyses the control loops of a scenario at an instant of its run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ...fmus.interface.parameters import grouped
+from ...fmus.interface.variables import Value
+from ..judging.holds import Events
+from ..run.options import Options
+from ..run.prepare import Prepared, prepare
+from ..run.run import Execution
+from ..run.stopping import StopRequest
+from ..scenario.criteria import check_instant, check_within, split_instant
+from ..scenario.scenario import Scenario, load_scenario
+from .margins import Margins, judge
+from .responses import DECAYED, LINEAR, Responses, measure
+
+if TYPE_CHECKING:
+    import control
+
+Array = NDArray[np.float64]
+
+ORDER: Final = 40  # largest of a model
+HANKEL: Final = (30, 80)  # rows and columns of Hankel's matrix; more are slow, and seldom better
+MOTION: Final = 0.05  # [rad] of a joint meanwhile, by which its loops hardly change
+FIT: Final = 1e-3  # of the peak, by which a model's response may differ from the measured one
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """The control loops of a scenario at an instant of its run, measured with its FMUs.
+
+    Attributes:
+        scenario: Name of the scenario.
+        at: The instant [s].
+        margins: Margins of each loop and of all at once; see `Margins`.
+        responses: What was measured, n loops; see `Responses`.
+        parameters: Those of the FMU that feeds the loops' inputs, by name.
+    """
+
+    scenario: str
+    at: float
+    margins: Margins
+    responses: Responses = field(repr=False)
+    parameters: Mapping[str, Value] = field(repr=False)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Where the n loops are opened, such as `plant.ctrl[1]` (n,)."""
+        return self.responses.inputs
+
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """Positions of the joints that these inputs move (n,), or () if the plant has none."""
+        return self.responses.positions
+
+    @property
+    def period(self) -> float:
+        """Time between two updates of the controller, at which the models are sampled [s]."""
+        return self.responses.period
+
+    @property
+    def model(self) -> control.StateSpace:
+        """`control.StateSpace` of the closed loops.
+
+        Inputs (n): what is added to `inputs`, in their units: rad for servo targets, N.m for
+        torques. Outputs: `inputs` (n), then `positions` (n) in rad or m, both as differences to
+        what they are if nothing is added. Signals have `_` for the point in their names.
+        """
+        return self._realised[0]
+
+    @property
+    def model_error(self) -> float:
+        """Largest difference of the model's response to a pulse, as a share of its peak."""
+        return self._realised[1]
+
+    @property
+    def sensitivity(self) -> control.StateSpace:
+        """S = 1 / (1 + L) as a `control.StateSpace` of n inputs and n outputs."""
+        return self.model[: len(self.inputs), :]
+
+    @property
+    def loop(self) -> control.StateSpace:
+        """The open loops L as a `control.StateSpace`: from `inputs` to what feeds them, negated."""
+        system, n = self.model, len(self.inputs)
+        b, c = system.B, system.C[:n]
+        zero = np.zeros((n, n))
+        return _system(system.A - b @ c, b, -c, zero, self.period, self.inputs, self.inputs)
+
+    @property
+    def matrices(self) -> dict[str, Any]:
+        """A, B, C and D of `model`, the names of its inputs and outputs, and its period [s]."""
+        names = {"inputs": self.inputs, "outputs": (*self.inputs, *self.positions)}
+        return {n: getattr(self.model, n) for n in "ABCD"} | names | {"period": self.period}
+
+    @property
+    def remarks(self) -> list[str]:
+        """What makes the numbers less certain: one sentence each."""
+        is_, window = self.responses, f"the {self.responses.window:g} s that were measured"
+        texts = {
+            f"{is_.remaining:.1%} of the responses is left after {window}": is_.remaining > DECAYED,
+            f"twice a pulse gives a response that differs by {is_.linearity:.1%}":
+                is_.linearity > LINEAR,
+            f"the arm moves by up to {is_.motion:.2g} rad within {window}, and its loops change "
+            "with it; an instant at rest says more": is_.motion > MOTION,
+            f"the state-space model's response differs by up to {self.model_error:.1%} of its peak":
+                self.model_error > 10 * FIT,
+        }  # fmt: skip
+        return [text for text, holds in texts.items() if holds]
+
+    @cached_property
+    def _realised(self) -> tuple[Any, float]:
+        return _realised(self.responses)
+
+
+def analyze(
+    scenario: Scenario | str | Path,
+    at: float | str = "start",
+    options: Options | None = None,
+    *,
+    loop: str = "",
+) -> Analysis:
+    """Measure the control loops of any scenario at an instant of its run.
+
+    Small pulses are added to each input of the plant that is controlled, one after the other, and
+    the FMUs go back to the same state before each. Commands and pushes stay as they are at that
+    instant.
+
+    Args:
+        scenario: A scenario, a shipped one's name, or a folder.
+        at: Time [s], or an event of the run such as "grasp" or "release + 0.5".
+        options: How it is run: other FMUs, parameters or coupling.
+        loop: Input at which the loops are opened, such as "plant.ctrl"; "": all inputs of the
+            instance `plant` that an FMU feeds.
+
+    Returns:
+        Margins and state-space models.
+
+    Raises:
+        InputError: Something given cannot be used, or an FMU cannot go back to a state.
+        SimulationError: An FMU failed.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
+    prepared = prepare(scenario, options)
+    tick = _tick(prepared, at)
+    responses = measure(prepared, tick, loop)
+    connections = prepared.assembly.system.connections
+    fed_by = {".".join(c.target): c.source[0] for c in connections}[responses.inputs[0]]
+    return Analysis(
+        scenario.name,
+        prepared.assembly.start_time + tick * prepared.scenario.step,
+        judge(responses, prepared.scenario.coupling),
+        responses,
+        grouped(prepared.assembly.interfaces[fed_by], prepared.values[fed_by]),
+    )
+
+
+def _tick(prepared: Prepared, at: float | str) -> int:
+    """Tick of a time, or of an event, for which the scenario is run first."""
+    start, scenario = prepared.assembly.start_time, prepared.scenario
+    try:
+        time = check_within("at", check_instant(at), start, start + scenario.duration)
+        if time is None:
+            event, offset = split_instant(str(at))
+            when = _events(prepared)[event]
+            if when is None:
+                raise ValueError(f"at: value {at!r}; there is no {event} in this run")
+            time = check_within("at", when + offset, start, start + scenario.duration)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    return round(((time or 0.0) - start) / scenario.step)
+
+
+def _events(prepared: Prepared) -> Events:
+    """Run the scenario in memory; returns the time of each event [s]."""
+    with Execution(prepared, writes=False) as execution:
+        execution.advance(execution.ticks, StopRequest())
+        return execution.close().summary.events
+
+
+def _realised(responses: Responses) -> tuple[Any, float]:
+    """Return the smallest `control.StateSpace` that gives the responses, and its error."""
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
+
+    n, peaks = len(responses.inputs), np.abs(responses.pulses).max(axis=(0, 2))
+    peaks[peaks == 0.0] = 1.0
+    pulses = responses.pulses / peaks[:, None]
+    best, error = tuple(np.zeros(shape) for shape in ((0, 0), (0, n), (len(peaks), 0))), 1.0
+    for most in HANKEL:
+        rows = max(min(most, len(pulses) // 2 - 1), 1)
+        order = min(ORDER, rows)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below
+            # Its own sampling time would scale B: it is for responses to pulses of area 1.
+            whole, _ = control.eigensys_realization(pulses.transpose(1, 2, 0), order, rows, rows)
+        for size in range(1, order + 1):
+            if error <= FIT:
+                break
+            model = whole.A[:size, :size], whole.B[:size], whole.C[:, :size]
+            misfit = _misfit(*model, pulses, error)
+            if misfit < error:
+                best, error = model, misfit
+    a, b, c = best
+    inputs, outputs = responses.inputs, (*responses.inputs, *responses.positions)
+    direct = responses.pulses[0] + np.eye(len(outputs), n)  # what is added, itself
+    return _system(a, b, c * peaks[:, None], direct, responses.period, inputs, outputs), error
+
+
+def _misfit(a: Array, b: Array, c: Array, pulses: Array, most: float) -> float:
+    """Largest difference between a model's response to a pulse and the measured one, or `most`."""
+    state, error = b, 0.0
+    for answer in pulses[1:]:
+        error = max(error, float(np.abs(c @ state - answer).max()))
+        if not error < most:
+            return most
+        state = a @ state
+    return error
+
+
+def _system(*parts: Any) -> Any:
+    """Return a `control.StateSpace` of A, B, C, D, period, and names of inputs and outputs."""
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
+
+    *matrices, inputs, outputs = parts
+    ends = [[name.replace(".", "_") for name in names] for names in (inputs, outputs)]
+    return control.StateSpace(*matrices, inputs=ends[0], outputs=ends[1])

@@ -1,0 +1,320 @@
+"""The analysis of loops: compared with closed forms, a linearisation, and what a run does."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from fmu_support import in_process
+from forked import command
+from linear_loop import linear_loop
+from panda_cosim import InputError, Options, analyze, load_scenario, run_scenario
+from panda_cosim.controller.gains import preset
+from panda_cosim.scenarios.analysis.margins import disk_margin, frequencies, sensitivity
+from panda_cosim.scenarios.run.prepare import prepare
+
+pytestmark = pytest.mark.fmu
+
+AGREEMENT = 0.01  # of an open loop's response, or of a margin
+PERIOD = 0.001  # s
+
+# A mass of 1 kg on a slide, and a law that pulls it back.
+SLIDE = """<mujoco><option gravity="0 0 0" timestep="0.001"/>
+<worldbody><body><joint name="x" type="slide"/>
+<geom size=".1" mass="1"/></body></worldbody>
+<actuator><motor name="f" joint="x"/></actuator></mujoco>"""
+LAWS = """
+COUNT = [0.0]
+
+class Pull:
+    "A spring and a damper"
+    spring = 400.0
+    damper = 20.0
+    period = 0.001
+    def update(self, time, qpos, qvel):
+        return -self.spring * qpos - self.damper * qvel
+
+class Forgetful:
+    "Its output depends on what its state does not hold"
+    def update(self, time, qpos):
+        COUNT[0] += 1.0
+        return COUNT[0] - 0.0 * qpos
+
+class Deaf:
+    "Answers nothing"
+    def update(self, time, qpos):
+        return 0.0 * qpos
+"""
+SYSTEM = 'duration = 0.1\n[fmus]\ncontroller = "laws.py:Pull"\nplant = "slide.xml"\n'
+
+
+@pytest.fixture
+def slide(tmp_path: Path) -> Path:
+    (tmp_path / "slide.xml").write_text(SLIDE)
+    (tmp_path / "laws.py").write_text(LAWS)
+    (tmp_path / "scenario.toml").write_text(SYSTEM)
+    return tmp_path
+
+
+def measured(
+    scenario: str, at: float | str, options: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """Numbers of an analysis; S and L are real and imaginary parts at some frequencies."""
+    one = analyze(scenario, at, Options(**(options or {})))
+    omega = frequencies(one.responses)
+    at = omega[[100, 300, 500]]
+    z = np.exp(1j * at * one.period)
+    s = sensitivity(one.responses, omega)
+
+    def parts(values: Any) -> Any:
+        return [np.real(values).tolist(), np.imag(values).tolist()]
+
+    return {
+        "at": one.at, "inputs": one.inputs, "positions": one.positions, "period": one.period,
+        "omega": omega.tolist(), "s": parts(s), "error": one.model_error,
+        "some": at.tolist(), "model_s": parts(one.sensitivity(z, squeeze=False)),
+        "model_l": parts(one.loop(z, squeeze=False)),
+        "poles": float(np.abs(one.model.poles()).max()), "remarks": one.remarks,
+        "names": [one.model.input_labels, one.model.output_labels], "dt": one.model.dt,
+        **{n: getattr(one.margins, n) for n in ("stable", "linear", "pole_modulus", "disk_margin")},
+        "loops": [vars(loop) for loop in one.margins.loops],
+    }  # fmt: skip
+
+
+def refused(*arguments: Any, **options: Any) -> str:
+    with pytest.raises(InputError) as error:
+        analyze(*arguments, **options)
+    return str(error.value)
+
+
+def array(parts: Any) -> Any:
+    return np.array(parts[0]) + 1j * np.array(parts[1])
+
+
+@pytest.mark.parametrize(
+    ("spring", "law", "step"),
+    [(400.0, 0.001, 0.001), (1000.0, 0.004, 0.001), (400.0, 0.001, 0.002)],
+)
+def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(
+    slide: Path, spring: float, law: float, step: float
+) -> None:
+    """v+ = v + T f, x+ = x + T v+, with the force held for a period."""
+    (slide / "slide.xml").write_text(SLIDE.replace('step="0.001"', f'step="{step}"'))
+    period = max(law, step)
+    values = {"controller": {"spring": spring, "period": law}}
+    one = in_process(measured, str(slide), 0.05, {"overrides": values})
+    assert one["names"] == [["plant_ctrl"], ["plant_ctrl", "plant_qpos"]]
+    assert one["period"] == one["dt"] == pytest.approx(period)
+
+    tick, force = np.array([[1.0, step], [0.0, 1.0]]), np.array([step**2, step])
+    a, b = np.eye(2), np.zeros(2)
+    for _ in range(round(period / step)):
+        a, b = tick @ a, tick @ b + force
+    gains = np.array([spring, 20.0])
+
+    def loop(omega: Any) -> Any:
+        z = np.exp(1j * np.asarray(omega) * period)
+        return np.array([gains @ np.linalg.solve(w * np.eye(2) - a, b) for w in z])
+
+    expected = loop(one["omega"])
+    actual = 1.0 / array(one["s"])[:, 0, 0] - 1.0
+    assert np.abs(actual / expected - 1.0).max() < AGREEMENT
+    assert np.abs(array(one["model_l"])[0, 0] / loop(one["some"]) - 1.0).max() < AGREEMENT
+    assert one["poles"] == pytest.approx(np.abs(np.linalg.eigvals(a - np.outer(b, gains))).max())
+    dense = np.geomspace(1.0, np.pi / period, 200_000)
+    response = loop(dense)
+    crossing = np.flatnonzero(np.abs(response) >= 1.0)[-1]
+    margin = 180.0 + math.degrees(np.unwrap(np.angle(response))[crossing])
+    assert one["loops"][0]["phase_margin_deg"] == pytest.approx(margin, rel=AGREEMENT)
+    assert one["loops"][0]["crossover_hz"] * 2 * math.pi == pytest.approx(
+        dense[crossing], rel=AGREEMENT
+    )
+    gain = 20.0 * math.log10(1.0 / abs(response[-1].real))
+    assert one["loops"][0]["gain_margin_db"] == pytest.approx(gain, rel=AGREEMENT)
+
+
+@pytest.mark.parametrize(
+    ("changes", "gains", "linear"),
+    [
+        ({}, {}, {}),
+        ({"controller": {"period": 0.005}}, {}, {"period": 0.005}),
+        (
+            {"controller": {"ki": 20.0, "kd": 0.02}, "plant": {"servo_scale": 0.8}},
+            {"ki": (20.0,) * 7, "kd": (0.02,) * 7},
+            {"servo_scale": (0.8,) * 7},
+        ),
+    ],
+)
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_our_law_has_the_loops_of_its_linearisation(
+    changes: dict[str, Any], gains: dict[str, Any], linear: dict[str, Any], coupling: str
+) -> None:
+    one = in_process(
+        measured, "pick_and_place", "start", {"overrides": changes, "coupling": coupling}
+    )
+    period = linear.pop("period", PERIOD)
+    system = linear_loop(preset("default", **gains), period, coupling, **linear)
+    omega = np.array(one["omega"])
+    loops = system.matrix_response(omega)
+    expected = np.linalg.inv(np.eye(7) + loops)
+    fast = omega > 2 * math.pi * 5.0  # where 1 % of S is 1 % of L and of the margins
+    assert np.abs(array(one["s"]) - expected)[fast].max() < AGREEMENT
+    assert one["disk_margin"] == pytest.approx(disk_margin(expected), rel=AGREEMENT)
+    for joint, loop in enumerate(one["loops"]):
+        data = control.FrequencyResponseData(system.response(joint, omega), omega, smooth=True)
+        _, phases, _, _, crossings, _ = control.stability_margins(data, returnall=True)
+        assert loop["joint"] == joint + 1
+        assert loop["phase_margin_deg"] == pytest.approx(np.abs(phases).min(), rel=AGREEMENT)
+        assert loop["crossover_hz"] * 2 * math.pi == pytest.approx(crossings.max(), rel=AGREEMENT)
+        delays = np.radians(phases[phases > 0]) / crossings[phases > 0]
+        assert loop["delay_margin_ms"] == pytest.approx(delays.min() * 1e3, rel=AGREEMENT)
+        peak = np.abs(system.step(joint, round(0.5 / period))).max()
+        assert loop["peak_ratio"] == pytest.approx(peak, rel=AGREEMENT)
+    assert one["error"] < AGREEMENT
+    assert (
+        np.abs(array(one["model_s"]).transpose(2, 0, 1) - array(one["s"])[[100, 300, 500]]).max()
+        < AGREEMENT
+    )
+
+
+def test_the_margins_at_the_default_gains_are_wide_also_in_the_grasp(tmp_path: Path) -> None:
+    grasp = in_process(grasp_of, "pick_and_place", str(tmp_path / "run"))
+    for at, instant in (("start", 0.0), ("grasp", grasp)):
+        one = in_process(measured, "pick_and_place", at)
+        assert one["at"] == pytest.approx(instant)
+        assert one["stable"]
+        assert one["linear"]
+        assert [loop["joint"] for loop in one["loops"]] == [1, 2, 3, 4, 5, 6, 7]
+        assert one["disk_margin"] > 0.5
+        for loop in one["loops"]:
+            assert loop["gain_margin_db"] >= 6.0
+            assert loop["phase_margin_deg"] >= 45.0
+            assert loop["delay_margin_ms"] >= 3.0
+
+
+def grasp_of(scenario: str, folder: str) -> float | None:
+    return run_scenario(scenario, folder).summary.events["grasp"]
+
+
+def swing(folder: str) -> tuple[float, float]:
+    """Largest change of a joint speed per tick, before and after the middle of a pushed hold."""
+    speed = run_scenario(folder, Path(folder) / "run").recording["plant.qvel"][:, :7]
+    change = np.abs(np.diff(speed, axis=0))
+    return float(change[300:550].max()), float(change[750:].max())
+
+
+@pytest.mark.parametrize(
+    ("coupling", "delay", "known"),
+    [
+        *(("gauss-seidel", 0.008, 0.0), ("gauss-seidel", 0.009, 0.0)),
+        *(("jacobi", 0.006, 0.0), ("jacobi", 0.007, 0.0)),
+        *(("gauss-seidel", 0.015, 0.015), ("gauss-seidel", 0.018, 0.018)),
+    ],
+)
+def test_late_readings_are_called_unstable_where_a_simulation_swings_up(
+    tmp_path: Path, coupling: str, delay: float, known: float
+) -> None:
+    """The first delays beyond the margin, and the last ones within; Jacobi adds two ticks. Known ones are borne longer."""
+    (tmp_path / "trajectory.csv").write_text(
+        "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0,0.08\n"
+    )
+    (tmp_path / "scenario.toml").write_text(
+        f'duration = 1.0\ncoupling = "{coupling}"\n[mismatch]\ndelay = {delay}\n'
+        f"[controller]\nreading_delay = {known}\n"
+        "[[push]]\nforce = [10, 10, 10]\nstart = 0.1\nduration = 0.05\n"
+    )
+    before, after = in_process(swing, str(tmp_path))
+    one = in_process(measured, str(tmp_path), 0.05)
+    assert one["stable"] == (after < before)
+    assert bool(one["loops"]) == one["stable"]
+    poles = np.linalg.eigvals(linear_loop(preset("default"), PERIOD, coupling, delay=delay).closed)
+    assert one["pole_modulus"] == pytest.approx(np.abs(poles).max(), abs=0.001)
+
+
+WILD = {"controller": {"period": 0.01, "kp": 4000.0}}
+
+
+def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path: Path) -> None:
+    wild = in_process(measured, "pick_and_place", 0.0, {"overrides": WILD})
+    assert not wild["stable"]
+    assert not wild["linear"]  # its swings are as large as the limits let them be
+    assert wild["loops"] == []
+    assert wild["disk_margin"] == 0.0
+    assert any("twice a pulse" in text for text in wild["remarks"])
+
+
+def test_an_unstable_own_loop_is_named_unstable(slide: Path) -> None:
+    one = in_process(measured, str(slide), 0.0, {"overrides": {"controller": {"damper": -5.0}}})
+    assert not one["stable"]
+    assert one["linear"]
+    assert one["pole_modulus"] == pytest.approx(one["poles"], rel=1e-3)
+    assert one["poles"] > 1.0
+    assert one["loops"] == []
+
+
+def test_the_disk_margin_of_one_loop_is_the_known_one() -> None:
+    """L = 25 / (s^3 + 10 s^2 + 10 s + 10): 0.46 (Seiler, Packard and Gahinet 2020, example)."""
+    s = 1j * np.geomspace(0.01, 100.0, 4000)
+    loop = 25.0 / (s**3 + 10.0 * s**2 + 10.0 * s + 10.0)
+    one = (1.0 / (1.0 + loop))[:, None, None]
+    assert disk_margin(one) == pytest.approx(0.46, abs=0.005)
+    # Two such loops in other units that do not see each other have the same margin.
+    assert disk_margin(one * np.eye(2)) == pytest.approx(disk_margin(one))
+
+
+@pytest.mark.own_process
+def test_what_cannot_be_analysed_is_refused_in_one_line(slide: Path) -> None:
+    def with_law(name: str) -> str:
+        (slide / "scenario.toml").write_text(SYSTEM.replace("Pull", name))
+        return refused(slide)
+
+    assert "controller: ctrl differs after it went back to a state" in with_law("Forgetful")
+    assert "plant.ctrl: nothing of what is added there comes back" in with_law("Deaf")
+    (slide / "scenario.toml").write_text(SYSTEM)
+    assert refused(slide, loop="plant.ctr").endswith("plant.ctrl; did you mean 'plant.ctrl'?")
+    assert "there is no grasp in this run" in refused(slide, "grasp")
+    assert "from 0 to 0.1 s" in refused(slide, 0.2)
+    assert "isolate" in refused(slide, options=Options(isolate=True))
+
+
+@pytest.mark.own_process
+def test_an_fmu_that_cannot_go_back_is_named(slide: Path) -> None:
+    built = prepare(load_scenario(slide)).assembly.system.fmus["plant"]
+    memory = io.BytesIO()
+    with zipfile.ZipFile(built) as old, zipfile.ZipFile(memory, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            new.writestr(name, content.replace(b'canGetAndSetFMUstate="true"', b""))
+    (slide / "slide.fmu").write_bytes(memory.getvalue())
+    (slide / "scenario.toml").write_text(SYSTEM.replace("slide.xml", "slide.fmu"))
+    message = refused(slide)
+    assert "slide.fmu: plant cannot go back to a state; its FMU must have " in message
+    assert "\n" not in message
+
+
+def test_the_command_writes_what_python_control_takes(slide: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = command("analyze", slide, "--at", "0.05", "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert [v["coupling"] for v in result["variants"]] == ["gauss-seidel", "jacobi"]
+    assert {p.name for p in out.iterdir()} == {"analysis.json", "analysis.npz", "loops.png"}
+    data = np.load(out / "analysis.npz")
+    system = control.ss(*(data[n] for n in "ABCD"), float(data["period"]))
+    assert data["inputs"].tolist() == ["plant.ctrl"]
+    assert data["outputs"].tolist() == ["plant.ctrl", "plant.qpos"]
+    for name in "ABCD":
+        assert result["model"][name] == data[name].tolist()
+    # A step of 1 N: the spring of 400 N/m yields by 2.5 mm, and takes the force up.
+    still = system(1.0).real.ravel()
+    assert still == pytest.approx([0.0, 1.0 / 400.0], abs=1e-5)
+    again = command("analyze", slide, "--out", out)  # replaces its own files
+    assert again.returncode == 0, again.stderr
+    assert "period 1 ms, gauss-seidel: stable" in again.stdout
