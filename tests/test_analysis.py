@@ -81,7 +81,7 @@ def measured(
         "omega": omega.tolist(), "s": parts(s), "error": one.model_error,
         "some": at.tolist(), "model_s": parts(one.sensitivity(z, squeeze=False)),
         "model_l": parts(one.loop(z, squeeze=False)),
-        "poles": float(np.abs(one.model.poles()).max()), "remarks": one.remarks,
+        "poles": float(np.abs(one.model.poles()).max(initial=0.0)), "remarks": one.remarks,
         "names": [one.model.input_labels, one.model.output_labels], "dt": one.model.dt,
         **{n: getattr(one.margins, n) for n in ("stable", "linear", "pole_modulus", "disk_margin")},
         "loops": [vars(loop) for loop in one.margins.loops],
@@ -141,20 +141,21 @@ def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(
 
 
 @pytest.mark.parametrize(
-    ("changes", "gains", "linear"),
+    ("coupling", "changes", "gains", "linear"),
     [
-        ({}, {}, {}),
-        ({"controller": {"period": 0.005}}, {}, {"period": 0.005}),
+        ("gauss-seidel", {}, {}, {}),
+        ("jacobi", {}, {}, {}),
+        ("gauss-seidel", {"controller": {"period": 0.005}}, {}, {"period": 0.005}),
         (
+            "jacobi",
             {"controller": {"ki": 20.0, "kd": 0.02}, "plant": {"servo_scale": 0.8}},
             {"ki": (20.0,) * 7, "kd": (0.02,) * 7},
             {"servo_scale": (0.8,) * 7},
         ),
     ],
 )
-@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_our_law_has_the_loops_of_its_linearisation(
-    changes: dict[str, Any], gains: dict[str, Any], linear: dict[str, Any], coupling: str
+    coupling: str, changes: dict[str, Any], gains: dict[str, Any], linear: dict[str, Any]
 ) -> None:
     one = in_process(
         measured, "pick_and_place", "start", {"overrides": changes, "coupling": coupling}
@@ -234,8 +235,10 @@ def test_late_readings_are_called_unstable_where_a_simulation_swings_up(
     one = in_process(measured, str(tmp_path), 0.05)
     assert one["stable"] == (after < before)
     assert bool(one["loops"]) == one["stable"]
-    poles = np.linalg.eigvals(linear_loop(preset("default"), PERIOD, coupling, delay=delay).closed)
-    assert one["pole_modulus"] == pytest.approx(np.abs(poles).max(), abs=0.001)
+    if not one["stable"]:
+        system = linear_loop(preset("default"), PERIOD, coupling, delay=delay)
+        poles = np.abs(np.linalg.eigvals(system.closed))
+        assert one["pole_modulus"] == pytest.approx(poles.max(), abs=5e-4)
 
 
 WILD = {"controller": {"period": 0.01, "kp": 4000.0}}

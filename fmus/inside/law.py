@@ -29,7 +29,7 @@ class LawSlave:
         layout = json.loads(Path(resources, "layout.json").read_text(encoding="utf-8"))
         self._variables, self._start = layout["variables"], layout["start"]
         self._step = float(layout["step"])
-        self._first = layout.get("first")  # what the first `ctrl` must be like
+        self._first = layout["first"]  # what the first `ctrl` must be like
         self._law: Any = None
         self._ticks, self._start_time = 0, 0.0
 

@@ -21,9 +21,9 @@ from __future__ import annotations
 import ast
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ...assets import STEP_SIZE
 from ..build.libraries import SOURCES
@@ -157,20 +157,17 @@ def _parameter(name: str, value: bool | Numbers) -> Variable:
     return Variable(name, shape, "1", "parameter", "tunable", text, value)
 
 
-@dataclass(frozen=True)
-class FirstCtrl:
-    """What a scene's first `ctrl` must be like, so that torques and angles are not confused."""
-
-    low: tuple[float, ...]  # of the first elements
-    high: tuple[float, ...]
-    within: bool  # whether all must be within these bounds, or at least one beyond
-    reason: str  # for the message, otherwise
-
-
 def law_fmu(
-    law: LawFile, interface: Interface, start: tuple[float, ...], first: FirstCtrl | None = None
+    law: LawFile,
+    interface: Interface,
+    start: tuple[float, ...],
+    first: Mapping[str, Any] | None = None,
 ) -> NativeFmu:
-    """Describe a law's FMU; `start` is `ctrl` before the first update, by element."""
+    """Describe a law's FMU; `start` is `ctrl` before the first update, by element.
+
+    `first`: bounds `low` and `high` of the first `ctrl`, for as many elements; whether all must be
+    `within`, or at least one beyond; the `reason` for the message.
+    """
     set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n"
     slave = {SLAVE_FILE: SLAVE.read_bytes() + set_law.encode()}
     return python_fmu(
@@ -184,15 +181,15 @@ def law_fmu(
     )
 
 
-def _layout(interface: Interface, start: tuple[float, ...], first: FirstCtrl | None) -> bytes:
+def _layout(interface: Interface, start: tuple[float, ...], first: Any) -> bytes:
     """Layout of the variables, for the slave, as JSON."""
     rows = [
         {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
          "is_switch": v.kind == "Boolean"}
         for v in interface.variables
     ]  # fmt: skip
-    layout = {"step": STEP_SIZE, "variables": rows, "start": start}
-    return json.dumps(layout | ({"first": asdict(first)} if first else {})).encode()
+    layout = {"step": STEP_SIZE, "variables": rows, "start": start, "first": first}
+    return json.dumps(layout).encode()
 
 
 def law_code(path: Path) -> dict[str, bytes]:

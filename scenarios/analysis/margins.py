@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .responses import Responses, number_of
+from .responses import Responses
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -47,10 +47,6 @@ class Margins:
     coupling: str  # with `jacobi`, targets and readings are one tick late
     stable: bool  # the responses to a pulse are linear, and decay or at least do not grow
     pole_modulus: float  # factor per period by which they change at last
-    remaining: float  # share of their peak which is left at the end of the window
-    linearity: float  # share of it by which twice the pulse gives another response
-    window: float  # [s] length of the responses
-    motion: float  # largest change of a position without a pulse [rad]
     linear: bool  # whether twice a pulse gives almost twice the response; else there are no margins
     loops: tuple[Loop, ...]  # none where the system is not stable
     # Of all loops at once [1]: each may change, at the same time and in its own way, by any gain
@@ -62,9 +58,9 @@ class Margins:
 
 def judge(responses: Responses, coupling: str) -> Margins:
     """Judge all loops of one measurement."""
-    about = (responses.period, coupling, responses.stable, responses.growth, responses.remaining,
-             responses.linearity, responses.window, responses.motion, responses.linear)  # fmt: skip
-    if not responses.stable:
+    stable, linear = responses.stable, responses.linear
+    about = (responses.period, coupling, stable, responses.growth, linear)
+    if not stable:
         return Margins(*about, (), 0.0, 0.0, 0.0)
     disk = disk_margin(sensitivity(responses, frequencies(responses)))
     gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
@@ -138,9 +134,10 @@ def _judge(responses: Responses, loop: int) -> Loop:
         step = np.abs(steps(responses)[:, loop])
         peak = float(step.max())
         settling = _settling(step > 0.02 * peak) * responses.period * 1e3
+    element = responses.inputs[loop].partition("[")[2].rstrip("]")
     return Loop(
         input=responses.inputs[loop],
-        joint=number_of(responses.inputs[loop]) or loop + 1,
+        joint=int(element) if element.isdigit() else loop + 1,
         gain_margin_db=float(np.abs(20.0 * np.log10(gains)).min(initial=math.inf)),
         phase_margin_deg=float(np.abs(phases).min(initial=math.inf)),
         delay_margin_ms=float(delays.min(initial=math.inf)) * 1e3,

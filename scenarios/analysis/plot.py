@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...controller.plotting import own_style
 from ..pictures.panels import COLOURS, DPI, GREY, STYLE
+from ..pictures.plot import own_style
 from .analysis import Analysis
 from .margins import STEP_TIME, Margins, frequencies, open_loop, steps
 
@@ -101,6 +101,7 @@ def _margins(variants: Sequence[Margins], axes: Any) -> None:
     place = np.arange(len(names))
     phases = [min((x.phase_margin_deg for x in v.loops), default=0.0) for v in variants]
     delays = [min((x.delay_margin_ms for x in v.loops), default=0.0) for v in variants]
+    phases, delays = (np.where(np.isfinite(x), x, 0.0).tolist() for x in (phases, delays))
     axes.bar(place - 0.2, phases, 0.4, color=COLOURS[0])
     axes.axhline(WANTED_PHASE_DEG, color=COLOURS[0], ls="--", lw=0.8)
     axes.set_xticks(place, names, fontsize="small")

@@ -8,7 +8,6 @@ are then, so that the arm comes to rest.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -24,7 +23,7 @@ from ..run.prepare import Prepared
 
 Array = NDArray[np.float64]
 
-WINDOWS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)  # [s] the first at whose end responses have decayed
+WINDOWS: Final = (250, 500, 1000, 2000, 4000)  # [ticks] the first at whose end responses decayed
 DECAYED: Final = 1e-3  # of its peak, below which a response has
 SIZES: Final = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # of pulses: units of the input, or its value if > 1
 LINEAR: Final = 1e-3  # of its peak, by which a response may differ from a linear one
@@ -100,11 +99,11 @@ def measure(prepared: Prepared, tick: int, loop: str = "") -> Responses:
     """Measure the responses from a tick of the run on; `loop`: see `_targets`."""
     system, step = prepared.assembly.system, prepared.scenario.step
     targets = _targets([connection.target for connection in system.connections], loop)
-    with prepared.open([], longer=WINDOWS[-1]) as opened:
+    with prepared.open([], longer=WINDOWS[-1] * step) as opened:
         inputs = prepared.inputs()
         opened.master.begin(lambda _rows: None)
         opened.master.step(tick, inputs)
-        held = np.repeat(inputs[tick : tick + 1], round(WINDOWS[-1] / step), axis=0)
+        held = np.repeat(inputs[tick : tick + 1], WINDOWS[-1], axis=0)
         perturbed = PerturbedSystem(opened, system.connections, targets, held)
         return _Measurement(perturbed, targets, step).responses()
 
@@ -112,14 +111,10 @@ def measure(prepared: Prepared, tick: int, loop: str = "") -> Responses:
 def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
     """Inputs at which the loops are opened: those that are named, else all of the plant."""
     names = {target: ".".join(target) for target in fed}
-    wholes = {target: _whole(name) for target, name in names.items()}
-    chosen = [
-        target
-        for target in fed
-        if loop in (names[target], wholes[target]) or (not loop and target[0] == "plant")
-    ]
+    chosen = [t for t in fed if loop in (names[t], _whole(names[t]))]
+    chosen = chosen if loop else [t for t in fed if t[0] == "plant"]
     if not chosen:
-        valid = list(dict.fromkeys(wholes.values()))
+        valid = list(dict.fromkeys(map(_whole, names.values())))
         what = f"--loop {loop}: no FMU feeds it" if loop else "no FMU is named `plant`"
         raise InputError(
             f"{what}; --loop must name an input that an FMU feeds: {', '.join(valid) or 'none'}"
@@ -183,7 +178,7 @@ class _Measurement:
                 return np.flatnonzero(answers.any(axis=0)).tolist()
         raise InputError(
             f"{', '.join(map('.'.join, self._targets))}: nothing of what is added there comes back "
-            f"within {WINDOWS[-1]:g} s; there is no loop"
+            f"within {WINDOWS[-1] * self._step:g} s; there is no loop"
         )
 
     def _positions(self, loops: Sequence[int]) -> list[Name]:
@@ -205,7 +200,7 @@ class _Measurement:
 
     def _choose_window(self, loops: Sequence[int]) -> None:
         """Lengthen the window until answers have decayed, or are no longer linear."""
-        before = 0.0
+        before = 0
         for window in WINDOWS:
             self._resize(window)
             answers, twice = self._compared(loops)
@@ -224,8 +219,7 @@ class _Measurement:
         columns = [self._system.fed_by[i] for i in loops]
         return self._answers(loops, columns), self._answers(loops, columns, 2.0)
 
-    def _resize(self, window: float) -> None:
-        ticks = round(window / self._step)
+    def _resize(self, ticks: int) -> None:
         self._nothing = np.zeros((ticks, len(self._targets)))
         self._base = self._system.run(self._nothing)
 
@@ -236,12 +230,6 @@ class _Measurement:
         added[first : first + self._at.step, inputs] = size * self._scale[inputs]
         answers: Array = (self._system.run(added) - self._base)[self._at, columns] / size
         return answers
-
-
-def number_of(name: str) -> int:
-    """Return the element that a name ends with, such as 3 of `plant.ctrl[3]`, or 0."""
-    match = re.search(r"\[(\d+)\]$", name)
-    return int(match[1]) if match else 0
 
 
 def _difference(one: Array, other: Array) -> float:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ...controller.plotting import own_style
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
 from .motion import SHAPES, Signals, describe_run
@@ -33,6 +33,13 @@ def plot_recording(recording: Recording, path: Path) -> Path:
     """Write a PNG with the curves of a run of the task, or with the signals of any other run."""
     is_task = all(name in recording for name in SHAPES)
     return plot_run(recording, path) if is_task else plot_signals(recording, path)
+
+
+def own_style(style: Mapping[Any, Any]) -> AbstractContextManager[None]:
+    """Draw and save figures in matplotlib's default style, changed by `style` alone."""
+    from matplotlib.style import context  # noqa: PLC0415 - slow to import
+
+    return context(dict(style), after_reset=True)
 
 
 def plot_run(recording: Signals, path: str | Path) -> Path:

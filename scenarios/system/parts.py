@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from ...fmus.sources.targets import Kind, Target, build, build_fmu
 from ..scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from ...fmus.sources.law import FirstCtrl, LawFile
+    from ...fmus.sources.law import LawFile
 
 OURS: Final = ("controller", "plant")
 MODELS: Final = (".xml", ".urdf", ".mjb")
@@ -171,18 +171,18 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     return Part(name, law.path, interface, make)
 
 
-def _first_ctrl(scenario: Scenario) -> FirstCtrl | None:
+def _first_ctrl(scenario: Scenario) -> dict[str, Any] | None:
     """What torques, or servo targets, of the arm are like at the start, where it rests."""
-    from ...fmus.sources.law import FirstCtrl  # noqa: PLC0415 - few scenarios need it
-
     if scenario.is_torque_driven:
-        low, high = (np.array(HOME_Q) + side * AT_HOME for side in (-1.0, 1.0))
+        low, high = np.array(HOME_Q) - AT_HOME, np.array(HOME_Q) + AT_HOME
         reason = 'that is where the arm is [rad]; scene "tabletop" takes angles, this one torques'
-        return FirstCtrl(tuple(low), tuple(high), False, reason)
-    if "plant" in scenario.fmus:
+    elif "plant" in scenario.fmus:
         return None
-    reason = 'the joints cannot get there [rad]; scene "motors" takes torques, this one angles'
-    return FirstCtrl(tuple(Q_MIN - BEYOND), tuple(Q_MAX + BEYOND), True, reason)
+    else:
+        low, high = Q_MIN - BEYOND, Q_MAX + BEYOND
+        reason = 'the joints cannot get there [rad]; scene "motors" takes torques, this one angles'
+    within = not scenario.is_torque_driven
+    return {"low": low.tolist(), "high": high.tolist(), "within": within, "reason": reason}
 
 
 def measures_a_panda(interface: Interface) -> bool:
