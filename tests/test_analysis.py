@@ -222,7 +222,7 @@ def swing(folder: str) -> tuple[float, float]:
 def test_late_readings_are_called_unstable_where_a_simulation_swings_up(
     tmp_path: Path, coupling: str, delay: float, known: float
 ) -> None:
-    """The first delays beyond the margin, and the last ones within; Jacobi adds two ticks. Known ones are borne longer."""
+    """Delays beyond the margin and within; Jacobi adds two ticks. Known ones are borne longer."""
     (tmp_path / "trajectory.csv").write_text(
         "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0,0.08\n"
     )

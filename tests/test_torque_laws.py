@@ -25,6 +25,9 @@ class Angles:
     def update(self, time, pos_cmd, hand_xpos, jac, qpos, grip_cmd):
         move = np.linalg.pinv(jac[:3]) @ (pos_cmd - hand_xpos)
         return np.hstack((qpos + 0.1 * move, 255 * grip_cmd / 0.08))
+'''
+LATE = '''
+import numpy as np
 
 class Late:
     """Imports a module beside it too late."""
@@ -38,6 +41,7 @@ MOTORS = ("--set", "scene=motors")
 @pytest.fixture
 def laws(tmp_path: Path) -> Path:
     (tmp_path / "laws.py").write_text(LAWS)
+    (tmp_path / "late.py").write_text(LATE)
     (tmp_path / "clipped.py").write_text(
         "import numpy as np\ndef clipped(torque): return np.clip(torque, -80, 80)\n"
     )
@@ -96,7 +100,7 @@ def test_a_law_that_fits_is_not_refused(laws: Path) -> None:
 
 def test_a_module_that_is_imported_in_a_method_is_named(laws: Path) -> None:
     for name in ("run", "check"):
-        code, text = said(name, laws / "hold", "--controller", f"{laws / 'laws.py'}:Late", *MOTORS)
+        code, text = said(name, laws / "hold", "--controller", f"{laws / 'late.py'}:Late", *MOTORS)
         assert code == 2, text
-        assert "laws.py: update imports clipped; must import it at the top of the file" in text
+        assert "late.py, line 6: update imports clipped; must import it at the top" in text
     assert not (laws / "runs").exists()

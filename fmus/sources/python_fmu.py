@@ -142,8 +142,9 @@ def _refuse_late_imports(root: Path, path: str, tree: ast.Module) -> None:
                 stem = root / module.replace(".", "/")
                 if stem.with_suffix(".py").is_file() or (stem / "__init__.py").is_file():
                     raise InputError(
-                        f"{root / path}: {node.name} imports {module}; must import it at the top "
-                        "of the file, since an FMU finds its modules only while it is loaded"
+                        f"{root / path}, line {node.lineno}: {node.name} imports {module}; must "
+                        "import it at the top of the file, since an FMU finds its modules only "
+                        "while it is loaded"
                     )
 
 

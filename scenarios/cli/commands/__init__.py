@@ -25,7 +25,7 @@ COMMANDS = {
     "plot": (RESULTS, "Plot a run's signals on one page."),
     "compare": (RESULTS, "Compare runs: parameters, verdicts, metrics and signals."),
     "export": (RESULTS, "Write a recording as CSV."),
-    "analyze": (RESULTS, "Linearise the control loop: margins, bandwidth, Bode plots."),
+    "analyze": (RESULTS, "Measure the control loops: margins, Bode plots, a state-space model."),
     "build": (MACHINE, "Build the FMUs of a scenario, and Panda.ssp that connects them."),
     "mjcf2fmu": (MACHINE, "Make an FMU from any MuJoCo model, without run-time dependencies."),
     "info": (MACHINE, "Show the FMUs' variables and how they are connected."),

@@ -68,7 +68,7 @@ def command(  # noqa: PLR0913 - one for each option
     json: bool = JSON,
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Measure the control loops: margins, bandwidth, Bode plots, a state-space model.
+    """Measure the control loops: margins, Bode plots, a state-space model.
 
     Takes any scenario whose FMUs can go back to a state: own laws, plants and systems, too. Small
     pulses are added to each servo target, or torque, at one instant of the run. For the margins of
