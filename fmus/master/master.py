@@ -88,6 +88,7 @@ class Master:
         self.columns = [*external, *read, *([ITERATIONS] if coupling == "iterated" else [])]
         self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects)
         rows = self._buffer.rows
+        self.connections, self.multiples = connections, multiples
         self._slaves = bind(slaves, self.columns, self.external, connections, rows, multiples)
         self._stop = ctypes.c_int32()
         self._set_coupling(coupling)

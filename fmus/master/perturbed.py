@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..errors import InputError, SimulationError
-from ..interface.tables import Connection
 from .fmu import FmuSlave
 from .step import Step
 from .system import Instance, OpenSystem
@@ -24,7 +23,6 @@ class PerturbedSystem:
     def __init__(
         self,
         opened: OpenSystem,
-        connections: Sequence[Connection],
         targets: Sequence[Name],  # inputs to which something is added, each fed by an output
         external: Array,  # external inputs from this tick on (n, external)
     ) -> None:
@@ -34,9 +32,10 @@ class PerturbedSystem:
         slaves = opened.slaves
         self._back = [_save(slave) for slave in slaves.values()]  # before `step` is bound
         bound = bind(
-            list(slaves.values()), master.columns, master.external, connections, self._rows
-        )
-        sources = {each.target: each.source for each in connections}
+            list(slaves.values()), master.columns, master.external, master.connections, self._rows,
+            master.multiples,
+        )  # fmt: skip
+        sources = {each.target: each.source for each in master.connections}
         self.fed_by = [self.columns.index(sources[target]) for target in targets]
         for name, slave in zip(slaves, bound, strict=True):
             own = [i for i, target in enumerate(targets) if target[0] == name]

@@ -104,7 +104,7 @@ def measure(prepared: Prepared, tick: int, loop: str = "") -> Responses:
         opened.master.begin(lambda _rows: None)
         opened.master.step(tick, inputs)
         held = np.repeat(inputs[tick : tick + 1], WINDOWS[-1], axis=0)
-        perturbed = PerturbedSystem(opened, system.connections, targets, held)
+        perturbed = PerturbedSystem(opened, targets, held)
         return _Measurement(perturbed, targets, step).responses()
 
 
