@@ -22,7 +22,11 @@ MARK: Final = "Made by panda-cosim, which may replace this file"
 _HEAD: Final = 2**20  # [byte] a video has its mark behind its table of frames
 _RECORDINGS: Final = (b"PAR1", b"\xff\xff\xff\xff")  # first bytes of Parquet and Arrow streams
 _TOOL: Final = b'generationTool="panda-cosim'
-_DESCRIPTIONS: Final = {"modelDescription.xml", "SystemStructure.ssd"}
+_NOTES: Final = {  # what a member of an archive of ours holds: of an .fmu, an .ssp, an .npz
+    "modelDescription.xml": _TOOL,
+    "SystemStructure.ssd": _TOOL,
+    "note.npy": MARK.encode(),
+}
 
 
 def check_replaceable(*paths: Path, overwrite: bool | None = None) -> None:
@@ -46,11 +50,11 @@ def _head(path: Path) -> bytes:
 
 
 def _is_ours(path: Path, head: bytes) -> bool:
-    if not head.startswith(b"PK") or MARK.encode() in head:
+    if not head.startswith(b"PK"):
         return MARK.encode() in head
     with suppress(Exception), zipfile.ZipFile(path) as archive:  # ten types for damaged ones
-        names = _DESCRIPTIONS.intersection(archive.namelist())
-        return any(_TOOL in archive.open(name).read(4096) for name in names)
+        names = _NOTES.keys() & set(archive.namelist())
+        return any(_NOTES[name] in archive.open(name).read(4096) for name in names)
     return False
 
 

@@ -285,7 +285,7 @@ def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [("re", {"regress", "render", "replay", "retime"}),
-     ("run --coupling ", {"gauss-seidel", "jacobi"}),
+     ("run --coupling ", {"gauss-seidel", "jacobi", "iterated"}),
      ("run place", {"place_and_pick_again"})],
 )  # fmt: skip
 def test_the_shell_completes(typed: str, offered: set[str]) -> None:

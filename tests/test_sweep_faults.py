@@ -58,7 +58,7 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path: Path) 
     definition = law_sweep(tmp_path / "law", "plant.block_mass", [0.2])
     out = sweep(definition, tmp_path / "out").folder
     shutil.rmtree(tmp_path / "law")  # the sweep has kept it
-    files = promote_row(out, 0, tmp_path / "mine" / "held")
+    files = promote_row(out, 0, tmp_path / "mine" / "held", known_limit=True)
     assert tmp_path / "mine" / "held" / "hold.py" in files
     done = command("regress", "--scenarios", tmp_path / "mine", "--exact")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -104,7 +104,7 @@ def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(
         with (mine / "scenario.toml").open("a") as file:
             file.write("[steps]\ncontroller = 5\n")
     else:
-        make_scenario(mine, controller=True)
+        make_scenario(mine, ["law"])
         (mine / "scenario.toml").write_text(OWN)
     for arguments in (
         ("build", "--scenario", mine, "--fmi", fmi, "--out", files),

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from ....fmus.atomic import MARK, check_replaceable, replacing
-from ....fmus.master.step import COUPLINGS
+from ....fmus.master.step import SWITCHED
 from ...analysis.analysis import Analysis, analyze
 from ...analysis.margins import STEP_TIME, Margins
 from ...analysis.plot import plot_analysis
@@ -129,7 +129,7 @@ def _variants(scenario: Scenario, options: Options, first: Analysis) -> Iterator
             if not math.isclose(period, first.period):
                 own = {**options.overrides.get("controller", {}), "period": period}
                 yield replace(options, overrides={**options.overrides, "controller": own})
-    yield from (replace(options, coupling=c) for c in COUPLINGS if c != first.margins.coupling)
+    yield from (replace(options, coupling=c) for c in SWITCHED if c != first.margins.coupling)
 
 
 def _show_variant(margins: Margins) -> None:

@@ -54,9 +54,9 @@ def command(  # noqa: PLR0913 - one for each option
     assignments: list[str] | None = SETTINGS,
     duration: float | None = option("--duration SECONDS", "Simulated time [s]."),
     coupling: Coupling | None = option(
-        "--coupling",
-        "Overrides the scenario's coupling. With jacobi, the controller's output acts one tick "
-        "later.",
+        "--coupling NAME",
+        "Overrides the scenario's coupling: gauss-seidel, jacobi (the controller's output acts one "
+        "tick later) or iterated.",
     ),
     realtime: bool = option("--realtime", "Run in real time, paced by the wall clock.", False),
     video: bool = VIDEO,
