@@ -68,6 +68,8 @@ def test_a_torque_law_and_its_scene_are_named_in_any_order(laws: Path, law_first
     assert code == 0, text
     assert "controller.kp" not in text
     assert said("check", laws / "hold", *options, *gain)[0] == 0
+    if not law_first:
+        return  # an analysis takes long, and parses its options by the same code
     code, text = said("analyze", laws / "hold", *options, *gain, "--at", "0.1", "--out", laws / "a")
     assert code == 0, text
     assert "plant.torque[7]" in text

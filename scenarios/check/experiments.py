@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -234,8 +235,16 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
     for instance, interface in assembly.interfaces.items():
         names = [name for variable in interface.of("input") for name in variable.names()]
         sources = {n: feeding.get((instance, n), f"{instance}.{n}") for n in names}
-        driven = {name: source for name, source in sources.items() if source in recording}
-        stimuli = {n: recording[source] for n, source in {"time": "time", **driven}.items()}
+        texts = {s.name for s in interface.scalars() if s.variable.kind in TEXTS}
+        driven = {
+            name: source
+            for name, source in sources.items()
+            if source in recording and name not in texts
+        }
+        stimuli = {
+            name: recording[source].astype(float)
+            for name, source in {"time": "time", **driven}.items()
+        }
         every = math.ceil(recording.rows * len(driven) / MOST_CELLS) or 1
         rows = np.unique([*range(0, recording.rows, every), recording.rows - 1])
         starts = {s.name: s.start for s in interface.scalars()}
@@ -244,9 +253,15 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
             scenario.name, recording.time[0], recording.time[-1], scenario.step,
             description=f"{interface.model} as driven in the scenario {scenario.name}",
             parameters={name: value for name, value in values.items() if value != starts[name]},
-            stimuli={name: column[rows] for name, column in stimuli.items()} if driven else {},
+            stimuli={n: column[rows] for n, column in stimuli.items()} if driven else {},
         )  # fmt: skip
     return experiments
+
+
+def has_experiments(path: Path) -> bool:
+    """Whether an FMU's file has a manifest of reference experiments."""
+    with zipfile.ZipFile(path) as archive:
+        return f"{FOLDER}/{MANIFEST}" in archive.namelist()
 
 
 def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
