@@ -95,8 +95,9 @@ def test_the_end_kills_what_runs_and_starts_nothing_more(tmp_path: Path) -> None
     with Workers(1) as workers:
         workers.submit(work_jobs.sleep, tmp_path / "first", died=same, late=same)
         second = workers.submit(work_jobs.sleep, tmp_path / "second", died=same, late=same)
-        wait_for((tmp_path / "first").exists)
-    assert not is_there(int((tmp_path / "first").read_text()))
+        first = tmp_path / "first"
+        wait_for(lambda: first.exists() and first.read_text())
+    assert not is_there(int(first.read_text()))
     assert second.done()
     assert not (tmp_path / "second").exists()
 
