@@ -1,4 +1,4 @@
-"""Parameters of a plant, with their ranges, and names in its model; needs no MuJoCo."""
+"""Parameters of a plant, with their ranges, and names and places in its scene; needs no MuJoCo."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 ARM_AND_PALM = (*(f"link{i}" for i in range(8)), "hand")  # bodies that should touch nothing
 FINGERS = ("left_finger", "right_finger")
 BLOCK, TABLE = "obj", "work_space"
+TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
+TABLE_CENTRE = (0.65, 0.30)  # [m] x and y in the world frame (scene files)
+TABLE_HALF_SIZE = (0.2, 0.2)  # [m] (scene files)
+BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
 MASS_RANGE = (0.001, 3.0)  # [kg] up to the arm's rated payload (Franka data sheet)
 FRICTION_RANGE = (0.01, 5.0)  # [1] sliding friction; MuJoCo's lower bound is 1e-5
 POSITION_RANGE = (-1.0, 1.0)  # [m] the floor's half size (scene files)
@@ -71,3 +75,12 @@ def _check(name: str, value: float, bounds: tuple[float, float], unit: str) -> N
     low, high = bounds
     if not low <= value <= high:  # false for NaN, too
         raise ValueError(f"{name}: {value!r} {unit} is out of range [{low:g}, {high:g}] {unit}")
+
+
+def block_start_height(x: float, y: float) -> float:
+    """Height of the block's centre [m] where it stands on floor or table at (x, y), world [m]."""
+    over_table = all(
+        abs(place - centre) <= half
+        for place, centre, half in zip((x, y), TABLE_CENTRE, TABLE_HALF_SIZE, strict=True)
+    )
+    return BLOCK_HALF_HEIGHT + (TABLE_TOP if over_table else 0.0)

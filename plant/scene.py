@@ -9,12 +9,7 @@ import mujoco
 
 from ..assets import ELASTIC, asset_files, scene_file
 from .elastic import add_rotors, stretch_springs
-from .parameters import PlantParameters
-
-TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
-TABLE_CENTRE = (0.65, 0.30)  # [m] x and y in the world frame (scene files)
-TABLE_HALF_SIZE = (0.2, 0.2)  # [m] (scene files)
-BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
+from .parameters import PlantParameters, block_start_height
 
 
 def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
@@ -61,15 +56,6 @@ def _change_arm(model: Any, parameters: PlantParameters) -> None:
         model.actuator_biasprm[servo] *= parameters.servo_scale[joint]
         model.actuator_forcerange[servo] *= parameters.torque_limit_scale[joint]
     model.body_mass[model.body("hand").id] += parameters.payload
-
-
-def block_start_height(x: float, y: float) -> float:
-    """Height of the block's centre [m] where it stands on floor or table at (x, y), world [m]."""
-    over_table = all(
-        abs(place - centre) <= half
-        for place, centre, half in zip((x, y), TABLE_CENTRE, TABLE_HALF_SIZE, strict=True)
-    )
-    return BLOCK_HALF_HEIGHT + (TABLE_TOP if over_table else 0.0)
 
 
 def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:

@@ -6,7 +6,10 @@ import signal
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from shlex import quote
 from typing import Any, Literal
@@ -27,9 +30,8 @@ from ..run.folder import claimed_folder
 from ..run.result import VIDEO_FILE, Run
 from ..run.summary import Summary
 from ..scenario.scenario import Scenario
-from ..view.export import VIEW_FILE, write_view
 from . import INTERRUPTS
-from .console import Update, as_cell, progress, show, show_json, table, tell, warn
+from .console import as_cell, progress, show, show_json, table, tell, warn
 from .options import announce_build
 
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
@@ -51,6 +53,7 @@ GAIN_REMEDIES = {  # besides, if the controller is our own
 SHOWN = 3  # unwanted contacts that are named
 NO_VERDICT = "Neither success nor failure, as not all criteria could be measured"
 NOT_FAILED = "Success, although a failure is expected"
+Progress = Callable[[int, int], None]  # completed and total steps
 Fault = tuple[Literal["failure", "error"], str, str]  # problem, kind and message of a JUnit case
 
 
@@ -67,9 +70,17 @@ class Output:
 
 
 def simulate(
-    scenario: Scenario, kind: Kind, output: Output, run: Callable[[Path, Update], Run]
+    scenario: Scenario,
+    kind: Kind,
+    output: Output,
+    run: Callable[[Path, Progress], Run],
+    *,
+    early: bool = True,
 ) -> Run:
-    """Run in a new folder; an error names the place of the recording."""
+    """Run in a new folder; an error names the place of the recording.
+
+    `early`: modules that are needed afterwards are imported while the FMUs step.
+    """
     if output.junit is not None:
         check_replaceable(output.junit)
     # No warning: an overflow leads to a value that is not finite, which is an error.
@@ -80,13 +91,33 @@ def simulate(
             announce_build(Target(kind))
         try:
             with progress(f"Simulating {scenario.name}") as update:
-                return run(folder, update)
+
+                def hear(done: int, total: int) -> None:
+                    update(done, total)
+                    if early:
+                        _get_ready(output.view)
+
+                return run(folder, hear)
         except SimulationError as error:
             seconds = time.monotonic() - began
             _write_junit(output.junit, scenario.name, seconds, ("error", "failed", str(error)))
             kept = any(folder.glob("recording.*"))
             where = f"; the recording up to then is in {folder}" if kept else ""
             raise CosimError(f"{error}{where}") from error
+
+
+@cache
+def _get_ready(view: bool) -> None:
+    """Import in a thread what closes and draws a run; FMUs in C leave Python to it meanwhile."""
+
+    def load() -> None:  # what fails here fails again where it is used
+        import_module("pyarrow.parquet")
+        if view:
+            import_module("PIL.PngImagePlugin")
+            import_module("..view.page", __package__).code_elements()
+            import_module("..view.export", __package__)
+
+    ThreadPoolExecutor(1).submit(load)
 
 
 def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
@@ -116,6 +147,8 @@ def _draw(done: Run, output: Output) -> None:
         drawable = False
     try:
         if output.view and drawable:
+            from ..view.export import VIEW_FILE, write_view  # noqa: PLC0415 - imports MuJoCo
+
             tell("Writing the view ...")
             try:
                 write_view([done.shown()], done.folder / VIEW_FILE)

@@ -151,7 +151,9 @@ class Recorder(_Context):
             raise
         self._mark_end(complete, reason)
         try:
-            storage.convert_to_parquet(self._stream, self._parquet)
+            memory, stream = self._memory, self._stream
+            source = memory.source() if memory is not None else storage.open_stream(stream)
+            storage.write_parquet(source, self._parquet)
             self._stream.unlink()
         except (OSError, InputError) as error:
             raise self._failure(error) from error
@@ -224,14 +226,17 @@ class MemoryRecorder(_Context):
 
     def recording(self) -> Recording:
         """Return what was recorded."""
+        return Recording(self._path, self.source())
+
+    def source(self) -> storage.Source:
+        """Return what was recorded, as a recording's data."""
         values = self._values[:, : self.rows]
         by_name = {
             column.name: values[i].astype(storage.read_type(column.type), copy=False)
             for i, column in enumerate(self._columns)
         }
         blocks = partial(_one_block, by_name)
-        source = storage.Source(self._columns, self._metadata, self.rows, blocks)
-        return Recording(self._path, source)
+        return storage.Source(self._columns, self._metadata, self.rows, blocks)
 
 
 def _one_block(columns: Mapping[str, Array], names: Sequence[str]) -> Iterator[list[Array]]:

@@ -120,12 +120,11 @@ def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
     return sink.getvalue().slice(schema.serialize().size)
 
 
-def convert_to_parquet(stream: Path, parquet: Path) -> None:
-    """Write a stream's rows and metadata as Parquet, and keep the stream."""
+def write_parquet(source: Source, parquet: Path) -> None:
+    """Write a recording's rows and metadata as Parquet."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-    source = open_stream(stream)
     schema = make_schema(source.columns, source.metadata)
     partial = parquet.with_name(PARTIAL_FILE)
     try:

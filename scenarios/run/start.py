@@ -16,8 +16,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.variables import Value
-from ...plant.parameters import PlantParameters
-from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
+from ...plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
 from ..recording.storage import TEXTS

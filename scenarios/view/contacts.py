@@ -17,7 +17,7 @@ from .columns import encode
 
 Array = NDArray[np.float64]
 
-INTERVAL: Final = 0.004  # [s] between two instants
+INTERVAL: Final = 1 / 60  # [s] between two instants: that of a screen
 INSTANTS: Final = 18_000  # at most
 LEAST: Final = 0.05  # [N] smaller forces are not drawn
 STEPS: Final = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)  # [m], [N] rounding steps

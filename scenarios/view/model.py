@@ -174,7 +174,7 @@ class _Shapes:
             image = Image.fromarray(self._pixels(texture).squeeze())
             image.thumbnail((TEXTURE_SIDE, TEXTURE_SIDE))
             file = io.BytesIO()
-            image.save(file, "PNG", optimize=True)
+            image.save(file, "PNG")
             self._texture_index[texture] = len(self.textures)
             self.textures.append(base64.b64encode(file.getvalue()).decode("ascii"))
         return self._texture_index[texture]

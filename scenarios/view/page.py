@@ -111,7 +111,7 @@ def _part(name: str) -> str:
 
 @cache
 def _packed_code() -> str:
-    return pack(_part("view.js").encode())
+    return pack(_part("view.js").encode(), level=6)
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,11 @@ from pathlib import Path
 from ....fmus.errors import InputError
 from ....fmus.master.step import Coupling
 from ....fmus.sources.targets import Kind
-from ...run import replay as journal
 from ...run.options import Options, with_values
 from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.run import run_prepared
 from ...scenario.scenario import Scenario
-from ..console import Update
 from ..options import (
     CONTROLLER,
     DEFAULT_SCENARIO,
@@ -30,7 +28,7 @@ from ..options import (
     option,
     scenario_argument,
 )
-from ..outcome import Output, conclude, simulate
+from ..outcome import Output, Progress, conclude, simulate
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
 PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
@@ -104,10 +102,10 @@ def command(  # noqa: PLR0913 - one for each option
     prepared = prepare(*assigned(chosen, assignments, options))  # refuses bad input
     output = Output(out, video, plot, view, junit, json)
 
-    def run(folder: Path, update: Update) -> Run:
+    def run(folder: Path, update: Progress) -> Run:
         return run_prepared(prepared, folder, progress=update)
 
-    done = simulate(prepared.scenario, kind, output, run)
+    done = simulate(prepared.scenario, kind, output, run, early=not realtime)
     conclude(done, output, realtime=realtime)
 
 
@@ -133,11 +131,13 @@ def replay(  # noqa: PLR0913 - one for each option
     panda-cosim replay runs/my-session
     ```
     """
+    from ...run import replay as journal  # noqa: PLC0415 - `run` has no use for it
+
     options = Options(isolate=isolate, step_timeout=step_timeout)
     scenario, options = journal.read_session(run, options)
     output = Output(out, video, plot, view, junit, json)
 
-    def repeat(folder: Path, update: Update) -> Run:
+    def repeat(folder: Path, update: Progress) -> Run:
         return journal.replay(run, folder, options, progress=update)
 
     conclude(simulate(scenario, options.kind, output, repeat), output)
