@@ -17,51 +17,47 @@ LAST: Final = 10  # earlier lines whose median counts
 FEWEST: Final = 3  # fewer have no median
 SLACK: Final = 1.05  # a ratio of the median from which a ratio is worse
 HIGHER_IS_BETTER: Final = ("b/c",)
-MACHINE: Final = ("processor", "cores", "system")  # what makes a machine
 Line = dict[str, Any]
 
 
 def append(path: Path, result: BenchResult, kind: str) -> list[Line]:
     """Append a run to a history, and return all lines of its kind and machine, the new one last."""
-    earlier = read(path)
+    machine = {key: result.machine[key] for key in ("processor", "cores", "system")}
+    same = {"kind": kind, "machine": machine}
     ratios = {name: ratio.median for name, ratio in result.ratios.items()}
     ratios |= {name: value for name, value in result.figures.items() if "_by_" in name}
-    made = {"kind": kind, "machine": {key: result.machine[key] for key in MACHINE}}
     date = datetime.now(UTC).isoformat(timespec="seconds")
-    new = {"date": date, "commit": _commit(), **made, "ratios": ratios}
+    new = {"date": date, "commit": _commit(), **same, "ratios": ratios}
+    earlier = [line for line in read(path) if same.items() <= line.items()]
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(new) + "\n")
-    return [*(line for line in earlier if made.items() <= line.items()), new]
+    return [*earlier, new]
 
 
 def read(path: Path) -> list[Line]:
     """Return the lines of a history; a file that is not there has none."""
-    texts = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    return [_line(f"{path}: line {number}", text) for number, text in enumerate(texts, 1)]
+    lines = []
+    for number, text in enumerate(path.read_text("utf-8").splitlines() if path.exists() else (), 1):
+        try:
+            lines.append(json.loads(text))
+            usable = min(lines[-1]["ratios"].values()) > 0.0
+        except (ValueError, TypeError, KeyError, AttributeError):
+            usable = False
+        if not usable:
+            place = f"{path}: line {number}"
+            raise InputError(f"{place}: {excerpt(text)}; must be a line of `bench --history`")
+    return lines
 
 
-def _line(place: str, text: str) -> Line:
-    try:
-        line: Line = json.loads(text)
-        if all(ratio > 0.0 for ratio in line["ratios"].values()):
-            return line
-    except (ValueError, TypeError, KeyError, AttributeError):
-        pass
-    raise InputError(f"{place}: {excerpt(text)}; must be a line of `bench --history`")
-
-
-def medians(lines: list[Line]) -> dict[str, float]:
-    """Median by ratio of the last lines before the newest, of which there must be `FEWEST`."""
-    values = {
-        name: [line["ratios"][name] for line in lines[:-1] if name in line["ratios"]][-LAST:]
-        for name in lines[-1]["ratios"]
-    }
-    return {name: median(each) for name, each in values.items() if len(each) >= FEWEST}
-
-
-def is_worse(name: str, now: float, before: float) -> bool:
-    """Whether a ratio is worse than the median before it by more than `SLACK`."""
-    return (before / now if name in HIGHER_IS_BETTER else now / before) > SLACK
+def compared(lines: list[Line]) -> dict[str, tuple[float, float | None, bool]]:
+    """By ratio: the newest, the median of the last ones before it, and whether it is worse."""
+    result = {}
+    for name, now in lines[-1]["ratios"].items():
+        last = [line["ratios"][name] for line in lines[:-1] if name in line["ratios"]][-LAST:]
+        before = median(last) if len(last) >= FEWEST else None
+        change = 1.0 if before is None else now / before
+        result[name] = now, before, (1 / change if name in HIGHER_IS_BETTER else change) > SLACK
+    return result
 
 
 def _commit() -> str:

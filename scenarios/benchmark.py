@@ -13,11 +13,12 @@ import subprocess
 import sys
 import tempfile
 import time as clock
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import Any, Final, Protocol
+from subprocess import DEVNULL, PIPE
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -56,17 +57,13 @@ RATIOS: Final = {
     "b/c": ("lists", "master", "at least 2"),
     "cold run": ("run", "imports", "at most 2.2"),
 }
+OURS: Final = (sys.executable, "-m", "panda_cosim")
 IMPORTS: Final = "import numpy, mujoco, fmpy, pyarrow"  # what a cold run is compared with
 
 
-class _Way(Protocol):
-    """One way to step."""
-
-    def advance(self, first: int, count: int) -> None:
-        """Take `count` steps from tick `first` on."""
-
-    def state(self) -> Array:
-        """Positions of arm, fingers and block (16,)."""
+Way = tuple[
+    Callable[[int, int], None], Callable[[], Array]
+]  # steps from a tick on; see `_one_pass`
 
 
 class _Workload:
@@ -75,8 +72,7 @@ class _Workload:
     def __init__(self, scenario: Scenario, system: System) -> None:
         self.system, self.values = system, start_values(scenario)
         self.commands = resolve(scenario, self.values).sample(instants(scenario))
-        self.steps = scenario.ticks
-        self._scene = PlantParameters(scene=scenario.scene)
+        self.steps, self.scene = scenario.ticks, PlantParameters(scene=scenario.scene)
         rows: list[Array] = []
         with self.opened() as session:
             session.master.run(self.steps, self.commands, lambda block: rows.append(block.copy()))
@@ -87,101 +83,83 @@ class _Workload:
     def opened(self) -> AbstractContextManager[OpenSystem]:
         return open_system(self.system, self.values, stop=self.steps * STEP_SIZE)
 
-    def physics(self, *, drawn: bool) -> _Physics:
-        """Return the bare physics, with or without the shapes that are only drawn."""
-        start = Plant(self._scene).data.qpos
-        return _Physics(load_scene(self._scene, drawn=drawn), start, self.ctrl)
 
+def _physics(workload: _Workload, *, drawn: bool) -> Way:
+    """(a) Bare `mj_step` with the servo targets of the whole loop."""
+    model, targets, step = load_scene(workload.scene, drawn=drawn), workload.ctrl, mujoco.mj_step
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = Plant(workload.scene).data.qpos, targets[0]
+    mujoco.mj_forward(model, data)
+    ctrl = data.ctrl
 
-class _Physics:
-    """(a) Bare `mj_step` with the servo targets of the whole loop, (steps, 8)."""
-
-    def __init__(self, model: Any, start: Array, ctrl: Array) -> None:
-        self._model, self._data, self._ctrl = model, mujoco.MjData(model), ctrl
-        self._data.qpos[:] = start
-        self._data.ctrl[:] = ctrl[0]
-        mujoco.mj_forward(model, self._data)
-
-    def advance(self, first: int, count: int) -> None:
-        model, data, step, ctrl = self._model, self._data, mujoco.mj_step, self._data.ctrl
+    def advance(first: int, count: int) -> None:
         for k in range(first, first + count):
-            ctrl[:] = self._ctrl[k]
+            ctrl[:] = targets[k]
             step(model, data)
 
-    def state(self) -> Array:
-        return np.array(self._data.qpos)
+    return advance, lambda: np.array(data.qpos)
 
 
-class _OwnMaster:
+def _own_master(workload: _Workload, session: OpenSystem) -> Way:
     """(c) This project's master over the FMUs."""
-
-    def __init__(self, workload: _Workload, session: OpenSystem) -> None:
-        self._commands, self._session = workload.commands, session
-
-    def advance(self, first: int, count: int) -> None:
-        if first == 0:
-            self._session.master.begin(lambda _rows: None)
-        self._session.master.step(count, self._commands)
-
-    def state(self) -> Array:
-        return self._session.slaves["plant"].get_real(_names("plant", "qpos"))
+    master, plant = session.master, session.slaves["plant"]
+    master.begin(lambda _rows: None)
+    return (
+        lambda _, count: master.step(count, workload.commands) and None,
+        lambda: plant.get_real(_names("plant", "qpos")),
+    )
 
 
-class _PlainLoop:
+@contextmanager
+def _plain_loop(workload: _Workload) -> Iterator[Way]:
     """(b) A plain loop over FMPy's `FMU2Slave` as its documentation shows it, with lists."""
+    slaves: dict[str, Any] = {}
+    references: dict[str, dict[str, int]] = {}
+    for name, path in workload.system.fmus.items():
+        fmu = Fmu(path)
+        identifier = fmu.description.coSimulation.modelIdentifier
+        slaves[name] = slave = FMU2Slave(
+            guid=fmu.guid, unzipDirectory=str(fmu.folder), modelIdentifier=identifier,
+            instanceName=name,
+        )  # fmt: skip
+        slave.instantiate()
+        slave.setupExperiment(startTime=0.0)
+        _set_start(slave, fmu, workload.values[name])
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        references[name] = {n: v.value_reference for n, v in fmu.variables.items()}
 
-    def __init__(self, workload: _Workload) -> None:
-        self._commands = workload.commands.tolist()
-        self._slaves: dict[str, Any] = {}
-        self._references: dict[str, dict[str, int]] = {}
-        for name, path in workload.system.fmus.items():
-            fmu = Fmu(path)
-            slave = FMU2Slave(
-                guid=fmu.guid,
-                unzipDirectory=str(fmu.folder),
-                modelIdentifier=fmu.description.coSimulation.modelIdentifier,
-                instanceName=name,
-            )
-            slave.instantiate()
-            slave.setupExperiment(startTime=0.0)
-            _set_start(slave, fmu, workload.values[name])
-            slave.enterInitializationMode()
-            slave.exitInitializationMode()
-            self._slaves[name] = slave
-            self._references[name] = {n: v.value_reference for n, v in fmu.variables.items()}
-        self.rows: list[list[float]] = []
+    def of(instance: str, *variables: str) -> list[int]:
+        return [references[instance][n] for v in variables for n in _names(instance, v)]
 
-    def _of(self, instance: str, *variables: str) -> list[int]:
-        names = (n for variable in variables for n in _names(instance, variable))
-        return [self._references[instance][name] for name in names]
+    plant, controller = slaves["plant"], slaves["controller"]
+    targets, servos = of("controller", *COMMANDS), of("plant", "ctrl")
+    outputs, answers = (
+        of(name, *(v.name for v in INTERFACES[name].of("output")))
+        for name in ("plant", "controller")
+    )
+    wires = [c for c in CONNECTIONS if c.source[0] == "plant"]
+    measured = [references["controller"][c.target[1]] for c in wires]
+    where = [outputs.index(references["plant"][c.source[1]]) for c in wires]
+    commands, rows = workload.commands.tolist(), []
 
-    def advance(self, first: int, count: int) -> None:
-        plant, controller = self._slaves["plant"], self._slaves["controller"]
-        commands, servos = self._of("controller", *COMMANDS), self._of("plant", "ctrl")
-        outputs, answers = (
-            self._of(name, *(v.name for v in INTERFACES[name].of("output")))
-            for name in ("plant", "controller")
-        )
-        wires = [c for c in CONNECTIONS if c.source[0] == "plant"]
-        measured = [self._references["controller"][c.target[1]] for c in wires]
-        where = [outputs.index(self._references["plant"][c.source[1]]) for c in wires]
+    def advance(first: int, count: int) -> None:
         state = plant.getReal(outputs)
         for k in range(first, first + count):
             now = {"currentCommunicationPoint": k * STEP_SIZE, "communicationStepSize": STEP_SIZE}
-            controller.setReal(commands, self._commands[k])
+            controller.setReal(targets, commands[k])
             controller.setReal(measured, [state[i] for i in where])
             controller.doStep(**now)
             answer = controller.getReal(answers)
-            self.rows.append([k * STEP_SIZE, *self._commands[k], *state, *answer])
+            rows.append([k * STEP_SIZE, *commands[k], *state, *answer])
             plant.setReal(servos, answer[:8])
             plant.doStep(**now)
             state = plant.getReal(outputs)
 
-    def state(self) -> Array:
-        return np.array(self._slaves["plant"].getReal(self._of("plant", "qpos")))
-
-    def close(self) -> None:
-        for slave in self._slaves.values():
+    try:
+        yield advance, lambda: np.array(plant.getReal(of("plant", "qpos")))
+    finally:
+        for slave in slaves.values():
             slave.terminate()
             slave.freeInstance()
 
@@ -265,25 +243,26 @@ def bench(
 
 def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
     """Cost of a step by way over a whole pass, as contacts make some steps dearer [us]."""
-    with closing(_PlainLoop(workload)) as plain, workload.opened() as session:
-        ways: dict[str, _Way] = {
-            "physics": workload.physics(drawn=True),
-            "bare": workload.physics(drawn=False),
+    with _plain_loop(workload) as plain, workload.opened() as session:
+        ways: dict[str, Way] = {
+            "physics": _physics(workload, drawn=True),
+            "bare": _physics(workload, drawn=False),
             "lists": plain,
-            "master": _OwnMaster(workload, session),
+            "master": _own_master(workload, session),
         }
         taken = dict.fromkeys(ways, 0.0)
         done = range(0, workload.steps - chunk + 1, chunk)
         for first in done:
-            for name, way in ways.items():
+            for name, (advance, _) in ways.items():
                 # The processor's time, as all that is measured computes and never waits: what
                 # others do on the machine counts little then.
                 start = clock.thread_time()
-                way.advance(first, chunk)
+                advance(first, chunk)
                 taken[name] += clock.thread_time() - start
-        for name, way in ways.items():  # all have done the same
-            if not np.array_equal(way.state(), ways["physics"].state()):
-                raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['physics']}")
+        ends = {name: state() for name, (_, state) in ways.items()}  # arm, fingers, block (16,)
+    for name, end in ends.items():  # all have done the same
+        if not np.array_equal(end, ends["physics"]):
+            raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['physics']}")
     return {name: seconds / (len(done) * chunk) * MICRO for name, seconds in taken.items()}
 
 
@@ -296,27 +275,32 @@ def _run_of(scenario: str) -> str:
 
 def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, list[float]]:
     """Times of whole commands, which take turns [s]."""
-    ours = [sys.executable, "-m", "panda_cosim"]
-    run = [*ours, "run", scenario, "--no-video", "--kind", kind]
     taken: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for i in range(times):
+            out = f"{folder}/{i}"
             for name, command in {
                 "python -c pass": [sys.executable, "-c", "pass"],
                 _IMPORTING: [sys.executable, "-c", IMPORTS],
-                "panda-cosim --help": [*ours, "--help"],
-                _run_of(scenario): [*run, "--out", f"{folder}/{i}"],
-            }.items():
-                taken.setdefault(name, []).append(_run(command))
+                "panda-cosim --help": [*OURS, "--help"],
+                _run_of(scenario): [*OURS, "run", scenario, "--no-video", "--kind", kind,
+                                    "--out", out],
+            }.items():  # fmt: skip
+                taken.setdefault(name, []).append(cost_of(command)[0])
     return taken
 
 
-def _run(command: list[str]) -> float:
+def cost_of(command: Sequence[object]) -> tuple[float, float]:
+    """Run a command; return its wall time [s], and the most memory of one of its processes [MB]."""
     start = clock.perf_counter()
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    if done.returncode not in (0, 3):
-        raise CosimError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
-    return clock.perf_counter() - start
+    with subprocess.Popen(list(map(str, command)), stdout=DEVNULL, stderr=PIPE) as process:
+        message = process.stderr.read() if process.stderr else b""
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode not in (0, 3):
+        why = f"ended with {process.returncode}:\n{message.decode()}"
+        raise CosimError(f"{' '.join(map(str, command))} {why}")
+    return clock.perf_counter() - start, usage.ru_maxrss / 1024
 
 
 def _machine() -> dict[str, str]:

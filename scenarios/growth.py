@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import re
 import tempfile
 import time as clock
 from pathlib import Path
@@ -13,22 +11,18 @@ from typing import Final
 
 from ..assets import STEP_SIZE
 from ..fmus.build.native import NativeFmu
-from ..fmus.errors import CosimError
 from ..fmus.interface.variables import Interface, input_, output
 from ..fmus.sources.targets import build_fmu
+from .benchmark import OURS, cost_of
 from .run.prepare import prepare
 from .run.run import Execution
 from .scenario.scenario import SCENARIO_FILE, load_scenario, shipped_scenarios
 from .sweep.definition import shipped_sweeps
 
-OURS: Final = (sys.executable, "-m", "panda_cosim")
-SWEEP: Final = "random_box"
-JOBS: Final = 2
-SAMPLES: Final = (8, 40)  # of two sweeps, whose difference is without start and end
-VARIABLES: Final = (2_000, 4_000)  # of each of two FMUs
+FEW, MANY = 8, 40  # rows of two sweeps, whose difference is without start and end
 HOUR: Final = 3600.0  # [s]
 FIGURES: Final = {
-    "sweep_rows_per_s": (f"rows of {SWEEP} a second, {JOBS} processes", "at least 13"),
+    "sweep_rows_per_s": ("rows of random_box a second, 2 processes", "at least 13"),
     "sweep_row_by_ticks": ("processor time of a row by its ticks' mj_step", "less is better"),
     "set_up_2000_s": ("two FMUs of 2,000 variables: set-up", "at most 1.5 s"),
     "set_up_4000_by_2000": ("of 4,000, by that", "at most 2.2"),
@@ -43,43 +37,51 @@ def figures(step: float, length: float = HOUR) -> dict[str, float]:
     """Measure all figures; `step`: cost of an `mj_step` [s]; `length`: of the long runs [s]."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        seconds = sweep_row(place)
-        small, large = (set_up(place / str(count), count) for count in VARIABLES)
-        peaks = long_runs(place, length)
+        task, out = place / "task", place / "out"
+        copytree(shipped_scenarios()["pick_and_place"], task)
+        (task / "reference.parquet").unlink()
+        _change(task / SCENARIO_FILE, "duration = 6.5", f"duration = {length}")
+        for rows in (FEW, MANY):
+            file = place / f"{rows}.toml"
+            file.write_text(shipped_sweeps()["random_box"].read_text(encoding="utf-8"))
+            _change(file, "samples = .*", f"samples = {rows}")
+        commands = {
+            "few": f"sweep {place}/{FEW}.toml --jobs 2 --out {out}/few",
+            "many": f"sweep {place}/{MANY}.toml --jobs 2 --out {out}/many",
+            "shorter": f"run {task} --no-video --no-view --duration {length / 6} --out {out}/a",
+            "longer": f"run {task} --no-video --no-view --out {out}/b",
+            "reference": f"regress {task} --update --yes",
+            "regress": f"regress {task}",
+            "compare": f"compare {out}/b {out}/b",
+        }
+        costs = {name: cost_of((*OURS, *words.split())) for name, words in commands.items()}
+        small, large = (set_up(place / str(count), count) for count in (2_000, 4_000))
+    row = (costs["many"][0] - costs["few"][0]) / (MANY - FEW)  # [s]
     ticks = load_scenario("pick_and_place").duration / STEP_SIZE
     return {
-        "sweep_rows_per_s": 1.0 / seconds,
-        "sweep_row_by_ticks": JOBS * seconds / (ticks * step),
+        "sweep_rows_per_s": 1.0 / row,
+        "sweep_row_by_ticks": 2 * row / (ticks * step),
         "set_up_2000_s": small,
         "set_up_4000_by_2000": large / small,
-        **peaks,
+        "peak_run_MB": costs["longer"][1],
+        "peak_regress_MB": costs["regress"][1],
+        "peak_compare_MB": costs["compare"][1],
+        "long_run_growth_MB": costs["longer"][1] - costs["shorter"][1],
     }
 
 
-def sweep_row(place: Path) -> float:
-    """Wall time of a row of a sweep [s]."""
-    definition = shipped_sweeps()[SWEEP].read_text(encoding="utf-8")
-    taken = []
-    for samples in SAMPLES:
-        file = place / f"{samples}.toml"
-        lines = definition.splitlines(keepends=True)
-        shorter = (f"samples = {samples}\n" if "samples" in line else line for line in lines)
-        file.write_text("".join(shorter), encoding="utf-8")
-        began = clock.perf_counter()
-        _peak("sweep", file, "--jobs", JOBS, "--out", place / f"sweep-{samples}")
-        taken.append(clock.perf_counter() - began)
-    return (taken[1] - taken[0]) / (SAMPLES[1] - SAMPLES[0])
+def _change(file: Path, pattern: str, text: str) -> None:
+    file.write_text(re.sub(pattern, text, file.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def set_up(folder: Path, variables: int) -> float:
     """Processor time from the files of two FMUs, connected by half of their variables, to t = 0."""
     folder.mkdir()
     numbers = range(1, variables // 2 + 1)
-    inputs = (input_(f"u{i}", (), "", "An input", 0.0) for i in numbers)
-    outputs = (output(f"y{i}", (), "", "An output", start=0.0) for i in numbers)
-    table = (*inputs, *outputs)
+    inputs = [input_(f"u{i}", (), "", "An input", 0.0) for i in numbers]
+    outputs = [output(f"y{i}", (), "", "An output", start=0.0) for i in numbers]
     for name in "ab":
-        interface = Interface(f"Big{name.upper()}", "Many variables", table)
+        interface = Interface(f"Big{name.upper()}", "Many variables", (*inputs, *outputs))
         build_fmu(NativeFmu(interface, "player", "Holds 0."), folder / f"{name}.fmu")
     connections = "".join(f'"b.u{i}" = "a.y{i}"\n' for i in numbers)
     system = 'duration = 0.01\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n'
@@ -87,35 +89,3 @@ def set_up(folder: Path, variables: int) -> float:
     began = clock.process_time()
     with Execution(prepare(load_scenario(folder)), writes=False):
         return clock.process_time() - began
-
-
-def long_runs(place: Path, length: float) -> dict[str, float]:
-    """Peaks of memory with runs of a length [MB]."""
-    folder = place / "long"
-    copytree(shipped_scenarios()["pick_and_place"], folder, ignore=lambda *_: ["reference.parquet"])
-    path = folder / SCENARIO_FILE
-    text = path.read_text(encoding="utf-8").replace("duration = 6.5", f"duration = {length}")
-    path.write_text(text, encoding="utf-8")
-    plain = ("--no-video", "--no-view")
-    shorter = _peak("run", folder, *plain, "--duration", length / 6, "--out", place / "shorter")
-    longer = _peak("run", folder, *plain, "--out", place / "longer")
-    _peak("regress", folder, "--update", "--yes")
-    return {
-        "peak_run_MB": longer,
-        "peak_regress_MB": _peak("regress", folder),
-        "peak_compare_MB": _peak("compare", place / "longer", place / "longer"),
-        "long_run_growth_MB": longer - shorter,
-    }
-
-
-def _peak(*words: object) -> float:
-    """Run a command of ours; return the largest memory of one of its processes [MB]."""
-    command = [*OURS, *map(str, words)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-        message = process.stderr.read() if process.stderr else b""
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode not in (0, 3):
-        why = f"ended with {process.returncode}:\n{message.decode()}"
-        raise CosimError(f"{' '.join(command)} {why}")
-    return usage.ru_maxrss / 1024

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.sources.targets import Kind
-from ...bench_history import FEWEST, Line, append, is_worse, medians, read
+from ...bench_history import Line, append, compared, read
 from ...benchmark import LABELS, RATIOS, BenchResult, bench
 from ...files import marked_json
 from ...growth import FIGURES, figures
@@ -66,23 +66,15 @@ def command(
 
 def show_changes(lines: list[Line]) -> None:
     """Show the newest ratios beside those before, and exit if one is worse."""
-    before = medians(lines)
-    if not before:
-        show(
-            f"Nothing to compare with: {len(lines) - 1} earlier runs of this kind on this machine, "
-            f"which must be at least {FEWEST}"
-        )
-        return
-    now = lines[-1]["ratios"]
-    worse = [name for name in before if is_worse(name, now[name], before[name])]
+    columns = ("now", "median before")
     rows = [
-        (name, f"{ratio:.2f}", f"{before[name]:.2f}", "[bold red]worse" if name in worse else "ok")
-        if name in before
-        else (name, f"{ratio:.2f}", "too few", "not compared")
-        for name, ratio in now.items()
+        (name, f"{now:.2f}", f"{before:.2f}", "[bold red]worse" if worse else "ok")
+        if before is not None
+        else (name, f"{now:.2f}", "too few runs", "not compared")
+        for name, (now, before, worse) in compared(lines).items()
     ]
-    show(table(("ratio*", "now", "median before", ""), rows, right=("now", "median before")))
-    if worse:
+    show(table(("ratio*", *columns, ""), rows, right=columns))
+    if any(worse for _, _, worse in compared(lines).values()):
         raise typer.Exit(WORSE)
 
 
