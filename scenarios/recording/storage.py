@@ -83,7 +83,7 @@ def distinct(columns: Sequence[Column]) -> tuple[Column, ...]:
         while name in renamed:
             count += 1
             name = f"{column.name} ({count})"
-        renamed[name] = replace(column, name=name)
+        renamed[name] = column if count == 1 else replace(column, name=name)
     return tuple(renamed.values())
 
 

@@ -83,6 +83,11 @@ class Assembly:
 
     def recorded(self, coupling: str = "") -> list[Column]:
         """Columns of a recording, whose names must differ."""
+        iterations = Column(".".join(ITERATIONS), "1", "Iterations of the step before")
+        return [*self._columns, *([iterations] if coupling == "iterated" else [])]
+
+    @cached_property
+    def _columns(self) -> list[Column]:
         columns = [Column("time", "s", "Time since the start")]
         sources: dict[str, Name] = {}
         names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
@@ -99,8 +104,6 @@ class Assembly:
             variable = scalar.variable
             kind = column_type(variable)
             columns.append(Column(column, scalar.unit, variable.description, kind))
-        if coupling == "iterated":
-            columns.append(Column(".".join(ITERATIONS), "1", "Iterations of the step before"))
         return columns
 
     @cached_property
