@@ -189,7 +189,8 @@ from panda_cosim.scenarios.pictures.video import render_video
 class Run(dict):
     time = np.array([0.0, 100.0])
     metadata = {{"scene": "tabletop"}}
-run = Run({{"plant.qpos": np.array([{HOME}, {HOME}], dtype=float)}})
+    columns = property(list)
+run = Run({{f"plant.qpos[{{i}}]": np.full(2, q) for i, q in enumerate({HOME}, 1)}})
 say = lambda done, total: print(done, flush=True)
 render_video(run, sys.argv[1], width=64, height=48, progress=say)
 """

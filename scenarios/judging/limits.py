@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -29,15 +29,20 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
     """
     shares: dict[str, Any] = {}
     missing = {}
-    for key, (signal, limit, used) in _USES.items():
+    for key, (signal, _, _) in _USES.items():
         if signal not in recording:
             missing[key] = f"{signal.partition('[')[0]} is not recorded"
         elif not len(recording.time):
             missing[key] = "no row is recorded"
         else:
-            columns = zip(used(recording), limit, strict=True)
-            shares[key] = [float(np.abs(column).max() / bound) for column, bound in columns]
+            shares[key] = [float(np.abs(used).max()) for used in shares_over_time(recording, key)]
     return shares | {"not_measured": missing}
+
+
+def shares_over_time(recording: Recording, metric: str) -> Iterator[Array]:
+    """Yield the use of a limit at each row (n,), joint by joint, 1 and -1 at the limit."""
+    _, limit, used = _USES[metric]
+    return (column / bound for column, bound in zip(used(recording), limit, strict=True))
 
 
 Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little

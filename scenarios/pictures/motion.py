@@ -18,6 +18,7 @@ from ...fmus.errors import InputError
 from .. import rotations
 from ..files import model_file
 from ..judging.holds import Hold, find_holds
+from ..recording.reader import shapes_of
 
 FloatArray = NDArray[np.float64]
 
@@ -30,8 +31,6 @@ SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # shapes of the drawn signals,
     "controller.pos_cmd": (3,),
     "controller.grip_cmd": (),
 }
-FINGERS = slice(7, 9)  # of the two fingers' travel in qpos [m]
-BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
 PLANT_MODEL = "PandaPlant"  # model name of the project's own plant
@@ -68,28 +67,35 @@ class Moment:
     label: str = ""  # what happens then
 
 
-def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
-    """Return signals of a recording by name, each (n, ...), of the shapes of our own scenes."""
+def check_signals(recording: Signals, names: Iterable[str]) -> None:
+    """Refuse a recording without rows, or with signals that are smaller than in our own scenes."""
     place = getattr(recording, "path", "recording")
     if not len(recording.time):
         raise InputError(f"{place}: has no rows; needs at least one to be drawn")
-    signals = {name: recording[name] for name in names}
-    for name, values in signals.items():
-        if values.ndim == 2 and SHAPES[name] and values.shape[1] > SHAPES[name][0]:
-            signals[name] = values[:, : SHAPES[name][0]]  # a scene with further bodies
-        elif values.shape[1:] != SHAPES[name]:
-            raise InputError(
-                f"{place}: {name}: shape {values.shape[1:]} per row; must be {SHAPES[name]}"
-            )
-    return signals
+    shapes = shapes_of(tuple(recording.columns))
+    for name in names:
+        shape, own = shapes.get(name), SHAPES[name]
+        if shape is None or len(shape) != len(own) or shape < own:
+            raise InputError(f"{place}: {name}: shape {shape} per row; must be {own}")
 
 
-def positions(recording: Signals) -> FloatArray:
-    """Return the plant's positions (n, nq) for pictures."""
+def position_columns(recording: Signals) -> list[str]:
+    """Columns of the plant's positions that are drawn."""
+    names = [name for name in recording.columns if name.partition("[")[0] == "plant.qpos"]
     if model_file(recording) is not None:
-        return np.asarray(recording["plant.qpos"].reshape(len(recording.time), -1))
+        return names
     refuse_without_model(recording)
-    return take(recording, ["plant.qpos"])["plant.qpos"]
+    check_signals(recording, ["plant.qpos"])
+    return names[: SHAPES["plant.qpos"][0]]  # of a scene with further bodies the first
+
+
+def poses(recording: Signals, at: FloatArray) -> FloatArray:
+    """Return qpos (k, nq) at instants (k,), see `interpolate_qpos`; reads a column at a time."""
+    time = recording.time
+    after = np.clip(np.searchsorted(time, at, side="right"), 1, max(len(time) - 1, 1))
+    rows = np.unique(np.minimum([after - 1, after], len(time) - 1))
+    columns = [recording[name][rows] for name in position_columns(recording)]
+    return interpolate_qpos(time[rows], np.column_stack(columns), at)
 
 
 def refuse_without_model(recording: Signals) -> None:

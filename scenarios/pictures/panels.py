@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...assets.franka import (
-    OPENING_MAX,
-    Q_MAX,
-    Q_MIN,
-    QD_MAX,
-    QDDD_MAX,
-    TORQUE_MAX,
-    TORQUE_RATE_MAX,
-)
-from ...fmus.errors import InputError
+from ...assets.franka import OPENING_MAX, QDDD_MAX
 from ..judging.holds import Hold, find_holds
-from ..scenario.limits import reference_rates, torque_rates
-from .motion import BLOCK_HEIGHT, FINGERS, SHAPES, FloatArray, Signals, take
+from ..judging.limits import shares_over_time
+from ..scenario.limits import reference_rates
+from .motion import SHAPES, FloatArray, check_signals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from ..recording import Recording
 
 DPI = 110
 
@@ -72,7 +65,8 @@ COMMAND: dict[str, Any] = {
     "dashes": (4, 2.5),
     "label": "command",
 }
-FORCE = "plant.actuator_force"  # of the servos [N.m, N]
+HAND, POSITION = "plant.hand_xpos", "controller.pos_cmd"
+BLOCK_HEIGHT = "plant.qpos[12]"  # z of its centre [m]
 TICKS_REACH = 200.0  # [%] of a limit, up to which the axis is marked at the limit and its half
 ROWS_DRAWN = 8000  # points; more than the page's width in pixels; extremes are kept
 
@@ -82,36 +76,26 @@ Panel = Callable[["Axes", "Curves"], None]
 
 @dataclass(frozen=True)
 class Curves:
-    """The drawn signals of a run, all at the same instants."""
+    """A run to plot; each signal is read when it is drawn, as a long one takes much memory."""
 
+    recording: Recording
     time: FloatArray  # (n,) [s]
-    signals: Mapping[str, FloatArray]  # of `SHAPES` (n, ...)
-    reference: FloatArray | None  # velocity (n, 7) [rad/s]; None: the law records none
     holds: Sequence[Hold]
-    metadata: Mapping[str, Any]
     waypoints: FloatArray  # instants of the table's rows (k,) [s], if the recording has them
     names: tuple[str, ...] = ()  # of these rows, if any
 
-    def __getitem__(self, name: str) -> FloatArray:
-        """Return a signal (n, ...)."""
-        return self.signals[name]
+    def __getitem__(self, column: str) -> FloatArray:
+        """Return a column (n,)."""
+        return self.recording[column]
 
 
-def read_curves(recording: Signals) -> Curves:
-    """Return the drawn signals of a recording."""
-    reference = None
-    with suppress(InputError, LookupError, ValueError):
-        reference = recording["controller.qvel_ref"]
+def read_curves(recording: Recording) -> Curves:
+    """Return a recording to plot."""
+    check_signals(recording, SHAPES)
     metadata = recording.metadata
-    return Curves(
-        recording.time,
-        take(recording, SHAPES),
-        reference,
-        find_holds(recording),
-        metadata,
-        np.array(metadata.get("row_times", ()), dtype=float),
-        tuple(metadata.get("row_names", ())),
-    )
+    waypoints = np.array(metadata.get("row_times", ()), dtype=float)
+    names = tuple(metadata.get("row_names", ()))
+    return Curves(recording, recording.time, find_holds(recording), waypoints, names)
 
 
 def thin(values: FloatArray, count: int) -> Any:
@@ -150,17 +134,17 @@ def _legend(axes: Axes, columns: int) -> None:
 def _hand(axes: Axes, curves: Curves) -> None:
     for index, name in enumerate("xyz"):
         style = {"color": COLOURS[index], "label": name, "linewidth": 2.2, "alpha": 0.75}
-        _draw(axes, curves.time, curves["plant.hand_xpos"][:, index], **style)
+        _draw(axes, curves.time, curves[f"{HAND}[{index + 1}]"], **style)
     for index in range(3):
         label = COMMAND["label"] if index == 0 else "_"
-        command = curves["controller.pos_cmd"][:, index]
+        command = curves[f"{POSITION}[{index + 1}]"]
         _draw(axes, curves.time, command, **COMMAND | {"label": label})
     _legend(axes, 4)
 
 
 def _error(axes: Axes, curves: Curves) -> None:
-    away = curves["plant.hand_xpos"] - curves["controller.pos_cmd"]
-    error = np.asarray(1000 * np.linalg.norm(away, axis=1))
+    axis = (curves[f"{HAND}[{i}]"] - curves[f"{POSITION}[{i}]"] for i in (1, 2, 3))
+    error = np.asarray(1000 * np.sqrt(sum(away**2 for away in axis)))
     rms, peak = float(np.sqrt(np.mean(error**2))), int(np.argmax(error))
     _draw(axes, curves.time, error, color=COLOURS[0])
     axes.axhline(rms, color=COLOURS[1], linewidth=1.1, dashes=(4, 2.5), label=f"RMS {rms:.3g} mm")
@@ -173,7 +157,7 @@ def _error(axes: Axes, curves: Curves) -> None:
 
 
 def _opening(axes: Axes, curves: Curves) -> None:
-    opening = 1000 * curves["plant.qpos"][:, FINGERS].sum(axis=1)
+    opening = 1000 * (curves["plant.qpos[8]"] + curves["plant.qpos[9]"])  # of the two fingers
     _draw(axes, curves.time, opening, color=COLOURS[0], linewidth=2.0, label="between fingertips")
     _draw(axes, curves.time, 1000 * curves["controller.grip_cmd"], **COMMAND)
     axes.set_ylim(-3, 1000 * OPENING_MAX * 1.08)
@@ -187,53 +171,58 @@ def _contact(axes: Axes, curves: Curves) -> None:
 
 
 def _block(axes: Axes, curves: Curves) -> None:
-    height = curves["plant.qpos"][:, BLOCK_HEIGHT]
+    height = curves[BLOCK_HEIGHT]
     _draw(axes, curves.time, height, color=COLOURS[1], linewidth=1.8)
     axes.set_ylim(min(0.0, float(height.min())), 1.15 * max(float(height.max()), 0.1))
 
 
 def _positions(axes: Axes, curves: Curves) -> None:
     """Draw the joint positions within their ranges: -100 % is the lower limit, 100 % the upper."""
-    middle, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
-    _draw_shares(axes, curves.time, 100 * (curves["plant.qpos"][:, :7] - middle) / half)
+    _draw_shares(axes, curves.time, shares_over_time(curves.recording, "position_share"))
     _legend(axes, 7)
 
 
-def _limited(share: Callable[[Curves], FloatArray | None]) -> Panel:
-    """Return a panel of what has a limit for each joint, from shares of it (n, 7) [1]."""
+def _limited(shares: Callable[[Recording], Iterator[FloatArray]], needs: str = "") -> Panel:
+    """Return a panel of what has a limit for each joint, from shares of it (n,) [1]."""
 
     def draw(axes: Axes, curves: Curves) -> None:
-        what, shares = axes.get_title(loc="left"), share(curves)
-        if shares is None:
+        what = axes.get_title(loc="left")
+        if needs and needs not in curves.recording.columns:
             axes.set_title(f"{what}: the law records no reference")
             return
-        percent = 100 * shares
-        joint = int(np.argmax(np.abs(percent).max(axis=0))) + 1
-        peak = f"{np.abs(percent).max():.0f} % (joint {joint})"
+        peaks = _draw_shares(axes, curves.time, shares(curves.recording))
+        peak = f"{np.max(peaks):.0f} % (joint {int(np.argmax(peaks)) + 1})"
         axes.set_title(f"{what}, {peak} of the limit at most")
-        _draw_shares(axes, curves.time, percent)
 
     return draw
 
 
-def _draw_shares(axes: Axes, time: FloatArray, share: FloatArray) -> None:
-    """Draw one curve per joint between the two limits, -100 and 100 %."""
+def _draw_shares(axes: Axes, time: FloatArray, shares: Iterator[FloatArray]) -> list[float]:
+    """Draw one curve per joint between the two limits; return the joints' peaks [%]."""
     for limit in (-100, 100):
         axes.axhline(limit, color=INK, linewidth=1.0, dashes=(1, 1.5))
-    for joint in range(7):
+    peaks = []
+    for joint, share in enumerate(shares):
         label = f"{joint + 1}" if joint else "joint 1"
-        _draw(axes, time, share[:, joint], color=COLOURS[joint], linewidth=1.2, label=label)
-    reach = 1.06 * max(100.0, float(np.abs(share).max()))
+        _draw(axes, time, 100 * share, color=COLOURS[joint], linewidth=1.2, label=label)
+        peaks.append(100 * float(np.abs(share).max()))
+    reach = 1.06 * float(np.max([100.0, *peaks]))
     if math.isfinite(reach):
         axes.set_ylim(-reach, reach)
     if reach < TICKS_REACH:
         axes.set_yticks([-100, -50, 0, 50, 100])
+    return peaks
 
 
-def _jerk(curves: Curves) -> FloatArray | None:
-    if curves.reference is None:
-        return None
-    return np.asarray(reference_rates(curves.reference, curves.metadata)[1] / QDDD_MAX)
+def _shares(metric: str) -> Callable[[Recording], Iterator[FloatArray]]:
+    return lambda recording: shares_over_time(recording, metric)
+
+
+def _jerks(recording: Recording) -> Iterator[FloatArray]:
+    """Yield the jerk of each joint's reference at each row, as a share of its limit."""
+    for joint, limit in enumerate(QDDD_MAX, 1):
+        velocity = recording[f"controller.qvel_ref[{joint}]"]
+        yield reference_rates(velocity, recording.metadata)[1] / limit
 
 
 LIMIT = "share of limit [%]"
@@ -247,13 +236,9 @@ PANELS: tuple[tuple[tuple[str, str, Panel], ...], ...] = (
     ),
     (
         ("Joint positions", "share of range [%]", _positions),
-        ("Joint velocities", LIMIT, _limited(lambda c: c["plant.qvel"][:, :7] / QD_MAX)),
-        ("Jerk of the reference", LIMIT, _limited(_jerk)),
-        ("Joint torques", LIMIT, _limited(lambda c: c[FORCE][:, :7] / TORQUE_MAX)),
-        (
-            "Torque rates",
-            LIMIT,
-            _limited(lambda c: torque_rates(c[FORCE][:, :7]) / TORQUE_RATE_MAX),
-        ),
+        ("Joint velocities", LIMIT, _limited(_shares("velocity_share"))),
+        ("Jerk of the reference", LIMIT, _limited(_jerks, "controller.qvel_ref[7]")),
+        ("Joint torques", LIMIT, _limited(_shares("torque_share"))),
+        ("Torque rates", LIMIT, _limited(_shares("torque_rate_share"))),
     ),
 )

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
-from .motion import SHAPES, Signals, describe_run
+from .motion import SHAPES, describe_run
 from .panels import COLOURS, DPI, GREY, PANELS, SHADE, STYLE, Curves, read_curves, thin
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def own_style(style: Mapping[Any, Any]) -> AbstractContextManager[None]:
     return context(dict(style), after_reset=True)
 
 
-def plot_run(recording: Signals, path: str | Path) -> Path:
+def plot_run(recording: Recording, path: str | Path) -> Path:
     """Write a PNG with the curves of a run: hand, error, gripper, block, joints and limits."""
     path = Path(path)
     figure = draw_run(recording)
@@ -56,7 +56,7 @@ def _save(figure: Figure, path: Path) -> None:
         figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
 
 
-def draw_run(recording: Signals) -> Figure:
+def draw_run(recording: Recording) -> Figure:
     """Return the figure of a run, for a notebook or a format other than PNG."""
     curves = read_curves(recording)
     with own_style(STYLE):

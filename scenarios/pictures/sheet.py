@@ -13,7 +13,7 @@ import numpy as np
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
 from .meshes import Meshes
-from .motion import Signals, describe_run, interpolate_qpos, key_moments, positions, scene_of
+from .motion import Signals, describe_run, key_moments, poses, scene_of
 from .offscreen import Image, OffscreenRenderer
 
 if TYPE_CHECKING:
@@ -46,10 +46,9 @@ def contact_sheet(
     path = Path(path)
     if not 2 <= count <= MAX_TILES:
         raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
-    rows = positions(recording)
     moments = key_moments(recording, count)
     at = np.array([moment.time for moment in moments])
-    qpos = interpolate_qpos(recording.time, rows, at)
+    qpos = poses(recording, at)
     with closing(OffscreenRenderer(scene_of(recording), *TILE, camera, meshes)) as renderer:
         tiles = list(renderer.frames(qpos))
     captions = [(f"{moment.time:.2f} s", moment.label) for moment in moments]

@@ -14,7 +14,7 @@ from ...fmus.messages import one_line
 from ..fields import Quantity
 from .gl import RenderError
 from .meshes import Meshes
-from .motion import Signals, frame_times, interpolate_qpos, positions, scene_of
+from .motion import Signals, frame_times, poses, scene_of
 from .offscreen import OffscreenRenderer
 
 Progress = Callable[[int, int], None]
@@ -44,8 +44,7 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     """
     path = Path(path)
     _check_video(path, fps, width, height)
-    rows = positions(recording)
-    qpos = interpolate_qpos(recording.time, rows, frame_times(recording.time, fps))
+    qpos = poses(recording, frame_times(recording.time, fps))
     with (
         closing(OffscreenRenderer(scene_of(recording), width, height, camera, meshes)) as renderer,
         replacing(path) as temporary,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
-from ...pictures.motion import positions
+from ...pictures.motion import position_columns
 from ...pictures.plot import plot_recording
 from ...pictures.sheet import contact_sheet
 from ...recording import Recording
@@ -47,7 +47,7 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError(f"--out {folder}: must be a folder; the files in it have fixed names")
     files = (VIDEO_FILE, SHEET_FILE) if video else (SHEET_FILE,)
     check_replaceable(*(folder / name for name in files), overwrite=overwrite)
-    positions(recording)  # refuses a recording that lacks signals, before anything is drawn
+    position_columns(recording)  # refuses one that lacks signals, before anything is drawn
     width, height = _pixels(size)
     if video:
         look = {"fps": fps, "width": width, "height": height, "camera": camera, "meshes": meshes}
