@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from fmpy.fmi2 import FMU2Slave
+from fmpy.simulation import apply_start_values, instantiate_fmu
 from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE
@@ -56,6 +56,16 @@ RATIOS: Final = {
     "c/a'": ("master", "bare", "at most 1.25"),
     "b/c": ("lists", "master", "at least 2"),
     "cold run": ("run", "imports", "at most 2.2"),
+}
+FIGURES: Final = {  # what .ci/growth.py measures
+    "sweep_rows_per_s": ("rows of random_box a second, 2 processes", "at least 13"),
+    "sweep_row_by_ticks": ("processor time of a row by its ticks' mj_step", "less is better"),
+    "set_up_2000_s": ("two FMUs of 2,000 variables: set-up", "at most 1.5 s"),
+    "set_up_4000_by_2000": ("of 4,000, by that", "at most 2.2"),
+    "peak_run_MB": ("run of an hour: peak", "at most 500 MB"),
+    "peak_regress_MB": ("regress of an hour: peak", "at most 600 MB"),
+    "peak_compare_MB": ("compare of two runs of an hour: peak", "at most 600 MB"),
+    "long_run_growth_MB": ("run: peak of an hour less that of ten minutes", "no more than 4 MB"),
 }
 OURS: Final = (sys.executable, "-m", "panda_cosim")
 IMPORTS: Final = "import numpy, mujoco, fmpy, pyarrow"  # what a cold run is compared with
@@ -117,14 +127,10 @@ def _plain_loop(workload: _Workload) -> Iterator[Way]:
     references: dict[str, dict[str, int]] = {}
     for name, path in workload.system.fmus.items():
         fmu = Fmu(path)
-        identifier = fmu.description.coSimulation.modelIdentifier
-        slaves[name] = slave = FMU2Slave(
-            guid=fmu.guid, unzipDirectory=str(fmu.folder), modelIdentifier=identifier,
-            instanceName=name,
-        )  # fmt: skip
-        slave.instantiate()
+        slaves[name] = slave = instantiate_fmu(str(fmu.folder), fmu.description)
         slave.setupExperiment(startTime=0.0)
-        _set_start(slave, fmu, workload.values[name])
+        values = {n: fmu.variable(n).converted(v) for n, v in workload.values[name].items()}
+        apply_start_values(slave, fmu.description, values)
         slave.enterInitializationMode()
         slave.exitInitializationMode()
         references[name] = {n: v.value_reference for n, v in fmu.variables.items()}
@@ -164,14 +170,6 @@ def _plain_loop(workload: _Workload) -> Iterator[Way]:
             slave.freeInstance()
 
 
-def _set_start(slave: Any, fmu: Fmu, values: Mapping[str, Any]) -> None:
-    """Set start values; FMI 2.0 sets the number of an enumeration's item."""
-    for name, value in values.items():
-        scalar = fmu.variable(name)
-        kind = "Integer" if scalar.variable.kind == "Enumeration" else scalar.variable.kind
-        getattr(slave, f"set{kind}")([scalar.value_reference], [scalar.converted(value)])
-
-
 def _names(instance: str, variable: str) -> list[str]:
     return INTERFACES[instance].variable(variable).names()
 
@@ -204,7 +202,7 @@ class BenchResult:
     ratios: dict[str, Spread]  # of two ways' costs in the same pass, see `RATIOS`
     real_time_factor: float  # simulated by wall time of stepping with our master
     start_up: dict[str, float]  # best times of whole commands, in new processes [s]
-    figures: dict[str, float]  # see `growth.FIGURES`; only of `bench --all`
+    figures: dict[str, float]  # see `FIGURES`; only of `bench --all`
     machine: dict[str, str]  # where it was measured, and with what
 
     def to_json(self) -> str:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
+import runpy
 from pathlib import Path
 
 import pytest
 import typer
 from panda_cosim import InputError
-from panda_cosim.scenarios import growth
 from panda_cosim.scenarios.bench_history import append, compared, read
-from panda_cosim.scenarios.benchmark import BenchResult, Spread
-from panda_cosim.scenarios.cli.commands.bench import WORSE, show_changes
+from panda_cosim.scenarios.benchmark import FIGURES, BenchResult, Spread
+from panda_cosim.scenarios.cli.commands.bench import GROWTH, WORSE, show_changes
 from panda_cosim.scenarios.pictures.plot import plot_history
 
 MACHINE = {"processor": "P", "cores": "2", "system": "S", "numpy": "2"}
@@ -84,6 +84,6 @@ def test_the_plot_shows_runs_without_some_of_the_ratios(history: Path, tmp_path:
 @pytest.mark.long
 @pytest.mark.fmu
 def test_each_figure_is_measured(tmp_path: Path) -> None:
-    measured = growth.figures(2e-5, 60.0)
-    assert measured.keys() == growth.FIGURES.keys()
+    measured = runpy.run_path(str(GROWTH))["figures"](2e-5, 60.0)
+    assert measured.keys() == FIGURES.keys()
     assert all(value > 0.0 for value in measured.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,21 +10,24 @@ import typer
 from rich.table import Table
 
 from ....fmus.atomic import check_replaceable, replacing
+from ....fmus.errors import InputError
 from ....fmus.sources.targets import Kind
 from ...bench_history import Line, append, compared, read
-from ...benchmark import LABELS, RATIOS, BenchResult, bench
+from ...benchmark import FIGURES, LABELS, RATIOS, BenchResult, bench
 from ...files import marked_json
-from ...growth import FIGURES, figures
 from ...pictures.plot import plot_history
 from ..console import show, table, tell
 from ..options import KIND, OVERWRITE, option
 
 WORSE = 3  # exit code
+GROWTH = Path(__file__).parents[3] / ".ci" / "growth.py"
 
 
 def command(
     kind: Kind = KIND,
-    all_: bool = option("--all", "Measure sweeps, large systems and long runs, too.", False),
+    all_: bool = option(
+        "--all", "Measure sweeps, large systems and long runs, too; in a checkout.", False
+    ),
     json: Path | None = option("--json FILE", "Also write the numbers to this file."),
     history: Path | None = option(
         "--history FILE",
@@ -50,8 +54,11 @@ def command(
     check_replaceable(*filter(None, (json, plot)), overwrite=overwrite)
     if history is not None:
         read(history)  # refuses another file
+    if all_ and not GROWTH.is_file():
+        raise InputError(f"--all: {GROWTH} is missing; must be run in a checkout of the project")
+    measure = runpy.run_path(str(GROWTH))["figures"] if all_ else None
     tell("Measuring; do not use the machine meanwhile ...")
-    result = bench(kind=kind, measure=figures if all_ else None)
+    result = bench(kind=kind, measure=measure)
     for item in tables(result):
         show(item)
     if json is not None:

@@ -1,4 +1,4 @@
-"""Costs that grow with rows, variables and length: the figures of `bench --all`."""
+"""Costs that grow with rows, variables and length: `panda-cosim bench --all` calls `figures`."""
 
 from __future__ import annotations
 
@@ -9,28 +9,18 @@ from pathlib import Path
 from shutil import copytree
 from typing import Final
 
-from ..assets import STEP_SIZE
-from ..fmus.build.native import NativeFmu
-from ..fmus.interface.variables import Interface, input_, output
-from ..fmus.sources.targets import build_fmu
-from .benchmark import OURS, cost_of
-from .run.prepare import prepare
-from .run.run import Execution
-from .scenario.scenario import SCENARIO_FILE, load_scenario, shipped_scenarios
-from .sweep.definition import shipped_sweeps
+from panda_cosim.assets import STEP_SIZE
+from panda_cosim.fmus.build.native import NativeFmu
+from panda_cosim.fmus.interface.variables import Interface, input_, output
+from panda_cosim.fmus.sources.targets import build_fmu
+from panda_cosim.scenarios.benchmark import OURS, cost_of
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.run.run import Execution
+from panda_cosim.scenarios.scenario.scenario import SCENARIO_FILE, load_scenario, shipped_scenarios
+from panda_cosim.scenarios.sweep.definition import shipped_sweeps
 
 FEW, MANY = 8, 40  # rows of two sweeps, whose difference is without start and end
 HOUR: Final = 3600.0  # [s]
-FIGURES: Final = {
-    "sweep_rows_per_s": ("rows of random_box a second, 2 processes", "at least 13"),
-    "sweep_row_by_ticks": ("processor time of a row by its ticks' mj_step", "less is better"),
-    "set_up_2000_s": ("two FMUs of 2,000 variables: set-up", "at most 1.5 s"),
-    "set_up_4000_by_2000": ("of 4,000, by that", "at most 2.2"),
-    "peak_run_MB": ("run of an hour: peak", "at most 500 MB"),
-    "peak_regress_MB": ("regress of an hour: peak", "at most 600 MB"),
-    "peak_compare_MB": ("compare of two runs of an hour: peak", "at most 600 MB"),
-    "long_run_growth_MB": ("run: peak of an hour less that of ten minutes", "no more than 4 MB"),
-}
 
 
 def figures(step: float, length: float = HOUR) -> dict[str, float]:
