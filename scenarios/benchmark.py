@@ -71,9 +71,8 @@ OURS: Final = (sys.executable, "-m", "panda_cosim")
 IMPORTS: Final = "import numpy, mujoco, fmpy, pyarrow"  # what a cold run is compared with
 
 
-Way = tuple[
-    Callable[[int, int], None], Callable[[], Array]
-]  # steps from a tick on; see `_one_pass`
+# Takes a number of steps from a tick on, and returns positions of arm, fingers and block (16,).
+Way = tuple[Callable[[int, int], object], Callable[[], Array]]
 
 
 class _Workload:
@@ -115,7 +114,7 @@ def _own_master(workload: _Workload, session: OpenSystem) -> Way:
     master, plant = session.master, session.slaves["plant"]
     master.begin(lambda _rows: None)
     return (
-        lambda _, count: master.step(count, workload.commands) and None,
+        lambda _, count: master.step(count, workload.commands),
         lambda: plant.get_real(_names("plant", "qpos")),
     )
 
@@ -257,7 +256,7 @@ def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
                 start = clock.thread_time()
                 advance(first, chunk)
                 taken[name] += clock.thread_time() - start
-        ends = {name: state() for name, (_, state) in ways.items()}  # arm, fingers, block (16,)
+        ends = {name: state() for name, (_, state) in ways.items()}
     for name, end in ends.items():  # all have done the same
         if not np.array_equal(end, ends["physics"]):
             raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['physics']}")
