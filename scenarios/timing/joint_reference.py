@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q
-from ...controller.controller import Controller
-from ...controller.gains import Gains
+from ...controller.gains import RANGES, Gains
 from ...controller.model import ArmModel
-from ..scenario.trajectory import COMMANDS, Trajectory
+from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST
+from ...fmus.interface.parameters import expand
+from ...fmus.interface.variables import Interface
+from ...fmus.master.system import System, open_system
+from ...fmus.sources.targets import build_fmu, own_fmu
+from ..scenario.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
+LAW = "controller"
+INPUTS = (*COMMANDS, "hand_xpos", "hand_xquat", "jac", "qpos")
+REFERENCE = ("qpos_ref", "qvel_ref")
 OUT_OF_THE_WAY = 100.0  # times the robot's limits
 
 
@@ -50,6 +59,17 @@ def _without_limits(gains: Gains) -> Gains:
     )
 
 
+@cache
+def _law() -> tuple[Path, Interface]:
+    """Build the controller's FMU, but with limits that can be put out of the way."""
+    free = tuple(
+        replace(variable, maximum=RANGES[variable.name][1]) if variable.name in MOST else variable
+        for variable in CONTROLLER.variables
+    )
+    interface = replace(CONTROLLER, variables=free)
+    return build_fmu(replace(own_fmu(LAW, in_python=False), interface=interface)), interface
+
+
 def joint_reference(
     trajectory: Trajectory, times: Array, gains: Gains, *, limited: bool = False
 ) -> JointReference:
@@ -58,21 +78,29 @@ def joint_reference(
     Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
     """
     gains = replace(gains, reading_delay=0.0)  # readings are of their instant here
-    controller = Controller(gains if limited else _without_limits(gains), STEP_SIZE)
-    arm, inputs = ArmModel(), controller.inputs
-    q, still = np.array(HOME_Q), np.zeros(7)
-    position, velocity = np.empty((2, len(times), 7))
-    miss = np.empty(len(times))
+    values = asdict(gains if limited else _without_limits(gains))
+    path, interface = _law()
+    inputs = [name for each in INPUTS for name in interface.variable(each).names()]
+    system = System({LAW: path}, (), [(LAW, name) for name in inputs])
+    start = {LAW: expand(LAW, interface, values)}
+    arm, still, q = ArmModel(), np.zeros(7), np.array(HOME_Q)
     commands = trajectory.sample(times)
-    for tick, command in enumerate(commands):
-        controller.input_values[: len(COMMANDS)] = command
-        hand = arm.hand(q, still)
-        inputs["hand_xpos"], inputs["hand_xquat"] = hand.position, hand.orientation
-        inputs["jac"], inputs["qpos"] = hand.jacobian, q
-        controller.update()
-        position[tick], velocity[tick] = q, controller.outputs["qvel_ref"]
-        miss[tick] = np.linalg.norm(command[:3] - inputs["hand_xpos"])
-        q = controller.outputs["qpos_ref"] + STEP_SIZE * velocity[tick]
+    position, velocity = np.empty((2, len(times), 7))
+    miss, given, answer = np.empty(len(times)), np.empty((1, len(inputs))), np.empty((1, 14))
+    with open_system(system, start, stop=len(times) * STEP_SIZE) as session:
+        law = session.slaves[LAW]
+        put = law.bind_set(inputs, given)
+        get = law.bind_get([f"{n}[{i}]" for n in REFERENCE for i in range(1, 8)], answer)
+        for tick, command in enumerate(commands):
+            hand = arm.hand(q, still)
+            measured = (command, hand.position, hand.orientation, hand.jacobian.ravel(), q)
+            np.concatenate(measured, out=given[0])
+            put(0)
+            law.step(tick * STEP_SIZE, STEP_SIZE)
+            get(0)
+            position[tick], velocity[tick] = q, answer[0, 7:]
+            miss[tick] = np.linalg.norm(command[:3] - hand.position)
+            q = answer[0, :7] + STEP_SIZE * velocity[tick]
     untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
     lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
     return JointReference(times, position, velocity, np.maximum(miss - lag, 0.0))
