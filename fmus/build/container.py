@@ -56,19 +56,22 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
         container.get_fmu(f"{name}.fmu")
     for connection in system.connections:
         source, target = connection.source, connection.target
-        units = {system.scalar(end).unit for end in (source, target)} - {""}
+        one, other = (system.scalar(end) for end in (source, target))
+        units = {one.unit, other.unit} - {""}
         if (connection.factor, connection.offset) != (1.0, 0.0) or len(units) > 1:
             raise InputError(
                 f"--container: connection from {'.'.join(source)} to {'.'.join(target)} converts "
                 "values; must be a plain one"
             )
-        container.add_link(f"{source[0]}.fmu", source[1], f"{target[0]}.fmu", target[1])
+        feeder, fed = f"{source[0]}.fmu", f"{target[0]}.fmu"
+        container.add_link(feeder, one.variable.name, fed, other.variable.name)
     for label, (name, variable) in system.outputs().items():
         container.add_output(f"{name}.fmu", variable.name, label)
     for name, component in system.components.items():
-        for scalar, value in component.start_values.items():
-            text = written(component.variables[scalar], value)
-            container.add_start_value(f"{name}.fmu", scalar, text)
+        for key, value in component.start_values.items():
+            scalar = component.variables[key]
+            text = written(scalar, value)
+            container.add_start_value(f"{name}.fmu", scalar.variable.name, text)
 
 
 def _signed(file: Path) -> bytes:

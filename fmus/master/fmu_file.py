@@ -28,7 +28,7 @@ TEXTS: Final = ("String", "Binary", "Clock")  # kinds whose start value is kept 
 _NUMBERS: Final = ("Real", "Float32", "Integer")  # an interface table's Real
 STRUCTURAL: Final = "structuralParameter"
 _SHOWN: Final = ("input", "output", "parameter")
-_NAMES_NOTE: Final = "Annotations/Annotation[@type='org.panda-cosim.names']"
+_NAMES_NOTE: Final = "org.panda-cosim.names"  # annotation with names as in FMI 2.0
 _IDENTIFIER: Final = re.compile(r"[\w-]+", re.A)  # containers have the name of their file
 _LINEAR: Final = ("factor", "offset")  # attributes of a BaseUnit beside the exponents
 _FEW: Final = 4  # descriptions of an array's elements that are joined
@@ -54,7 +54,7 @@ class Fmu:
         self.structural = {v.name for v in described if v.causality == STRUCTURAL}
         self.relative = {v.name for v in described if _is_relative(v)}
         self.sizes: dict[str, int] = {}  # values of structural parameters that are changed
-        self._noted = _noted_names(path, self.folder) if self.fmi == 3 else {}
+        self._noted = _noted_names(path, self.folder)
         self.variables = self._scalars()
         self.units = _units(f"{path}: modelDescription.xml", self.description.unitDefinitions)
         # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
@@ -209,10 +209,14 @@ def _shape(described: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:
 
 
 def _noted_names(path: Path, folder: Path) -> dict[str, list[str]]:
-    """Names in FMI 2.0 of the elements of an array, by its name in an FMU of ours."""
+    """Names of an array's elements without `--fmi 3` and `--names flat`, in an FMU of ours."""
     root = read_xml(folder / "modelDescription.xml", f"{path}: modelDescription.xml")
-    notes = {v.get("name", ""): v.find(_NAMES_NOTE) for v in root.iterfind("ModelVariables/*")}
-    return {name: (note.text or "").split() for name, note in notes.items() if note is not None}
+    return {
+        variable.get("name", ""): [name.text or "" for name in note]
+        for variable in root.iterfind("ModelVariables/*")
+        for note in variable.iterfind("Annotations/*")
+        if _NAMES_NOTE in note.attrib.values()
+    }
 
 
 def _renamed(scalar: Scalar, names: Mapping[str, list[str]]) -> Scalar:
