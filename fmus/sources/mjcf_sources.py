@@ -125,10 +125,7 @@ class Sources:
         if words[0] not in INPUT_FIELDS or len(words) > 1:
             return self._raw("data", words)
         field = self._field("data", words[0])
-        if words[0] != "ctrl":
-            return field
-        low, high = zip(*map(self._limits, range(self.model.nu)), strict=True)
-        return replace(field, minimum=low, maximum=high)
+        return self._limited(field, 0) if words[0] == "ctrl" else field
 
     def _output(self, words: list[str]) -> Variable | None:
         name, *rest = words
@@ -230,9 +227,8 @@ class Sources:
     def _actuator(self, causality: Causality, i: int, what: str) -> Variable | None:
         match causality, what:
             case "input", "ctrl":
-                low, high = self._limits(i)
-                ctrl = self._elements("data ctrl", i, 1, units(self.model, "ctrl")[i])
-                return replace(ctrl, minimum=(low,), maximum=(high,))
+                unit = units(self.model, "ctrl")[i]
+                return self._limited(self._elements("data ctrl", i, 1, unit), i)
             case "output", "force":
                 unit = units(self.model, "actuator_force")[i]
                 return self._elements("held actuator_force", i, 1, unit)
@@ -301,11 +297,17 @@ class Sources:
             dofs += range(first, first + len(DOF[int(self.model.jnt_type[i])]))
         return dofs
 
-    def _limits(self, actuator: int) -> tuple[float, float]:
-        if not self.model.actuator_ctrllimited[actuator]:
-            return -np.inf, np.inf
-        low, high = self.model.actuator_ctrlrange[actuator]
-        return float(low), float(high)
+    def _limited(self, ctrl: Variable, first: int) -> Variable:
+        """Controls within their ranges, to which MuJoCo clamps them."""
+        actuators = slice(first, first + ctrl.size)
+        is_clamped = not self.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+        limited = is_clamped & (self.model.actuator_ctrllimited[actuators] == 1)
+        low, high = self.model.actuator_ctrlrange[actuators].T
+        low, high = np.where(limited, low, -np.inf), np.where(limited, high, np.inf)
+        start, least, most = (
+            tuple(values.tolist()) for values in (np.clip(ctrl.start, low, high), low, high)
+        )
+        return replace(ctrl, start=start, minimum=least, maximum=most)
 
     def _ids(self, kind: str, names: Sequence[str]) -> list[int]:
         return [self.find_id(kind, name) for name in names]

@@ -69,7 +69,7 @@ def model_fmu(
         )
     model = load(path, warn)
     model.opt.timestep = options.step or model.opt.timestep
-    return _fmu(model, options, name or path.stem)
+    return _fmu(path, model, options, name or path.stem)
 
 
 def model_part(path: Path) -> NativeFmu:
@@ -80,9 +80,9 @@ def model_part(path: Path) -> NativeFmu:
     model = load(path)
     beside = path.with_suffix(".toml")
     if beside.is_file():
-        return _fmu(model, ModelOptions(interface=beside), path.stem)
+        return _fmu(path, model, ModelOptions(interface=beside), path.stem)
     keys = [model.key(i).name for i in range(model.nkey)]
-    return _fmu(model, ModelOptions("home" if "home" in keys else ""), path.stem)
+    return _fmu(path, model, ModelOptions("home" if "home" in keys else ""), path.stem)
 
 
 def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str:
@@ -91,9 +91,13 @@ def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str
     return written(_described(model, options, path.stem), suggestions(model))
 
 
-def _fmu(model: Any, options: ModelOptions, stem: str) -> NativeFmu:
+def _fmu(path: Path, model: Any, options: ModelOptions, stem: str) -> NativeFmu:
     description = _described(model, options, stem)
-    return mujoco_fmu(interface(description, model), {"model": model}, LAW, description.keyframe)
+    try:
+        table = interface(description, model)
+    except InputError as error:
+        raise InputError(f"{options.interface or path}: {error}") from error
+    return mujoco_fmu(table, {"model": model}, LAW, description.keyframe)
 
 
 def _described(model: Any, options: ModelOptions, stem: str) -> Description:

@@ -98,12 +98,11 @@ def command(  # noqa: PLR0913 - one for each option
 
 def _paths(models: Sequence[Path], out: Path | None) -> dict[Path, Path]:
     """Where the FMU of each model is written."""
-    if len(models) == 1 and out is not None and not out.is_dir():
-        if out.suffix != ".fmu":
-            raise InputError(f"--out {out}: must end in .fmu, or be a folder")
-        return {models[0]: out}
-    paths = {model: (out or Path()) / f"{model.stem}.fmu" for model in models}
-    if len(set(paths.values())) < len(models) or (out is not None and not out.is_dir()):
+    folder = out or Path()
+    if folder.suffix == ".fmu" and len(models) == 1:
+        return {models[0]: folder}
+    paths = {model: folder / f"{model.stem}.fmu" for model in models}
+    if len(set(paths.values())) < len(models) or folder.suffix == ".fmu":
         raise InputError(
             f"{len(models)} models: --out must be a folder, and their file names must differ"
         )
