@@ -12,9 +12,9 @@ from xml.etree import ElementTree as ET
 
 from ..atomic import replacing
 from ..errors import InputError
-from .description import AUTHOR, COPYRIGHT, LICENSE
+from .description import ABOUT, literal
 from .native import archive
-from .ssp import WrittenSystem, written
+from .ssp import WrittenSystem
 
 DESCRIPTION: Final = "modelDescription.xml"
 SEQUENTIAL: Final = {"gauss-seidel": True, "jacobi": False}  # whether FMUs are stepped in turn
@@ -70,7 +70,7 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
     for name, component in system.components.items():
         for key, value in component.start_values.items():
             scalar = component.variables[key]
-            text = written(scalar, value)
+            text = literal(scalar, value)
             container.add_start_value(f"{name}.fmu", scalar.variable.name, text)
 
 
@@ -80,7 +80,6 @@ def _signed(file: Path) -> bytes:
         members = {name: packed.read(name) for name in packed.namelist() if name[-1] != "/"}
     root = ET.fromstring(members[DESCRIPTION])  # noqa: S314 - made just now
     tool = f"panda-cosim, {root.get('generationTool')}"
-    about = {"author": AUTHOR, "copyright": COPYRIGHT, "license": LICENSE, "generationTool": tool}
-    root.attrib.update(about)
+    root.attrib.update({**ABOUT, "generationTool": tool})
     members[DESCRIPTION] = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return archive(members)

@@ -8,9 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import distribution, version
 from inspect import cleandoc
 from itertools import islice
@@ -19,13 +17,14 @@ from typing import Any, Final
 
 from ..errors import InputError
 from ..inside.base import LOG_CATEGORIES, TICK
-from ..interface.variables import Interface, Numbers, Scalar, Variable
+from ..interface.variables import Interface, Scalar, Value, Variable
 from ..messages import shown
 from .libraries import MUJOCO, NEED_MUJOCO, licence, own_licences
 
-AUTHOR = "The panda-cosim engineers"
-LICENSE = "Apache-2.0"
-COPYRIGHT = "Copyright 2026 The panda-cosim engineers"
+ABOUT: Final = {
+    "author": "The panda-cosim engineers", "copyright": "Copyright 2026 The panda-cosim engineers",
+    "license": "Apache-2.0",
+}  # fmt: skip
 STOP_TIME = 6.5  # [s] of the shipped scenarios
 # Exponents of the SI base units; FMI counts rad among them.
 BASE_UNITS: dict[str, dict[str, str]] = {
@@ -75,7 +74,7 @@ class Described:
 
     variable: Variable
     reference: int
-    array: str  # name of the array of FMI 3.0 that it is, or belongs to
+    whole: str  # the interface's variable that it is, or belongs to
     names: list[str]  # of its elements in our master and its recordings
 
 
@@ -83,24 +82,23 @@ def described(interface: Interface, layout: Layout) -> list[Described]:
     """Return the variables as a description has them; two must not get one name."""
     rows: list[Described] = []
     elements = iter(interface.scalars())
-    for array in (array for variable in interface.variables for array in variable.arrays()):
-        scalars = list(islice(elements, array.size))
-        if layout.fmi == 2 or layout.scalars:
-            rows += [Described(s.alone(), s.value_reference, array.name, [s.name]) for s in scalars]
-        else:
-            names = [s.name for s in scalars]
-            rows.append(Described(array, scalars[0].value_reference, array.name, names))
-    if layout.flat:
-        rows = [
-            replace(r, variable=replace(r.variable, name=flat_name(r.variable.name))) for r in rows
-        ]
+    for whole in interface.variables:
+        for array in whole.arrays():
+            scalars = list(islice(elements, array.size))
+            each = [(array, scalars)]
+            if layout.fmi == 2 or layout.scalars:
+                each = [(scalar.alone(), [scalar]) for scalar in scalars]
+            for variable, own in each:
+                name = _flat_name(variable.name) if layout.flat else variable.name
+                names, reference = [s.name for s in own], own[0].value_reference
+                rows.append(Described(replace(variable, name=name), reference, whole.name, names))
     counts = Counter(row.variable.name for row in rows)
     for name in (name for name, count in counts.items() if count > 1):
         raise InputError(f"{interface.model}: two variables would have the name {name!r}")
     return rows
 
 
-def flat_name(name: str) -> str:
+def _flat_name(name: str) -> str:
     """Return a name without brackets and dots: `jac_1_2` for `jac[1,2]`."""
     return re.sub(r"\W+", "_", name, flags=re.A).strip("_")
 
@@ -114,15 +112,13 @@ def model_description(
     used = {v.unit for v in variables if v.unit} | ({"s"} if layout.fmi == 3 else set())
     return render(
         f"fmi{layout.fmi}.xml.j2",
-        _FILTERS,
         **vars(identity),
         model=interface.model,
         interface=interface,
-        author=AUTHOR,
-        copyright=COPYRIGHT,
-        license=LICENSE,
+        about=ABOUT,
         log_categories=LOG_CATEGORIES,
-        naming=_naming_convention(variables),
+        # Of a slave, which may have any names.
+        naming="structured" if all(_STRUCTURED.fullmatch(v.name) for v in variables) else "flat",
         units={name: BASE_UNITS[name] for name in sorted(map(str, used))},
         display_units=DISPLAY_UNITS,
         enumerations=[v for v in variables if v.kind == "Enumeration"],
@@ -139,73 +135,34 @@ def terminals(interface: Interface, layout: Layout) -> bytes:
     """Make terminalsAndIcons.xml of FMI 3.0."""
     rows = described(interface, layout)
     members = {
-        name: [row.variable.name for array in arrays for row in rows if row.array == array]
-        for name, arrays in interface.terminals.items()
+        name: [row.variable.name for row in rows if row.whole in variables]
+        for name, variables in interface.terminals.items()
     }
-    return render("terminals.xml.j2", {}, terminals=members)
+    return render("terminals.xml.j2", terminals=members)
 
 
-def _type_name(variable: Variable) -> str:
-    """Name of an enumeration's type, which FMI wants to be different from all variables' names."""
-    return f"{variable.name}_type"
+def _type(variable: Variable) -> dict[str, object]:
+    """Attributes of a variable's type; bounds of an array are the widest of its elements'."""
+    scalars, unit = list(variable.scalars(0)), str(variable.unit)
+    low = min(-math.inf if s.minimum is None else s.minimum for s in scalars)
+    high = max(math.inf if s.maximum is None else s.maximum for s in scalars)
+    starts = [literal(s, s.start) for s in scalars if s.start is not None]
+    return {
+        # FMI wants a type's name to be different from all variables'.
+        "declaredType": f"{variable.name}_type" if variable.kind == "Enumeration" else None,
+        "unit": unit or None,
+        "displayUnit": DISPLAY_UNITS.get(unit, (None,))[0],
+        "nominal": NOMINALS.get(unit) if variable.kind == "Real" else None,
+        "min": None if math.isinf(low) else float(low),
+        "max": None if math.isinf(high) else float(high),
+        "start": " ".join(starts) if starts else None,
+    }
 
 
-def _naming_convention(variables: Iterable[Variable]) -> str:
-    """FMI's `variableNamingConvention`; a slave's variables may have any names."""
-    names = (variable.name for variable in variables)
-    return "structured" if all(map(_STRUCTURED.fullmatch, names)) else "flat"
-
-
-def literal(value: float | bool | str) -> str:
-    """Format a value for an XML attribute of FMI or SSP."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return value if isinstance(value, str) else repr(float(value))
-
-
-def _start(scalar: Scalar) -> str | None:
-    """Start value; for an enumeration, its number."""
-    if scalar.start is None:
-        return None
-    if scalar.variable.kind == "Enumeration":
-        return str(scalar.variable.choices.index(str(scalar.start)) + 1)
-    if scalar.variable.kind == "Integer":
-        return str(int(scalar.start))
-    return literal(scalar.start)
-
-
-def _starts(variable: Variable) -> str | None:
-    """Start value of a scalar, or those of an array."""
-    starts = [_start(scalar) for scalar in variable.scalars(0)]
-    return None if None in starts else " ".join(map(str, starts))
-
-
-def _display_unit(variable: Variable) -> str | None:
-    return DISPLAY_UNITS.get(str(variable.unit), (None,))[0]
-
-
-def _nominal(variable: Variable) -> float | None:
-    return NOMINALS.get(str(variable.unit)) if variable.kind == "Real" else None
-
-
-def _extreme(pick: Callable[[Iterable[float]], float], bound: Numbers | None) -> str | None:
-    """Bound of an array: the lowest or highest of its elements' bounds."""
-    extreme = math.inf if bound is None else pick(_parts(bound))
-    return None if math.isinf(extreme) else repr(float(extreme))
-
-
-def _parts(bound: Numbers | None) -> tuple[float, ...]:
-    return bound if isinstance(bound, tuple) else () if bound is None else (bound,)
-
-
-_FILTERS: Final[Mapping[str, Callable[..., object]]] = {
-    "type_name": _type_name,
-    "starts": _starts,
-    "display_unit": _display_unit,
-    "nominal": _nominal,
-    "lowest": partial(_extreme, min),
-    "highest": partial(_extreme, max),
-}
+def literal(scalar: Scalar, value: Value) -> str:
+    """Format a value for an XML attribute of FMI or SSP; an enumeration's is a number."""
+    converted = value if scalar.variable.kind == "Binary" else scalar.converted(value)
+    return str(converted).lower() if isinstance(converted, bool) else str(converted)
 
 
 # For human readers.
@@ -217,7 +174,6 @@ PICTURES: Final = {
 }
 NOTHING: Final = "Nothing: neither Python nor any library that it does not contain."
 _FEW: Final = 12  # most values shown in a table's cell
-_HEADERS: Final = "FMI headers (BSD-2-Clause, Modelica Association), compiled into the binaries.\n"
 
 
 def documents(  # noqa: PLR0913 - the FMU, its identity and its version
@@ -235,7 +191,11 @@ def documents(  # noqa: PLR0913 - the FMU, its identity and its version
         ),
         "documentation/externalDependencies.txt": "\n".join((*needs, systems, "")).encode(),
         **{f"{folder}/{name}": text for name, text in own_licences().items()},
-        f"{folder}/third_party.txt": _third_party(backend).encode(),
+        f"{folder}/third_party.txt": render(
+            "third_party.txt.j2",
+            in_python=backend == "python",
+            mujoco=version(MUJOCO) if opens_mujoco else "",
+        ),
     }
     for file in distribution(MUJOCO).files or [] if opens_mujoco else []:
         if "dist-info/licenses" in str(file):
@@ -259,7 +219,6 @@ def documentation(
         tables.setdefault(row.variable.causality, []).append((label, row.variable))
     return render(
         "documentation.html.j2",
-        {"listed": listed, "units": units, "choices": _choices},
         interface=interface,
         tables=tables,
         token=identity.token,
@@ -270,19 +229,6 @@ def documentation(
         coupled=interface.model in PICTURES,
         needs=needs,
     )
-
-
-def _third_party(backend: str) -> str:
-    """Third-party software that an FMU contains or uses."""
-    if backend == "python":
-        return (
-            f"In this FMU: {_HEADERS}Used at run time, not contained in the FMU:\n"
-            "  Python (Python Software Foundation License) and the packages that it needs.\n"
-        )
-    if backend not in NEED_MUJOCO:
-        return f"In this FMU: {_HEADERS}"
-    engine = f"MuJoCo {version(MUJOCO)} (Apache-2.0, DeepMind Technologies), beside them.\n"
-    return f"In this FMU:\n  {_HEADERS}  {engine}"
 
 
 def units(variable: Variable) -> str:
@@ -299,11 +245,7 @@ def listed(value: object) -> str:
     return ", ".join(shown) + ", ..." * (len(values) > _FEW)
 
 
-def _choices(variable: Variable) -> str:
-    return ", ".join(f"{i}: {name}" for i, name in enumerate(variable.choices, 1))
-
-
-def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any) -> bytes:
+def render(name: str, **context: Any) -> bytes:
     """Fill in a file of `templates/`; text is escaped for XML and HTML."""
     import jinja2  # noqa: PLC0415 - takes 50 ms
 
@@ -314,7 +256,7 @@ def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any)
         finalize=_escaped,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"shown": _escaped, **filters}
+    environment.filters |= {"shown": _escaped, "type": _type, "listed": listed, "units": units}
     return environment.get_template(name).render(**context).encode()
 
 

@@ -16,7 +16,7 @@ from ..inside.base import TICK
 from ..interface.tables import Connection
 from ..interface.units import BASES, Unit, Units
 from ..interface.variables import Scalar, Value, Variable
-from .description import AUTHOR, COPYRIGHT, LICENSE, literal, render
+from .description import ABOUT, literal, render
 from .native import archive
 
 _SSP: Final = "http://ssp-standard.org/SSP1/SystemStructure"
@@ -121,7 +121,7 @@ def _render(template: str, system: WrittenSystem, **context: Any) -> bytes:
         {"base_unit": _base_unit},
         system=system,
         prefixes=PREFIXES,
-        about={"author": AUTHOR, "copyright": COPYRIGHT, "license": LICENSE},
+        about=ABOUT,
         version="2.0" if any(each.fmi == 3 for each in components) else "1.0",
         units=dict(sorted((name, unit) for c in components for name, unit in c.units.items())),
         **context,
@@ -195,13 +195,6 @@ def _parameters(component: Component) -> Iterator[tuple[Variable, str, str]]:
             variable, texts = scalars[0].variable, []
             for scalar in scalars:
                 value = component.start_values.get(scalar.name, scalar.start_value())
-                texts.append(written(scalar, value))
+                texts.append(literal(scalar, value))
             kind = "Integer" if variable.kind == "Enumeration" else variable.fmi_type
             yield variable, kind, " ".join(texts)
-
-
-def written(scalar: Scalar, value: Value) -> str:
-    """Write a value, an enumeration's as a number."""
-    number = scalar.converted(value)
-    is_whole = isinstance(number, int) and not isinstance(number, bool)
-    return str(number) if is_whole else literal(number)

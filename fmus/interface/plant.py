@@ -26,9 +26,8 @@ FORCE_MAX = 1000.0  # [N] far above any realistic push
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
 CTRL_MIN = (*Q_MIN.tolist(), 0.0)
 CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)
-# What plant and controller exchange, by the names of FMI 3.0.
-ROBOT = ("hand_xpos", "hand_xquat", "jac", "jac_angular", "qpos", "qvel", "qfrc_bias", "ctrl",
-         "ctrl_gripper")  # fmt: skip
+# What plant and controller exchange.
+ROBOT = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias", "ctrl")
 _CTRL_UNITS = joints("rad", "1")
 # Arrays of FMI 3.0, which have one unit each.
 CTRL_PARTS = (

@@ -260,7 +260,7 @@ class Interface:
     model: str  # name and identifier
     description: str  # one line
     variables: tuple[Variable, ...]  # inputs, then outputs, then parameters
-    terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # connected together
+    terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # variables by name
     units: Units = field(default_factory=dict)  # that an FMU from elsewhere defines, by name
 
     def scalars(self) -> list[Scalar]:

@@ -195,9 +195,11 @@ def interface(description: Description, model: Any) -> Interface:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{name}: two variables have this name")
+    terminals = {"robot": tuple(v.name for v in variables if v.causality != "parameter")}
     if description.extends:
-        variables = _extended(EXTENDED[description.extends], variables, sources)
-    return Interface(description.name, description.text, tuple(variables))
+        base = EXTENDED[description.extends]
+        variables, terminals = _extended(base, variables, sources), {**base.terminals}
+    return Interface(description.name, description.text, tuple(variables), terminals)
 
 
 def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
