@@ -5,7 +5,7 @@ FMUs of FMI 2.0 make an SSP 1.0. With one of FMI 3.0 it is an SSP 2.0, whose con
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -93,9 +93,7 @@ def write_ssp(path: Path, system: WrittenSystem) -> Path:
     for name, component in system.components.items():
         members[f"resources/{component.file_name}"] = component.file.read_bytes()
         if component.start_values:
-            parameters = _parameters(component)
-            content = _render("parameters.ssv.j2", system, component=name, parameters=parameters)
-            members[f"resources/{name}.ssv"] = content
+            members[f"resources/{name}.ssv"] = parameter_set(name, component)
     content = archive(members)
     with replacing(path) as partial:  # whoever is killed meanwhile leaves the old file
         partial.write_bytes(content)
@@ -106,7 +104,8 @@ def structure_description(system: WrittenSystem, *, has_connectors: bool = False
     """Make an .ssd file, with connectors of the whole system if asked for."""
     return _render(
         "system.ssd.j2",
-        system,
+        system.components.values(),
+        system=system,
         connectors={name: _connectors(system, name) for name in system.components},
         connections=list(_connections(system)),
         outputs=system.outputs(),
@@ -114,16 +113,20 @@ def structure_description(system: WrittenSystem, *, has_connectors: bool = False
     )
 
 
-def _render(template: str, system: WrittenSystem, **context: Any) -> bytes:
-    components = system.components.values()
+def parameter_set(name: str, component: Component) -> bytes:
+    """Make an .ssv file with the start values of an FMU."""
+    parameters = _parameters(component)
+    return _render("parameters.ssv.j2", [component], component=name, parameters=parameters)
+
+
+def _render(template: str, components: Collection[Component], **context: Any) -> bytes:
+    units = dict(sorted((name, unit) for c in components for name, unit in c.units.items()))
     return render(
         template,
-        {"base_unit": _base_unit},
-        system=system,
         prefixes=PREFIXES,
         about=ABOUT,
         version="2.0" if any(each.fmi == 3 for each in components) else "1.0",
-        units=dict(sorted((name, unit) for c in components for name, unit in c.units.items())),
+        units={name: _base_unit(unit) for name, unit in units.items()},
         **context,
     )
 

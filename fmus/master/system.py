@@ -136,7 +136,7 @@ def _objects(fmus: Mapping[str, Fmu], system: System) -> set[Name]:
     }
 
 
-def _in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
+def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
     """Return a connection whose factor and offset convert units, too."""
     factor, offset = (connection.converts_units and _conversion(fmus, connection)) or (1.0, 0.0)
     for instance, name in (connection.source, connection.target):
@@ -301,7 +301,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         master = Master(
             list(slaves.values()),
             system.outputs,
-            [_in_units(fmus, connection) for connection in system.connections],
+            [in_units(fmus, connection) for connection in system.connections],
             system.external,
             step_size,
             coupling,

@@ -9,23 +9,24 @@ from __future__ import annotations
 import csv
 import io
 import math
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.atomic import replacing
-from ...fmus.build.description import flat_name, literal, render
+from ...fmus.build.description import render
 from ...fmus.build.native import add_members
+from ...fmus.build.ssp import Component, parameter_set
 from ...fmus.errors import InputError
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
-from ...fmus.master.system import System, open_system
+from ...fmus.master.system import System, in_units, multiples_of, open_system, read_fmus
+from ...fmus.master.wiring import Name
 from ...fmus.reading import finite_number, open_regular, read_xml
 from ..run.options import Options
 from ..run.prepare import prepare
@@ -190,11 +191,17 @@ def _member(fmu: Fmu, folder: Path, source: str) -> Path:
     return path
 
 
-def _series(fmu: Fmu, file: Path) -> Series:
-    """Read a CSV; a cell of an array has all its elements. Texts are left out."""
-    arrays: dict[str, list[Scalar]] = {}  # by the FMU's own names
+def _arrays(fmu: Fmu) -> dict[str, list[Scalar]]:
+    """Scalars by the FMU's own names of their arrays."""
+    arrays: dict[str, list[Scalar]] = {}
     for scalar in fmu.variables.values():
         arrays.setdefault(scalar.variable.name, []).append(scalar)
+    return arrays
+
+
+def _series(fmu: Fmu, file: Path) -> Series:
+    """Read a CSV; a cell of an array has all its elements. Texts are left out."""
+    arrays = _arrays(fmu)
     with open_regular(file) as raw:
         lines = [row for row in csv.reader(io.TextIOWrapper(raw, "utf-8-sig")) if row]
     head, rows = lines[0] if lines else ["time"], lines[1:]
@@ -213,13 +220,19 @@ def _series(fmu: Fmu, file: Path) -> Series:
 
 
 def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
-    """Read a parameter set (SSV)."""
-    values = {}
+    """Read a parameter set (SSV); one of an array has all its elements."""
+    values: dict[str, Value] = {}
+    arrays = _arrays(fmu)
     for parameter in read_xml(file, str(file)).iterfind(".//{*}Parameter"):
-        scalar = fmu.variable(parameter.get("name", ""))
+        name = parameter.get("name", "")
+        scalars = arrays.get(name) or [fmu.variable(name)]
         text = parameter[0].get("value", "") if len(parameter) else ""
-        place = f"{fmu.label}: {file.name}: {scalar.name} ="
-        values[scalar.name] = read_value(place, scalar.variable, text)
+        texts = text.split() if len(scalars) > 1 else [text]
+        place = f"{fmu.label}: {file.name}: {name}"
+        if len(texts) != len(scalars):
+            raise InputError(f"{place}: {len(texts)} values; must be {len(scalars)}")
+        for scalar, each in zip(scalars, texts, strict=True):
+            values[scalar.name] = read_value(f"{place} =", scalar.variable, each)
     return values
 
 
@@ -230,38 +243,37 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
     """Run a scenario in memory; by instance, what drives each FMU as it was driven there."""
     prepared = prepare(scenario, Options())
     recording, assembly = rehearse(prepared).recording, prepared.assembly
-    feeding = {c.target: ".".join(c.source) for c in assembly.connections}
+    fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
+    multiples = multiples_of(fmus, assembly.system, scenario.step)
+    fed: dict[Name, Array] = {
+        name: recording[".".join(name)]
+        for name in assembly.external
+        if assembly.scalars[name].variable.kind not in TEXTS
+    }
+    for connection in (in_units(fmus, each) for each in assembly.connections):
+        if assembly.scalars[connection.target].variable.kind not in TEXTS:
+            values = recording[".".join(connection.source)]
+            if scenario.coupling == "iterated":  # each step has the inputs of its end
+                values = np.append(values[1:], values[-1:])
+            fed[connection.target] = connection.factor * values + connection.offset
     experiments = {}
     for instance, interface in assembly.interfaces.items():
-        names = [name for variable in interface.of("input") for name in variable.names()]
-        sources = {n: feeding.get((instance, n), f"{instance}.{n}") for n in names}
-        texts = {s.name for s in interface.scalars() if s.variable.kind in TEXTS}
-        driven = {
-            name: source
-            for name, source in sources.items()
-            if source in recording and name not in texts
-        }
-        stimuli = {
-            name: recording[source].astype(float)
-            for name, source in {"time": "time", **driven}.items()
-        }
+        driven = {name: values for (owner, name), values in fed.items() if owner == instance}
         every = math.ceil(recording.rows * len(driven) / MOST_CELLS) or 1
         rows = np.unique([*range(0, recording.rows, every), recording.rows - 1])
+        stimuli = {
+            name: column[rows] for name, column in {"time": recording.time, **driven}.items()
+        }
         starts = {s.name: s.start for s in interface.scalars()}
-        values = prepared.values.get(instance, {})
+        values = prepared.start_values().get(instance, {})
         experiments[instance] = Experiment(
-            scenario.name, recording.time[0], recording.time[-1], scenario.step,
+            scenario.name, recording.time[0], recording.time[-1],
+            scenario.step * multiples.get(instance, 1),
             description=f"{interface.model} as driven in the scenario {scenario.name}",
-            parameters={name: value for name, value in values.items() if value != starts[name]},
-            stimuli={n: column[rows] for n, column in stimuli.items()} if driven else {},
+            parameters={n: v for n, v in values.items() if v != starts[n] and n not in driven},
+            stimuli=stimuli if driven else {},
         )  # fmt: skip
     return experiments
-
-
-def has_experiments(path: Path) -> bool:
-    """Whether an FMU's file has a manifest of reference experiments."""
-    with zipfile.ZipFile(path) as archive:
-        return f"{FOLDER}/{MANIFEST}" in archive.namelist()
 
 
 def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
@@ -271,48 +283,26 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
     """
     fmu = read_fmu(path)
     driven = experiment or _experiment(fmu, "default", {}, {})
-    driven = replace(driven, parameters=_own_names(fmu, driven.parameters),
-                     stimuli=_own_names(fmu, driven.stimuli))  # fmt: skip
     outputs = [s for s in fmu.variables.values() if s.variable.causality == "output"]
     names = [scalar.name for scalar in outputs if scalar.variable.kind not in TEXTS]
     every = math.ceil(len(driven.times) / MOST_REFERENCES)
     answers = zip(names, _simulate(fmu, driven, names)[::every].T, strict=True)
     whole = replace(driven, references={"time": driven.times[::every], **dict(answers)})
-    files = {f"{FOLDER}/{name}": content for name, content in _files(fmu, whole).items()}
+    files = {
+        MANIFEST: render("experiment.manifest.j2", it=whole),
+        "reference.exp": render("experiment.exp.j2", it=whole),
+        "references.csv": csv_text(fmu, whole.references),
+    }
+    if whole.parameters:
+        component = Component(path, path.name, fmu.fmi, fmu.variables, fmu.units, whole.parameters)
+        files["parameters.ssv"] = parameter_set(whole.name, component)
+    if whole.stimuli:
+        files["stimuli.csv"] = csv_text(fmu, whole.stimuli)
     with replacing(path) as partial:
         partial.write_bytes(path.read_bytes())
         with partial.open("r+b") as file:
-            add_members(file, files)
+            add_members(file, {f"{FOLDER}/{name}": content for name, content in files.items()})
     return whole
-
-
-def _own_names(fmu: Fmu, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by the names of an FMU that may have been built with flat ones."""
-    known = {"time", *fmu.variables}
-    return {name if name in known else flat_name(name): v for name, v in values.items()}
-
-
-def _files(fmu: Fmu, experiment: Experiment) -> dict[str, bytes]:
-    """Manifest, experiment, parameters and CSV files, by name."""
-    parameters = []
-    for name, value in experiment.parameters.items():
-        scalar = fmu.variable(name)
-        kind, number = scalar.variable.kind, scalar.converted(value)
-        is_whole = kind in ("Integer", "Enumeration")  # an enumeration's number
-        text = str(number) if is_whole else literal(number)
-        parameters.append((name, "Integer" if is_whole else kind, text))
-    files = {
-        MANIFEST: render("experiment.manifest.j2", {}, it=experiment),
-        "reference.exp": render("experiment.exp.j2", {}, it=experiment),
-        "references.csv": csv_text(fmu, experiment.references),
-    }
-    if parameters:
-        files["parameters.ssv"] = render(
-            "experiment.ssv.j2", {}, it=experiment, parameters=parameters
-        )
-    if experiment.stimuli:
-        files["stimuli.csv"] = csv_text(fmu, experiment.stimuli)
-    return files
 
 
 def csv_text(fmu: Fmu, series: Series) -> bytes:
@@ -334,8 +324,8 @@ def write_compatibility(path: Path, experiment: Experiment) -> None:
     files = {
         f"{name}.fmu": path.read_bytes(),
         f"{name}_ref.csv": csv_text(fmu, compared),
-        f"{name}_ref.opt": render("experiment.opt.j2", {}, it=experiment),
-        "ReadMe.txt": render("experiment.txt.j2", {}, **texts),
+        f"{name}_ref.opt": render("experiment.opt.j2", it=experiment),
+        "ReadMe.txt": render("experiment.txt.j2", **texts),
     }
     if experiment.stimuli:
         files[f"{name}_in.csv"] = csv_text(fmu, experiment.stimuli)

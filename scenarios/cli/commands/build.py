@@ -15,7 +15,6 @@ from ...check.experiments import (
     Experiment,
     add_experiment,
     experiments_of,
-    has_experiments,
     write_compatibility,
 )
 from ...run.written import written_system
@@ -103,7 +102,7 @@ def command(  # noqa: PLR0913 - one for each option
         built = build_all(chosen, out, target, container=container, overwrite=overwrite)
         experiments = {} if container else experiments_of(chosen)
     for path, instance in built.items():
-        if path.suffix == ".fmu" and not has_experiments(path):  # those of others may have them
+        if path.suffix == ".fmu":
             put_reference(path, experiments.get(instance), compatibility=compatibility)
         show_file(path)
 
