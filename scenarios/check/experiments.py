@@ -1,7 +1,7 @@
 """Reference experiments inside FMUs: written into those that we build, and run by `check`.
 
-The format is FMI-LS-REF 1.0.0-beta.1, with experiments as MA-HS-Experiments describes them. Both
-still move, so that nothing else knows them.
+Each is run as a scenario of that one FMU. The format is FMI-LS-REF 1.0.0-beta.1, with experiments
+as MA-HS-Experiments describes them. Both still move, so that nothing else knows them.
 """
 
 from __future__ import annotations
@@ -9,32 +9,41 @@ from __future__ import annotations
 import csv
 import io
 import math
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.atomic import replacing
-from ...fmus.build.description import render
+from ...fmus.build.description import literal, render
 from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
 from ...fmus.errors import InputError
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
-from ...fmus.master.system import System, in_units, multiples_of, open_system, read_fmus
+from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...fmus.master.wiring import Name
 from ...fmus.reading import finite_number, open_regular, read_xml
+from ..files import check_new
+from ..recording import Recording
 from ..run.options import Options
 from ..run.prepare import prepare
-from ..scenario.scenario import Scenario
+from ..run.run import Execution
+from ..run.stopping import StopRequest
+from ..scenario.criteria import SignalCriterion
+from ..scenario.input_table import InputTable
+from ..scenario.scenario import NO_TABLE, Scenario
+from ..scenario.success import Success
+from ..scenario.writer import check_name, write_scenario
 from .rehearsal import rehearse
 
 Array = NDArray[np.float64]
-Series = dict[str, Array]  # scalar variables over time (n,), after "time" [s]; linear in between
+Series = dict[str, Array]  # scalar variables over time (n,), after "time" [s]
 
 FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST: Final = "fmi-ls-manifest.xml"
@@ -61,10 +70,17 @@ class Experiment:
     references: Series = field(default_factory=dict)
 
     @property
-    def times(self) -> Array:
-        """Instants of the communication [s]."""
-        ticks: Array = np.arange(round((self.stop - self.start) / self.step) + 1.0)
-        return self.start + self.step * ticks
+    def steps(self) -> int:
+        """Communication steps."""
+        return round((self.stop - self.start) / self.step)
+
+    def compared(self) -> tuple[Any, Any]:
+        """Rows of the references that are at an instant, and their instants' numbers."""
+        ticks = (self.references.get("time", np.zeros(0)) - self.start) / self.step
+        nearest = np.rint(ticks).astype(int)
+        is_instant = np.abs(ticks - nearest) <= _ON_TICK
+        rows = np.flatnonzero(is_instant & (nearest >= 0) & (nearest <= self.steps))
+        return rows, nearest[rows]
 
 
 @dataclass(frozen=True)
@@ -104,34 +120,68 @@ def check_experiments(path: Path) -> list[Outcome]:
 
 def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
     times, *expected = experiment.references.values() or [np.zeros(0)]
-    ticks = (times - experiment.start) / experiment.step
-    is_within = (ticks > -0.5) & (ticks < len(experiment.times) - 0.5)
-    is_tick = is_within & (np.abs(ticks - np.rint(ticks)) <= _ON_TICK)
-    if not is_tick.any() or not expected:
+    names, (rows, ticks) = list(experiment.references)[1:], experiment.compared()
+    if not rows.size or not expected:
         return Outcome(experiment.name, experiment.tolerance)
-    names = list(experiment.references)[1:]
-    answers = _simulate(fmu, experiment, names)[np.rint(ticks[is_tick]).astype(int)]
-    references = np.stack(expected, axis=1)[is_tick]
+    recording = _run(fmu, experiment)
+    answers = np.stack([recording[f"{_IT}.{name}"][ticks] for name in names], axis=1)
+    references = np.stack(expected, axis=1)[rows]
     errors = np.abs(answers - references) / np.maximum(np.abs(references), 1.0)
     row, column = divmod(int(errors.argmax()), errors.shape[1])
     return Outcome(experiment.name, experiment.tolerance, errors.size, float(errors[row, column]),
-                   names[column], float(times[is_tick][row]))  # fmt: skip
+                   names[column], float(times[rows[row]]))  # fmt: skip
 
 
-def _simulate(fmu: Fmu, experiment: Experiment, outputs: list[str]) -> Array:
-    """Values of outputs at all instants (n, len(outputs))."""
-    times, names = experiment.times, list(experiment.stimuli)[1:]
-    external = np.zeros((len(times), len(names)))
-    for i, name in enumerate(names):
-        external[:, i] = np.interp(times, experiment.stimuli["time"], experiment.stimuli[name])
-    starts = dict(zip(names, external[0].tolist(), strict=True)) | dict(experiment.parameters)
-    system = System({_IT: fmu.path}, (), [(_IT, n) for n in names], {_IT: outputs})
-    rows: list[Array] = []
-    with open_system(system, {_IT: starts}, stop=experiment.stop, start=experiment.start,
-                     step_size=experiment.step) as opened:  # fmt: skip
-        opened.master.run(len(times) - 1, external, lambda block: rows.append(block.copy()))
-        columns = [1 + opened.master.columns.index((_IT, name)) for name in outputs]
-    return np.concatenate(rows)[:, columns]
+def _run(fmu: Fmu, experiment: Experiment) -> Recording:
+    """Run an experiment in memory."""
+    prepared = prepare(_scenario(fmu, experiment))
+    assembly = replace(prepared.assembly, start_time=experiment.start)
+    with Execution(replace(prepared, assembly=assembly), writes=False) as execution:
+        execution.advance(execution.ticks, StopRequest())
+        return execution.close().recording
+
+
+def _scenario(fmu: Fmu, experiment: Experiment) -> Scenario:
+    """Return the scenario that drives an FMU as an experiment does, but begins at 0."""
+    given = {n: v for n, v in experiment.parameters.items() if n not in experiment.stimuli}
+    inputs = {n for n in given if fmu.variable(n).variable.causality == "input"}
+    stimuli = {n if n == "time" else f"{_IT}.{n}": v for n, v in experiment.stimuli.items()}
+    scalars = {f"{_IT}.{name}": scalar for name, scalar in fmu.variables.items()}
+    return Scenario(
+        name=_IT, table=NO_TABLE, duration=experiment.steps * experiment.step,
+        step=experiment.step, fmus={_IT: str(fmu.path.absolute())},
+        inputs={f"{_IT}.{name}": given[name] for name in inputs},
+        input_table=InputTable(_csv(stimuli, scalars), fmu.label) if stimuli else InputTable(),
+        parameters={_IT: {n: v for n, v in given.items() if n not in inputs}},
+    )  # fmt: skip
+
+
+def import_experiment(path: Path, folder: Path) -> list[Path]:
+    """Make a scenario of the first experiment in an FMU, judged by its references at the end."""
+    check_name(folder)
+    fmu = read_fmu(path)
+    experiment = next(iter(_experiments(fmu)), None)
+    if experiment is None or experiment.start != 0.0:
+        raise InputError(f"{path}: must hold an experiment that begins at 0 s")
+    criteria, names = [], list(experiment.references)[1 : 1 + MOST_COMPARED]
+    rows, ticks = experiment.compared()
+    for name in names if rows.size else ():
+        value = float(experiment.references[name][rows[-1]])
+        bound = experiment.tolerance * max(abs(value), 1.0)
+        end = "end" if ticks[-1] == experiment.steps else float(ticks[-1] * experiment.step)
+        signal, above, below = f"{_IT}.{name}", value - bound, value + bound
+        criteria.append(SignalCriterion(signal, "final", to=end, above=above, below=below))
+    scenario = replace(
+        _scenario(fmu, experiment),
+        name=folder.name,
+        purpose=f"Experiment of {path.name}",
+        fmus={_IT: path.name},
+        success=Success(signal=tuple(criteria)),
+    )
+    check_new([folder / path.name])
+    write_scenario(scenario, folder)
+    shutil.copy(path, folder / path.name)
+    return sorted(folder.iterdir())
 
 
 # Read.
@@ -279,15 +329,18 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
 def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
     """Put an experiment into an FMU's file, with what the FMU answers now as references.
 
-    Without one, it is the FMU's default experiment.
+    Without one, it is the FMU's default experiment. An FMU that holds some keeps these.
     """
     fmu = read_fmu(path)
+    if own := _experiments(fmu):
+        return own[0]
     driven = experiment or _experiment(fmu, "default", {}, {})
+    recording = _run(fmu, driven)
     outputs = [s for s in fmu.variables.values() if s.variable.causality == "output"]
     names = [scalar.name for scalar in outputs if scalar.variable.kind not in TEXTS]
-    every = math.ceil(len(driven.times) / MOST_REFERENCES)
-    answers = zip(names, _simulate(fmu, driven, names)[::every].T, strict=True)
-    whole = replace(driven, references={"time": driven.times[::every], **dict(answers)})
+    every = math.ceil(recording.rows / MOST_REFERENCES)
+    answers = {name: recording[f"{_IT}.{name}"][::every] for name in names}
+    whole = replace(driven, references={"time": recording.time[::every], **answers})
     files = {
         MANIFEST: render("experiment.manifest.j2", it=whole),
         "reference.exp": render("experiment.exp.j2", it=whole),
@@ -307,13 +360,19 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
 
 def csv_text(fmu: Fmu, series: Series) -> bytes:
     """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
-    columns: dict[str, list[list[float]]] = {"time": [series["time"].tolist()]}
+    return _csv(series, fmu.variables, by_array=True).encode()
+
+
+def _csv(series: Series, scalars: Mapping[str, Scalar], *, by_array: bool = False) -> str:
+    columns = {"time": [[repr(time) for time in series["time"].tolist()]]}
     for name, values in list(series.items())[1:]:
-        columns.setdefault(fmu.variables[name].variable.name, []).append(values.tolist())
+        scalar = scalars[name]
+        texts = [literal(scalar, value) for value in values.tolist()]
+        columns.setdefault(scalar.variable.name if by_array else name, []).append(texts)
     lines = [",".join(f'"{name}"' for name in columns)]
     for row in zip(*(zip(*each, strict=True) for each in columns.values()), strict=True):
-        lines.append(",".join(" ".join(map(repr, cell)) for cell in row))
-    return ("\n".join(lines) + "\n").encode()
+        lines.append(",".join(map(" ".join, row)))
+    return "\n".join(lines) + "\n"
 
 
 def write_compatibility(path: Path, experiment: Experiment) -> None:

@@ -47,17 +47,22 @@ def make_scenario(
     The folder's name becomes the scenario's. `parts` of `FROM_TEMPLATE` are added to the template,
     or a sweep to the shipped scenario that is copied, without its reference.
     """
-    if not _NAME.fullmatch(folder.name):
-        raise InputError(
-            f"scenario name {excerpt(folder.name)}: must be at most 200 letters, digits, _ . and "
-            "-, and not begin with a sign"
-        )
+    check_name(folder)
     sources = _template(parts) if copied is None else _shipped(copied)
     contents = {folder / name: text for name, text in sources.items()}
     for name in (name for part in parts for name in FROM_TEMPLATE[part]):
         contents[folder / name] = (TEMPLATE / name).read_text(encoding="utf-8")
     write_all(contents)
     return list(contents)
+
+
+def check_name(folder: Path) -> None:
+    """Refuse a folder's name that cannot be a scenario's."""
+    if not _NAME.fullmatch(folder.name):
+        raise InputError(
+            f"scenario name {excerpt(folder.name)}: must be at most 200 letters, digits, _ . and "
+            "-, and not begin with a sign"
+        )
 
 
 def _template(parts: Collection[str]) -> dict[str, str]:

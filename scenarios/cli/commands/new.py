@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ....fmus.errors import InputError
+from ...check.experiments import import_experiment
 from ...files import as_argument
 from ...scenario.scenario import Scenario, shipped_scenarios
 from ...scenario.writer import make_scenario
@@ -15,7 +16,8 @@ from ..options import JSON, argument, option
 def command(
     name: Path = argument("NAME", "Folder to make."),
     source: str | None = option(
-        "--from SCENARIO", "Copy a shipped scenario, without its reference."
+        "--from SCENARIO",
+        "Copy a shipped scenario, without its reference; or run the experiment in an X.fmu.",
     ),
     law: bool = option(
         "--law --controller", "Add a control law in Python, for you to edit.", False
@@ -35,13 +37,18 @@ def command(
     panda-cosim run my-scenarios/lift
     panda-cosim new my-law --law --sweep
     panda-cosim new my-push --from push
+    panda-cosim new their-test --from Theirs.fmu
     ```
     """
     if source is not None and (law or plant):
         raise InputError("--from: cannot be combined with --law or --plant")
     options = {"law": law, "plant": plant, "sweep": sweep}
     parts = [part for part, is_asked_for in options.items() if is_asked_for]
-    for path in make_scenario(name, parts, source):
+    is_fmu = source is not None and source.endswith(".fmu")
+    if is_fmu and sweep:
+        raise InputError("--from X.fmu: cannot be combined with --sweep")
+    made = import_experiment(Path(source), name) if is_fmu else make_scenario(name, parts, source)
+    for path in made:
         show(str(path))
     folder = as_argument(name)
     more = f"; panda-cosim sweep {folder}/sweep.toml" if sweep else ""
