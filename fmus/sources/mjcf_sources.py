@@ -305,7 +305,8 @@ class Sources:
         low, high = self.model.actuator_ctrlrange[actuators].T
         low, high = np.where(limited, low, -np.inf), np.where(limited, high, np.inf)
         start, least, most = (
-            tuple(values.tolist()) for values in (np.clip(ctrl.start, low, high), low, high)
+            tuple(values.tolist())
+            for values in (np.clip(np.asarray(ctrl.start), low, high), low, high)
         )
         return replace(ctrl, start=start, minimum=least, maximum=most)
 

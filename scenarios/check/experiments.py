@@ -160,9 +160,9 @@ def import_experiment(path: Path, folder: Path) -> list[Path]:
     """Make a scenario of the first experiment in an FMU, judged by its references at the end."""
     check_name(folder)
     fmu = read_fmu(path)
-    experiment = next(iter(_experiments(fmu)), None)
-    if experiment is None or experiment.start != 0.0:
-        raise InputError(f"{path}: must hold an experiment that begins at 0 s")
+    experiment = _first(fmu)
+    if experiment.start != 0.0:
+        raise InputError(f"{path}: startTime {experiment.start:g} of its experiment; must be 0")
     criteria, names = [], list(experiment.references)[1 : 1 + MOST_COMPARED]
     rows, ticks = experiment.compared()
     for name in names if rows.size else ():
@@ -199,6 +199,12 @@ def _experiments(fmu: Fmu) -> list[Experiment]:
             references = _series(fmu, _member(fmu, manifest.parent, source))
             found[role].append(_experiment(fmu, source, {}, references=references))
     return found["experiment"] or found["result"]
+
+
+def _first(fmu: Fmu) -> Experiment:
+    for experiment in _experiments(fmu):
+        return experiment
+    raise InputError(f"{fmu.label}: holds no experiments")
 
 
 def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
@@ -315,12 +321,12 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
             name: column[rows] for name, column in {"time": recording.time, **driven}.items()
         }
         starts = {s.name: s.start for s in interface.scalars()}
-        values = prepared.start_values().get(instance, {})
+        given = prepared.start_values().get(instance, {})
         experiments[instance] = Experiment(
             scenario.name, recording.time[0], recording.time[-1],
             scenario.step * multiples.get(instance, 1),
             description=f"{interface.model} as driven in the scenario {scenario.name}",
-            parameters={n: v for n, v in values.items() if v != starts[n] and n not in driven},
+            parameters={n: v for n, v in given.items() if v != starts[n] and n not in driven},
             stimuli=stimuli if driven else {},
         )  # fmt: skip
     return experiments
@@ -332,8 +338,8 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
     Without one, it is the FMU's default experiment. An FMU that holds some keeps these.
     """
     fmu = read_fmu(path)
-    if own := _experiments(fmu):
-        return own[0]
+    if (fmu.folder / FOLDER / MANIFEST).is_file():
+        return _first(fmu)
     driven = experiment or _experiment(fmu, "default", {}, {})
     recording = _run(fmu, driven)
     outputs = [s for s in fmu.variables.values() if s.variable.causality == "output"]

@@ -44,10 +44,12 @@ def command(
         raise InputError("--from: cannot be combined with --law or --plant")
     options = {"law": law, "plant": plant, "sweep": sweep}
     parts = [part for part, is_asked_for in options.items() if is_asked_for]
-    is_fmu = source is not None and source.endswith(".fmu")
-    if is_fmu and sweep:
-        raise InputError("--from X.fmu: cannot be combined with --sweep")
-    made = import_experiment(Path(source), name) if is_fmu else make_scenario(name, parts, source)
+    if source is not None and source.endswith(".fmu"):
+        if sweep:
+            raise InputError("--from X.fmu: cannot be combined with --sweep")
+        made = import_experiment(Path(source), name)
+    else:
+        made = make_scenario(name, parts, source)
     for path in made:
         show(str(path))
     folder = as_argument(name)
