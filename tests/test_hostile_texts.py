@@ -21,7 +21,8 @@ import pytest
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
 from live_support import READY
-from panda_cosim.fmus.build.description import Identity, Layout, documentation, model_description
+from panda_cosim.fmus.build.description import Layout, documentation, members
+from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.messages import TEXT_LENGTH, legible, printable
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
@@ -120,7 +121,7 @@ def documented(text: str) -> bytes:
     """Return the documentation of an FMU in which every text is the same one."""
     variables = tuple(replace(v, description=text, unit=text) for v in SENSORS.variables)
     interface = replace(SENSORS, description=text, variables=variables)
-    return documentation(interface, Identity(text, "1"), Layout(), text, (text,))
+    return documentation(NativeFmu(interface, "python", text), Layout(), (text,))
 
 
 # How each page is made, and where in it the text stands; view and report have tests of their own.
@@ -157,9 +158,8 @@ def test_an_fmus_description_is_xml_whatever_names_a_model_has() -> None:
     variables = tuple(replace(v, description=text) for v in SENSORS.variables)
     interface = replace(SENSORS, description=text, variables=variables)
     for fmi in (2, 3):
-        made = ElementTree.fromstring(
-            model_description(interface, Identity("x", 0.001), Layout(fmi))
-        )
+        written = members(NativeFmu(interface, "python", text), Layout(fmi))
+        made = ElementTree.fromstring(written["modelDescription.xml"])
         assert made.get("description") == r"body 'a\x1b[31m\x00\x9b' of <b>"
 
 

@@ -8,24 +8,29 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import distribution, version
 from inspect import cleandoc
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import InputError
-from ..inside.base import LOG_CATEGORIES, TICK
+from ..inside.base import LOG_CATEGORIES
 from ..interface.variables import Interface, Scalar, Value, Variable
 from ..messages import shown
 from .libraries import MUJOCO, NEED_MUJOCO, licence, own_licences
+
+if TYPE_CHECKING:
+    from .native import NativeFmu
 
 ABOUT: Final = {
     "author": "The panda-cosim engineers", "copyright": "Copyright 2026 The panda-cosim engineers",
     "license": "Apache-2.0",
 }  # fmt: skip
 STOP_TIME = 6.5  # [s] of the shipped scenarios
+DATE: Final = "2026-01-01T00:00:00Z"  # fixed: equal contents, equal bytes
 # Exponents of the SI base units; FMI counts rad among them.
 BASE_UNITS: dict[str, dict[str, str]] = {
     "1": {}, "m": {"m": "1"}, "kg": {"kg": "1"}, "s": {"s": "1"}, "rad": {"rad": "1"},
@@ -45,18 +50,6 @@ NOMINALS: Final = {"m": 0.1, "m/s": 0.1, "N": 10.0, "N.m": 10.0, "N/m": 1000.0, 
                    "s": 0.1, "m/s2": 10.0, "rad/s2": 10.0}  # fmt: skip
 _PART: Final = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED: Final = re.compile(rf"{_PART}(\.{_PART})*", re.A)  # as `arm.joint[3].angle`
-
-
-@dataclass(frozen=True)
-class Identity:
-    """Identifies one build of an FMU."""
-
-    token: str  # GUID of FMI 2.0, instantiation token of FMI 3.0; a hash of the content
-    version: str  # of the project
-    tool: str = "panda-cosim"  # generation tool
-    step_size: float = TICK  # internal step [s]; 0: any communication step is taken as it is
-    stop_time: float = STOP_TIME  # of the default experiment [s]
-    date: str = "2026-01-01T00:00:00Z"  # ISO 8601 in UTC; fixed: equal contents, equal bytes
 
 
 @dataclass(frozen=True)
@@ -103,19 +96,29 @@ def _flat_name(name: str) -> str:
     return re.sub(r"\W+", "_", name, flags=re.A).strip("_")
 
 
-def model_description(
-    interface: Interface, identity: Identity, layout: Layout = Layout()
-) -> bytes:  # fmt: skip
-    """Make modelDescription.xml of FMI 2.0 or 3.0, in UTF-8."""
-    rows = described(interface, layout)
+def members(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
+    """Return the members of an FMU's archive that describe it, by path."""
+    rows, interface = described(fmu.interface, layout), fmu.interface
+    xml = {"modelDescription.xml": _model_description(fmu, layout.fmi, rows)}
+    if layout.fmi == 3 and interface.terminals:
+        terminals = {
+            name: [row.variable.name for row in rows if row.whole in variables]
+            for name, variables in interface.terminals.items()
+        }
+        content = render("terminals.xml.j2", terminals=terminals)
+        xml["terminalsAndIcons/terminalsAndIcons.xml"] = content
+    return xml | _documents(fmu, layout)
+
+
+def _model_description(fmu: NativeFmu, fmi: int, rows: Sequence[Described]) -> bytes:
     variables = [row.variable for row in rows]
-    used = {v.unit for v in variables if v.unit} | ({"s"} if layout.fmi == 3 else set())
+    used = {v.unit for v in variables if v.unit} | ({"s"} if fmi == 3 else set())
     return render(
-        f"fmi{layout.fmi}.xml.j2",
-        **vars(identity),
-        model=interface.model,
-        interface=interface,
+        f"fmi{fmi}.xml.j2",
+        fmu=fmu,
         about=ABOUT,
+        version=version("panda-cosim"),
+        date=DATE,
         log_categories=LOG_CATEGORIES,
         # Of a slave, which may have any names.
         naming="structured" if all(_STRUCTURED.fullmatch(v.name) for v in variables) else "flat",
@@ -123,22 +126,9 @@ def model_description(
         display_units=DISPLAY_UNITS,
         enumerations=[v for v in variables if v.kind == "Enumeration"],
         rows=rows,
-        size=len(interface.scalars()),
         outputs=[row for row in rows if row.variable.causality == "output"],
         parameters=[row for row in rows if row.variable.causality == "parameter"],
-        # A user's slave, which has no internal step, may compute its first outputs from inputs.
-        knows_dependencies=identity.step_size > 0.0,
     )
-
-
-def terminals(interface: Interface, layout: Layout) -> bytes:
-    """Make terminalsAndIcons.xml of FMI 3.0."""
-    rows = described(interface, layout)
-    members = {
-        name: [row.variable.name for row in rows if row.whole in variables]
-        for name, variables in interface.terminals.items()
-    }
-    return render("terminals.xml.j2", terminals=members)
 
 
 def _type(variable: Variable) -> dict[str, object]:
@@ -176,57 +166,45 @@ NOTHING: Final = "Nothing: neither Python nor any library that it does not conta
 _FEW: Final = 12  # most values shown in a table's cell
 
 
-def documents(  # noqa: PLR0913 - the FMU, its identity and its version
-    interface: Interface, identity: Identity, layout: Layout, law: str, needs: tuple[str, ...],
-    backend: str,
-) -> dict[str, bytes]:  # fmt: skip
-    """Return the members of an FMU that are for human readers, by path."""
-    opens_mujoco = backend in NEED_MUJOCO
+def _documents(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
+    opens_mujoco = fmu.backend in NEED_MUJOCO
     glibc = "2.27" if opens_mujoco else "2.17"
     systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."
-    folder = "documentation/licenses"
-    members = {
-        "documentation/index.html": documentation(
-            interface, identity, layout, law, (*needs, systems)
-        ),
-        "documentation/externalDependencies.txt": "\n".join((*needs, systems, "")).encode(),
+    needs, folder = (*fmu.needs, systems), "documentation/licenses"
+    files = {
+        "documentation/index.html": documentation(fmu, layout, needs),
+        "documentation/externalDependencies.txt": "\n".join((*needs, "")).encode(),
         **{f"{folder}/{name}": text for name, text in own_licences().items()},
         f"{folder}/third_party.txt": render(
             "third_party.txt.j2",
-            in_python=backend == "python",
+            in_python=fmu.backend == "python",
             mujoco=version(MUJOCO) if opens_mujoco else "",
         ),
     }
     for file in distribution(MUJOCO).files or [] if opens_mujoco else []:
         if "dist-info/licenses" in str(file):
-            members[f"{folder}/{MUJOCO}-{file.stem}.txt"] = licence(MUJOCO, file.name)
-    picture = PICTURES.get(interface.model)
-    if picture:
+            files[f"{folder}/{MUJOCO}-{file.stem}.txt"] = licence(MUJOCO, file.name)
+    if fmu.model in PICTURES:
         place = "model.png" if layout.fmi == 2 else "terminalsAndIcons/icon.png"
-        members[place] = Path(__file__).with_name(picture).read_bytes()
-    return members
+        files[place] = Path(__file__).with_name(PICTURES[fmu.model]).read_bytes()
+    return files
 
 
-def documentation(
-    interface: Interface, identity: Identity, layout: Layout, law: str, needs: tuple[str, ...]
-) -> bytes:
+def documentation(fmu: NativeFmu, layout: Layout, needs: tuple[str, ...]) -> bytes:
     """Make documentation/index.html."""
     tables: dict[str, list[tuple[str, Variable]]] = {}
-    names = {r.reference: r.variable.name for r in described(interface, layout)}
-    for row in described(interface, replace(layout, fmi=3, scalars=False)):
+    names = {r.reference: r.variable.name for r in described(fmu.interface, layout)}
+    for row in described(fmu.interface, replace(layout, fmi=3, scalars=False)):
         last = names.get(row.reference + row.variable.size - 1)
         label = names[row.reference] + (f" to {last}" if last and row.variable.size > 1 else "")
         tables.setdefault(row.variable.causality, []).append((label, row.variable))
     return render(
         "documentation.html.j2",
-        interface=interface,
-        tables=tables,
-        token=identity.token,
-        step_size=f"{identity.step_size:g}",
+        fmu=fmu,
         fmi=layout.fmi,
-        law=cleandoc(law),
-        formulas=None if law else f"{interface.model}.html.j2",  # of our own FMUs
-        coupled=interface.model in PICTURES,
+        tables=tables,
+        law=cleandoc(fmu.law),
+        coupled=fmu.model in PICTURES,
         needs=needs,
     )
 

@@ -9,21 +9,13 @@ import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib.metadata import version
 from typing import IO, Final
 from urllib.parse import quote
 
 from ..inside.base import TICK
 from ..interface.variables import Interface, Numbers, Variable
-from .description import (
-    NOTHING,
-    STOP_TIME,
-    Identity,
-    Layout,
-    documents,
-    model_description,
-    terminals,
-)
+from .description import NOTHING, STOP_TIME, Layout
+from .description import members as description_of
 from .libraries import NEED_MUJOCO, PLATFORMS, code_digest, digest, library, mujoco_library
 
 TABLE_NAME: Final = "variables.txt"
@@ -58,21 +50,15 @@ class NativeFmu:
         parts = (self.interface, self.backend, self.law, self.options, *times)
         return digest(code_digest(), repr(parts), self.resources)
 
+    @property
+    def token(self) -> str:
+        """GUID of FMI 2.0, instantiation token of FMI 3.0; a hash of the content."""
+        return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}"
+
     def build(self, layout: Layout, platforms: Sequence[str]) -> bytes:
         """Make the .fmu file: description, documentation, resources, and libraries."""
-        project, token = (
-            version("panda-cosim"),
-            f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}",
-        )
-        identity = Identity(
-            token, project, f"panda-cosim {project}", self.step_size, self.stop_time
-        )
-        members = documents(self.interface, identity, layout, self.law, self.needs, self.backend)
-        members["modelDescription.xml"] = model_description(self.interface, identity, layout)
-        if layout.fmi == 3 and self.interface.terminals:
-            members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(self.interface, layout)
-        options = (*self.options, *self.recorded)
-        written = table(self.interface, token, self.step_size, options, scalars=layout.scalars)
+        members, options = description_of(self, layout), (*self.options, *self.recorded)
+        written = table(self.interface, self.token, self.step_size, options, scalars=layout.scalars)
         for name, content in {TABLE_NAME: written, **self.resources}.items():
             members[f"resources/{name}"] = content
         for name in platforms:
