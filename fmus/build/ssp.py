@@ -15,7 +15,7 @@ from ..atomic import replacing
 from ..inside.base import TICK
 from ..interface.tables import Connection
 from ..interface.units import BASES, Unit, Units
-from ..interface.variables import Scalar, Value, Variable
+from ..interface.variables import Scalar, Value, Variable, by_array
 from .description import ABOUT, literal, render
 from .native import archive
 
@@ -190,14 +190,9 @@ def _indices(scalar: Scalar) -> str | None:
 
 def _parameters(component: Component) -> Iterator[tuple[Variable, str, str]]:
     """Yield variable, type and values; enumerations as numbers, which more importers support."""
-    variables: dict[str, list[Scalar]] = {}
-    for scalar in component.variables.values():
-        variables.setdefault(scalar.variable.name, []).append(scalar)
-    for scalars in variables.values():
+    for scalars in by_array(component.variables.values()).values():
         if any(scalar.name in component.start_values for scalar in scalars):
-            variable, texts = scalars[0].variable, []
-            for scalar in scalars:
-                value = component.start_values.get(scalar.name, scalar.start_value())
-                texts.append(literal(scalar, value))
+            variable, given = scalars[0].variable, component.start_values
+            values = [literal(s, given.get(s.name, s.start_value())) for s in scalars]
             kind = "Integer" if variable.kind == "Enumeration" else variable.fmi_type
-            yield variable, kind, " ".join(texts)
+            yield variable, kind, " ".join(values)

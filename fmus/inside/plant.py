@@ -57,13 +57,8 @@ class PlantSlave(SharedSlave):
 
     def advance(self, count: int) -> None:
         """Step the plant."""
-        self._mujoco.listening = True  # not `_logged`, which costs a microsecond
-        try:
+        with self._logged():
             self._plant.step(count)
-        finally:
-            self._mujoco.listening = False
-            if self._mujoco.texts:
-                self._log_warnings()
 
     def get_state(self) -> bytes:
         """MuJoCo's state for integration."""
@@ -84,9 +79,6 @@ class PlantSlave(SharedSlave):
             yield
         finally:
             self._mujoco.listening = False
-            self._log_warnings()
-
-    def _log_warnings(self) -> None:
-        for text in self._mujoco.texts:
-            self.warn_once(text[:40], f"MuJoCo warns: {text} (logged once)")
-        self._mujoco.texts.clear()
+            for text in self._mujoco.texts:
+                self.warn_once(text[:40], f"MuJoCo warns: {text} (logged once)")
+            self._mujoco.texts.clear()

@@ -36,21 +36,19 @@ def measurement_of(name: str) -> str:
     return f"{name}_measured"
 
 
-def _truth(name: str) -> Variable:
+def _signal(name: str) -> tuple[Variable, Variable]:
+    """The true signal, an input, and its measurement, an output."""
     like = PLANT.variable(name) if name in SEEN else CONTROLLER.variable(name)
-    start = _STARTS.get(name, like.start)
+    start, words = _STARTS.get(name, like.start), _WORDS[name]
     assert isinstance(start, (float, tuple))
-    words = f"True {_WORDS[name]}"
-    return input_(name, like.shape, like.unit, words, start, parts=like.parts)
-
-
-def _reading(name: str) -> Variable:
-    like = PLANT.variable(name) if name in SEEN else CONTROLLER.variable(name)
-    parts = tuple(
-        (measurement_of(part), rows, f"Measured: {text}") for part, rows, text in like.parts
+    parts = tuple((measurement_of(part), n, f"Measured: {text}") for part, n, text in like.parts)
+    return (
+        input_(name, like.shape, like.unit, f"True {words}", start, parts=like.parts),
+        output(measurement_of(name), like.shape, like.unit, f"Measured {words}", parts=parts),
     )
-    words = f"Measured {_WORDS[name]}"
-    return output(measurement_of(name), like.shape, like.unit, words, parts=parts)
+
+
+_TRUTHS, _READINGS = zip(*map(_signal, (*MEASURED, *SEEN)), strict=True)
 
 
 def _error(  # noqa: PLR0913 - a row has this many columns
@@ -66,8 +64,8 @@ SENSORS = Interface(
     "PandaSensors",
     "Measurements of arm and block, with errors of encoders, camera and transmission",
     (
-        *map(_truth, (*MEASURED, *SEEN)),
-        *map(_reading, (*MEASURED, *SEEN)),
+        *_TRUTHS,
+        *_READINGS,
         Variable("seed", (), "1", "parameter", "fixed", "Seed of the random numbers, a whole "
                  "number", 0.0, 0.0, 2.0**32 - 1, multiple_of=1.0),
         _error("joint_offset", 7, "rad", (-0.5, 0.5), "Offset of each encoder"),

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby, product
 from typing import Any, Final, Literal
 
@@ -314,6 +314,14 @@ class Interface:
         return {scalar.name: scalar for scalar in self._scalars if scalar.variable.shape}
 
 
+def by_array(scalars: Iterable[Scalar]) -> dict[str, list[Scalar]]:
+    """Scalars by the names of their variables."""
+    arrays: dict[str, list[Scalar]] = {}
+    for scalar in scalars:
+        arrays.setdefault(scalar.variable.name, []).append(scalar)
+    return arrays
+
+
 def _cut(values: Any, elements: slice) -> Any:
     """Values of some elements; one alone if all of them are equal."""
     parts = values[elements] if isinstance(values, tuple) else (values,)
@@ -333,15 +341,14 @@ def input_(  # noqa: PLR0913 - a row has this many columns
 
 
 def output(
-    name: str, shape: tuple[int, ...], unit: Unit, description: str, **more: Any
-) -> Variable:
+    name: str, shape: tuple[int, ...], unit: Unit, description: str,
+    variability: Variability = "continuous", **more: Any,
+) -> Variable:  # fmt: skip
     """Return an output that changes at every step."""
-    return Variable(name, shape, unit, "output", "continuous", description, **more)
+    return Variable(name, shape, unit, "output", variability, description, **more)
 
 
-def held(name: str, shape: tuple[int, ...], unit: Unit, description: str, **more: Any) -> Variable:
-    """Return an output that changes at the controller's updates only."""
-    return Variable(name, shape, unit, "output", "discrete", description, **more)
+held: Final = partial(output, variability="discrete")  # changes at the controller's updates only
 
 
 def joints(arm: str, *others: str) -> tuple[str, ...]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from difflib import SequenceMatcher
+from itertools import islice
 from pathlib import Path
 from typing import Final, Literal
 
@@ -13,7 +17,8 @@ from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
-from ...fmus.master.system import notes, read_fmus
+from ...fmus.interface.variables import Variable
+from ...fmus.master.system import RECORDED_KINDS, notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.criterion import miss_text
@@ -37,17 +42,20 @@ from ..scenario.scenario import (
     shipped_scenarios,
 )
 from ..scenario.trajectory import TIME_TOLERANCE
-from ..system.assembly import system_scenario
+from ..system.assembly import Assembly, system_scenario
+from ..system.connector import Connector
 from ..system.parts import UnreadSlaveError
 from ..timing.joint_reference import joint_reference
 from ..timing.violations import LimitViolation, find_violations
 from .rehearsal import findings, rehearse, weakest_grip
-from .suggestions import suggestions
 
 Level = Literal["wrong", "hint", "good"]
 
 SYSTEM: Final = ".ssp"
 SHOWN: Final = 4  # limit violations that are listed
+ALIKE: Final = 0.6  # of two names, as `SequenceMatcher` measures it
+LOOKED_AT: Final = 20  # unconnected inputs
+_SIDE: Final = re.compile(r"[_.]?(input|output|in|out|cmd|meas|measured)$", re.I)
 
 
 @dataclass(frozen=True)
@@ -107,7 +115,7 @@ def _foreign(prepared: Prepared) -> list[Diagnostic]:
     scenario, assembly = prepared.scenario, prepared.assembly
     fmus = read_fmus(assembly.system, assembly.changed(prepared.values), scenario.coupling)
     seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
-    hints = _diagnostics("hint", [*assembly.notes, *suggestions(assembly), *seen])
+    hints = _diagnostics("hint", [*assembly.notes, *_suggestions(assembly), *seen])
     models = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
@@ -116,6 +124,46 @@ def _foreign(prepared: Prepared) -> list[Diagnostic]:
         text = f"{about}; it can be started, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
     return [*hints, Diagnostic("good", f"{about}; it can run ({unseen})")]
+
+
+def _suggestions(assembly: Assembly) -> Iterator[str]:
+    """Yield lines of [connect] for inputs that nothing feeds: shape, type, unit and name fit."""
+    connector = Connector(assembly.parts)
+    fed = {*assembly.external, *(connection.target for connection in assembly.connections)}
+    unfed = (
+        (part.name, variable)
+        for part in assembly.parts
+        if part.file is not None
+        for variable in part.interface.of("input")
+        if variable.kind in RECORDED_KINDS
+        and not any((part.name, name) in fed for name in variable.names())
+    )
+    for name, variable in islice(unfed, LOOKED_AT):
+        source = _nearest(connector, name, variable)
+        if source:
+            target = f"{name}.{variable.name}"
+            yield f'nothing feeds {target}; perhaps [connect] "{target}" = "{source}"'
+
+
+def _nearest(connector: Connector, name: str, fed: Variable) -> str:
+    """Return the output that fits an input: of a name like its own, or the only one of its unit."""
+    fitting = []
+    for part in connector.parts.values():
+        for giving in part.interface.of("output") if part.name != name else ():
+            with suppress(InputError):
+                source = f"{part.name}.{giving.name}"
+                connector.check(source, giving, f"{name}.{fed.name}", fed)
+                fitting.append((_likeness(giving.name, fed.name), source, giving))
+    likeness, source, _ = max(fitting, default=(0.0, "", fed), key=lambda each: each[0])
+    if likeness >= ALIKE:
+        return source
+    same_unit = [each for each in fitting if fed.unit not in ("", "1") and each[2].unit]
+    return same_unit[0][1] if len(same_unit) == 1 else ""
+
+
+def _likeness(one: str, other: str) -> float:
+    stems = [_SIDE.sub("", name.lower()) for name in (one, other)]
+    return SequenceMatcher(None, stems[0], stems[1]).ratio()
 
 
 def _rehearsed(prepared: Prepared) -> list[Diagnostic]:

@@ -24,7 +24,8 @@ from ...fmus.build.description import literal, render
 from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
 from ...fmus.errors import InputError
-from ...fmus.interface.variables import Scalar, Value
+from ...fmus.interface.tables import Connection
+from ...fmus.interface.variables import Scalar, Value, by_array
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
 from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...fmus.master.wiring import Name
@@ -247,17 +248,9 @@ def _member(fmu: Fmu, folder: Path, source: str) -> Path:
     return path
 
 
-def _arrays(fmu: Fmu) -> dict[str, list[Scalar]]:
-    """Scalars by the FMU's own names of their arrays."""
-    arrays: dict[str, list[Scalar]] = {}
-    for scalar in fmu.variables.values():
-        arrays.setdefault(scalar.variable.name, []).append(scalar)
-    return arrays
-
-
 def _series(fmu: Fmu, file: Path) -> Series:
     """Read a CSV; a cell of an array has all its elements. Texts are left out."""
-    arrays = _arrays(fmu)
+    arrays = by_array(fmu.variables.values())
     with open_regular(file) as raw:
         lines = [row for row in csv.reader(io.TextIOWrapper(raw, "utf-8-sig")) if row]
     head, rows = lines[0] if lines else ["time"], lines[1:]
@@ -278,7 +271,7 @@ def _series(fmu: Fmu, file: Path) -> Series:
 def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
     """Read a parameter set (SSV); one of an array has all its elements."""
     values: dict[str, Value] = {}
-    arrays = _arrays(fmu)
+    arrays = by_array(fmu.variables.values())
     for parameter in read_xml(file, str(file)).iterfind(".//{*}Parameter"):
         name = parameter.get("name", "")
         scalars = arrays.get(name) or [fmu.variable(name)]
@@ -301,17 +294,13 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
     recording, assembly = rehearse(prepared).recording, prepared.assembly
     fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
     multiples = multiples_of(fmus, assembly.system, scenario.step)
-    fed: dict[Name, Array] = {
-        name: recording[".".join(name)]
-        for name in assembly.external
-        if assembly.scalars[name].variable.kind not in TEXTS
-    }
-    for connection in (in_units(fmus, each) for each in assembly.connections):
-        if assembly.scalars[connection.target].variable.kind not in TEXTS:
-            values = recording[".".join(connection.source)]
-            if scenario.coupling == "iterated":  # each step has the inputs of its end
-                values = np.append(values[1:], values[-1:])
-            fed[connection.target] = connection.factor * values + connection.offset
+    fed: dict[Name, Array] = {}
+    for each in (*(Connection(name, name) for name in assembly.external), *assembly.connections):
+        if assembly.scalars[each.target].variable.kind not in TEXTS:
+            values, linear = recording[".".join(each.source)], in_units(fmus, each)
+            if scenario.coupling == "iterated" and each.source != each.target:
+                values = np.append(values[1:], values[-1:])  # each step has the inputs of its end
+            fed[each.target] = linear.factor * values + linear.offset
     experiments = {}
     for instance, interface in assembly.interfaces.items():
         driven = {name: values for (owner, name), values in fed.items() if owner == instance}
