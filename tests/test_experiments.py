@@ -15,9 +15,11 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+from fmu_support import compiler
 from forked import command
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.run import run_scenario
+from toy_fmu import toy_fmu
 
 pytestmark = pytest.mark.fmu
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
@@ -151,6 +153,65 @@ def test_experiments_of_others_are_run_with_their_parameters(
     assert done.returncode == 0, done.stderr
     (found,) = json.loads(done.stdout)["experiments"]
     assert (found["experiment"], found["values"], found["largest_difference"]) == ("floats", 4, 0.0)
+
+
+@pytest.mark.parametrize(("height", "code"), [(1.0, 0), (1.1, 3)])
+def test_an_experiment_becomes_a_scenario_judged_by_its_references(
+    box: Path, tmp_path: Path, height: float, code: int
+) -> None:
+    exp = FALL.format(name="floats", times=TIMES, transient="")
+    rows = f"time,qpos[3],angle\n0,1,0\n0.1,{height},0\n5,7,1\n"
+    path = with_files(box, tmp_path / "x.fmu", exp=exp, csv=rows, p=SSV)
+    done = command("new", tmp_path / "mine", "--from", path)
+    assert done.returncode == 0, done.stderr
+    options = ("--no-video", "--no-view", "--out", tmp_path / "run")
+    assert command("run", tmp_path / "mine", *options).returncode == code
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert [c["name"] for c in summary["criteria"] if not c["ok"]] == (
+        ["final fmu.qpos[3] above"] if code else []
+    )
+
+
+COUPLED = """duration = 0.02
+[fmus]
+a = "a.fmu"
+b = "b.fmu"
+[connect]
+"b.u" = "a.y"
+[steps]
+b = 2
+[inputs]
+"a.u[1,2]" = 3.0
+[parameters.b]
+k = 0.5
+"""
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_stimuli_are_what_the_master_fed(tmp_path: Path) -> None:
+    """The second FMU takes mN, in steps of 2 ms."""
+    toy = toy_fmu(tmp_path / "a.fmu", 2)
+    with zipfile.ZipFile(toy) as old, zipfile.ZipFile(tmp_path / "b.fmu", "w") as new:
+        for name in old.namelist():
+            text = old.read(name).replace(b'unit="N"', b'unit="mN"')
+            milli = b'<Unit name="mN"><BaseUnit kg="1" m="1" s="-2" factor="0.001"/></Unit>'
+            new.writestr(name, text.replace(b"<UnitDefinitions>", b"<UnitDefinitions>" + milli))
+    (tmp_path / "scenario.toml").write_text(COUPLED)
+    done = command("build", "--scenario", tmp_path, "--out", tmp_path / "built")
+    assert done.returncode == 0, done.stderr
+    options = ("--no-video", "--no-view", "--out", tmp_path / "run")
+    assert command("run", tmp_path, *options).returncode == 0
+    recording, path = Recording.open(tmp_path / "run"), tmp_path / "built" / "b.fmu"
+    stimuli = table(path, "stimuli.csv")
+    np.testing.assert_allclose(stimuli["u[1,2]"], 1000.0 * recording["a.y"][:, 0, 1], ROUNDING)
+    references = table(path, "references.csv")
+    np.testing.assert_allclose(references["time"], np.arange(0.0, 0.021, 0.002), ROUNDING)
+    later = np.rint(references["time"][1:] * 1000).astype(int)
+    np.testing.assert_array_equal(references["y[1,2]"][1:], recording["b.y"][later, 0, 1])
+    shutil.copy(path, tmp_path / "b.fmu")
+    built = tmp_path / "again"
+    assert command("build", "--scenario", tmp_path, "--out", built).returncode == 0
+    assert (built / "b.fmu").read_bytes() == path.read_bytes()  # keeps its experiments
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import resource
 import shutil
 import threading
+import zipfile
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import mujoco
 import pytest
 from fmpy.validation import validate_fmu
 from fmu_instance import Instance, with_content
+from lxml import etree
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu, taken_warnings
@@ -211,6 +215,30 @@ def test_a_damaged_compiled_model_is_refused_in_a_line(
         describe(path, ModelOptions())
     assert "\n" not in str(refused.value)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+@pytest.mark.parametrize("clamps", [True, False])
+def test_controls_start_where_mujoco_clamps_them(
+    box: Path, tmp_path: Path, *, clamps: bool
+) -> None:
+    model, text = tmp_path / "other.xml", box.read_text().replace('"-1 1"', '"0.5 1"')
+    option = "" if clamps else '<option><flag clampctrl="disable"/></option>'
+    model.write_text(text.replace("<worldbody>", f"{option}<worldbody>"))
+    (ctrl,) = (s for s in model_fmu(model, ModelOptions()).interface.scalars() if s.name == "ctrl")
+    low, high = (0.5, 1.0) if clamps else (-math.inf, math.inf)
+    assert (ctrl.start, ctrl.minimum, ctrl.maximum) == (0.5 * clamps, low, high)
+
+
+def test_fmi_3_has_a_terminal_with_all_signals(box: Path, tmp_path: Path) -> None:
+    file = write(box, tmp_path / "box.fmu", ModelOptions(), 3)
+    signals = [v.name for v in Fmu(file).description.modelVariables
+               if v.causality in ("input", "output")]  # fmt: skip
+    with zipfile.ZipFile(file) as archive:
+        root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
+    schema = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"
+    etree.XMLSchema(etree.parse(schema)).assertValid(root)
+    assert "qpos_4_to_7" in signals
+    assert [m.get("variableName") for m in root.iter("TerminalMemberVariable")] == signals
 
 
 @pytest.mark.fmu
