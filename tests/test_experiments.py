@@ -224,7 +224,9 @@ def test_stimuli_are_what_the_master_fed(tmp_path: Path) -> None:
      ({"reference": lambda text: text.replace('stepSize="0.0005"', 'stepSize="0"')}, 2,
       "stepSize '0'"),
      ({"fmi_ls_manifest": lambda text: text.replace("reference.exp", "../../../x.exp")}, 2,
-      "must be a file inside the FMU")],
+      "must be a file inside the FMU"),
+     ({"fmi_ls_manifest": lambda text: text[:60]}, 2, "x.fmu: fmi-ls-manifest.xml: not well"),
+     ({"reference": lambda text: text.replace('"1e-06"', '"none"')}, 2, "tolerance 'none'")],
 )  # fmt: skip
 def test_where_nothing_can_be_compared_check_is_not_content(
     box: Path, tmp_path: Path, changes: dict[str, str], code: int, words: str

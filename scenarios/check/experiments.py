@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,7 +193,7 @@ def _experiments(fmu: Fmu) -> list[Experiment]:
     """Experiments of an FMU; if it only has results, these are of its default experiment."""
     manifest = fmu.folder / FOLDER / MANIFEST
     found: dict[str, list[Experiment]] = {"experiment": [], "result": []}
-    for related in read_xml(manifest, str(manifest)).iter("Related") if manifest.is_file() else ():
+    for related in _read(fmu, manifest).iter("Related") if manifest.is_file() else ():
         role, source = related.get("role", "").partition("/")[0], related.get("source", "")
         if role == "experiment":
             found[role] += _listed(fmu, _member(fmu, manifest.parent, source))
@@ -209,7 +210,7 @@ def _first(fmu: Fmu) -> Experiment:
 
 
 def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
-    for element in read_xml(file, str(file)).iter("Experiment"):
+    for element in _read(fmu, file).iter("Experiment"):
         parts = {part.tag: part.get("source", "") for part in element if part.get("source")}
         files = {tag: _member(fmu, file.parent, source) for tag, source in parts.items()}
         series = {n: _series(fmu, files[n]) for n in ("Stimuli", "References") if n in files}
@@ -229,15 +230,18 @@ def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Se
     spacing = float(np.diff(times).min()) if len(times) > 1 else 0.001
     last = float(times[-1]) if len(times) else 1.0
     numbers = {"startTime": 0.0, "stopTime": last, "stepSize": spacing}
-    for key, otherwise in numbers.items():
-        text = settings.get(key) or getattr(default, key, None) or str(otherwise)
+    texts = {key: getattr(default, key, None) or str(n) for key, n in numbers.items()}
+    texts["tolerance"] = str(TOLERANCE)  # not the default experiment's, which is its solver's
+    for key, text in {**texts, **{k: settings[k] for k in texts if k in settings}}.items():
         number = finite_number(text)
         if number is None or (key == "stepSize" and number <= 0.0):
             raise InputError(f"{fmu.label}: experiment {name!r}: {key} {text!r}; must be a number")
         numbers[key] = number
-    tolerance = finite_number(settings.get("tolerance", "")) or TOLERANCE
-    start, stop, step = numbers.values()
-    return Experiment(name, start, stop, step, tolerance, references=references)
+    return Experiment(name, *numbers.values(), references=references)
+
+
+def _read(fmu: Fmu, file: Path) -> Element:
+    return read_xml(file, f"{fmu.label}: {file.name}")
 
 
 def _member(fmu: Fmu, folder: Path, source: str) -> Path:
@@ -272,7 +276,7 @@ def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
     """Read a parameter set (SSV); one of an array has all its elements."""
     values: dict[str, Value] = {}
     arrays = by_array(fmu.variables.values())
-    for parameter in read_xml(file, str(file)).iterfind(".//{*}Parameter"):
+    for parameter in _read(fmu, file).iterfind(".//{*}Parameter"):
         name = parameter.get("name", "")
         scalars = arrays.get(name) or [fmu.variable(name)]
         text = parameter[0].get("value", "") if len(parameter) else ""
