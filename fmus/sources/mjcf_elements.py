@@ -87,7 +87,7 @@ def _unit_of_control(model: Any, actuator: int) -> str:
 def descriptions(model: Any, field: str) -> tuple[str, ...]:
     """Descriptions of the elements of a field of mjData; of joints and actuators only."""
     if field in _OF_ACTUATORS:
-        names = (_name(model.actuator(i), "actuator") for i in range(model.nu))
+        names = (_actuator(model, i) for i in range(model.nu))
         return tuple(f"{_OF_ACTUATORS[field].capitalize()} of {name}" for name in names)
     return tuple(_of_joints(model, field)) if field == "qpos" or field in _OF_MOTIONS else ()
 
@@ -98,6 +98,14 @@ def _of_joints(model: Any, field: str) -> Iterator[str]:
         for part in (_POSITIONS if field == "qpos" else _MOTIONS)[kind]:
             words = " ".join(filter(None, (_OF_MOTIONS.get(field), part)))
             yield f"{words[0].upper()}{words[1:]} of {name}"
+
+
+def _actuator(model: Any, actuator: int) -> str:
+    """Name of an actuator; of one without a name, with its joint."""
+    view, target = model.actuator(actuator), int(model.actuator_trnid[actuator, 0])
+    is_on_joint = not view.name and int(model.actuator_trntype[actuator]) in _ON_JOINTS
+    on_joint = f" on {_name(model.joint(target), 'joint')}" if is_on_joint else ""
+    return _name(view, "actuator") + on_joint
 
 
 def _name(view: Any, kind: str) -> str:

@@ -76,6 +76,10 @@ _SENSORS: Final = {
     "framelinacc": "m/s2", "frameangacc": "rad/s2", "subtreecom": "m", "subtreelinvel": "m/s",
 }  # fmt: skip
 
+_TEXTS: Final = {  # descriptions of sources whose own words say too little
+    "gravity": "Acceleration of gravity",
+    "keyframe": "Keyframe that positions and velocities start at",
+}
 _SHOWN = 30  # names of a model in a message
 _LISTED = "`panda-cosim mjcf2fmu --help` lists the sources"
 
@@ -104,7 +108,8 @@ class Sources:
             row = getattr(self, f"_{causality}")(words)
         if row is None:
             raise InputError(f"source {source!r}: no such {causality} of a MuJoCo model; {_LISTED}")
-        row = replace(row, causality=causality, description=source, details=self._details(row))
+        text, details = _TEXTS.get(source, source), self._details(row)
+        row = replace(row, causality=causality, description=text, details=details)
         if causality == "output":
             return replace(row, start=None, minimum=None, maximum=None)
         return replace(row, variability="fixed") if causality == "parameter" else row
