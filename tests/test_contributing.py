@@ -105,7 +105,7 @@ def test_a_changed_line_of_the_description_is_in_the_next_fmu(
     source = changed / "fmus" / "build" / "description.py"
     for author in ("The panda-cosim engineers", "Somebody else"):
         text = source.read_text(encoding="utf-8")
-        source.write_text(re.sub("(?m)^AUTHOR = .*$", f'AUTHOR = "{author}"', text))
+        source.write_text(re.sub('"author": "[^"]*"', f'"author": "{author}"', text))
         paths = python(changed, "-c", BUILD, model).split()
         assert [Fmu(Path(path)).description.author for path in paths] == [author] * 2
 

@@ -237,7 +237,8 @@ def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Se
         if number is None or (key == "stepSize" and number <= 0.0):
             raise InputError(f"{fmu.label}: experiment {name!r}: {key} {text!r}; must be a number")
         numbers[key] = number
-    return Experiment(name, *numbers.values(), references=references)
+    start, stop, step, tolerance = numbers.values()
+    return Experiment(name, start, stop, step, tolerance, references=references)
 
 
 def _read(fmu: Fmu, file: Path) -> Element:
