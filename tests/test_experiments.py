@@ -124,6 +124,17 @@ def test_the_files_of_the_cross_check_are_written(built: Path) -> None:
     assert (folder / "PandaPlant_in.csv").stat().st_size < 1_000_000
 
 
+def test_arrays_are_compared_whole(tmp_path: Path) -> None:
+    done = command(
+        "build", "--scenario", "push", "--fmi", "3", "--compatibility", "--out", tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    head, row, *_ = csv.reader((tmp_path / "PandaPlant" / "PandaPlant_ref.csv").open())
+    sizes = dict(zip(head, (len(cell.split()) for cell in row), strict=True))
+    assert len(sizes) == 11
+    assert (sizes["qpos"], sizes["qpos_block"], sizes["hand_xquat"]) == (7, 3, 4)
+
+
 # An experiment of others: the box without gravity, which stays where it is.
 FALL = """<Experiments name="x"><Experiment name="{name}"{times} tolerance="1e-12">{transient}
 <Parameters source="p.ssv"/><References source="references.csv"/></Experiment></Experiments>"""

@@ -378,7 +378,9 @@ def _csv(series: Series, scalars: Mapping[str, Scalar], *, by_array: bool = Fals
 def write_compatibility(path: Path, experiment: Experiment) -> None:
     """Write a folder with an FMU and the files that the FMI cross-check rules ask for."""
     fmu, name = read_fmu(path), path.stem
-    compared = dict(list(experiment.references.items())[: 1 + MOST_COMPARED])
+    owner = {n: fmu.variables[n].variable.name for n in experiment.references if n != "time"}
+    first = [*dict.fromkeys(owner.values())][:MOST_COMPARED]  # whole arrays
+    compared = {n: v for n, v in experiment.references.items() if n == "time" or owner[n] in first}
     texts = {"it": experiment, "model": name, "about": fmu.description}
     files = {
         f"{name}.fmu": path.read_bytes(),
