@@ -120,7 +120,7 @@ def _row(sweep: Sweep, design: Design, index: int, outcome: Outcome) -> dict[str
     }
 
 
-def made_up(folder: Path, rows: int) -> Path:
+def made_up(folder: Path, rows: int, *, third: bool = False) -> Path:
     """Write a sweep's folder of two parts, whose rows fail above a mass."""
 
     def outcome(values: Mapping[str, Any]) -> tuple[str, float]:
@@ -128,6 +128,7 @@ def made_up(folder: Path, rows: int) -> Path:
         return "success" if margin >= 0 else "missed", margin
 
     vary: Any = {MASS: {"uniform": [0.05, 2.0]}, NAME: {"uniform": [0.0, 1.0]}}
+    vary |= {FORCE: {"uniform": [0.0, 1.0]}} if third else {}
     sweep = Sweep(scenario=("push",), design="random", samples=rows, seed=1, vary=vary)
     for part in (range(rows // 2), range(rows // 2, rows)):
         pretended(folder, sweep, outcome, part)

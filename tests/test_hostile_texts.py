@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import json
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
@@ -96,9 +97,10 @@ def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path: Path) -> None:
     (folder / "shown" / "0000001").mkdir(parents=True)
     (folder / "shown" / "0000001" / "view.html").touch()
     text = write_report(folder, tmp_path / "page.html").read_text(encoding="utf-8")
-    assert 'href="./javascript%3Ax%27%3Bid%20%23%2541%3F/shown/0000001/view.html"' in text
-    row = text.partition("panda-cosim sweep show ")[2].partition('"')[0]
-    assert shlex.split(html.unescape(row))[0] == str(folder)
+    data = json.loads(text.partition('id="data">')[2].partition("</script>")[0])
+    link = "./javascript%3Ax%27%3Bid%20%23%2541%3F/shown/0000001/view.html"
+    assert data["views"] == {"1": link}
+    assert shlex.split(data["show"])[-1] == str(folder)
 
 
 def test_a_rows_command_holds_any_scenario() -> None:
@@ -140,7 +142,7 @@ def test_texts_in_a_page_stay_text(page: Page, tmp_path: Path, kind: str) -> Non
     shown(page, path, make(tmp_path / "y", "x").count(b"<script"))
     assert says(page, selector, TEXT)
     if kind == "sweep":
-        copied = page.value("document.querySelector('#worst button').dataset.copy")
+        copied = page.value("document.querySelector('#worst [data-copy]').dataset.copy")
         assert copied.isprintable()  # pasted into a shell, it does not run at once
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from browser import Page
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.sweep.definition import Sweep
+from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.statistics import failure_tree, share_bounds
-from sweep_support import FORCE, HEAVY, MASS, made_up, pretended
+from sweep_support import FORCE, HEAVY, MASS, made_up, pretended, short_sweep
 
 
 def test_bounds_hold_the_share_with_their_confidence() -> None:
@@ -42,8 +47,25 @@ def test_many_rows_give_a_small_page_that_says_so(tmp_path: Path) -> None:
     page = write_report(made_up(tmp_path / "many", 100_000))
     text = page.read_text(encoding="utf-8")
     assert page.stat().st_size < 5e6
-    assert "2000 of 100000 rows" in text
+    assert re.search(r"\(40\d\d of 100000 are drawn", text)
     assert "<b>plant" not in text.partition("<main>")[2]
+
+
+def count_of(page: Page, selector: str) -> int:
+    return int(page.value(f"document.querySelectorAll({json.dumps(selector)}).length"))
+
+
+def texts_of(page: Page, selector: str) -> list[str]:
+    texts = f"[...document.querySelectorAll({json.dumps(selector)})].map((e) => e.textContent)"
+    return list(page.value(texts))
+
+
+def select(page: Page, name: str, value: str) -> None:
+    changed = "each.dispatchEvent(new Event('change'))"
+    page.value(
+        f"(each => {{ each.value = {json.dumps(value)}; {changed} }})"
+        f"(document.getElementById({json.dumps(name)}))"
+    )
 
 
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
@@ -55,46 +77,91 @@ def test_the_page_draws_itself_and_asks_nobody(
     page.requests.clear()
     page.open(path, width, 844, scheme)
     page.wait("window.sweepReport !== undefined")
-    assert page.value("document.querySelectorAll('#scatter svg').length") == 2
+    bad = page.value("sweepReport.data.bad.filter(Boolean).length")
+    assert count_of(page, "#chart .cross") == bad > 100
+    assert count_of(page, "#chart .dot") == 300 - bad
     assert page.value("document.documentElement.scrollWidth") <= width
-    size = "document.querySelector('#influence text').getBoundingClientRect().height"
-    assert page.value(size) > 10  # px
-    assert page.value("document.querySelectorAll('#map rect').length") >= 25
-    assert page.value("document.querySelectorAll('#worst tbody tr').length") == 20
-    assert page.value("document.querySelectorAll('#tree tbody tr').length") >= 1
-    tree = str(page.value("document.querySelector('#tree tbody td').textContent"))
+    assert page.value("document.querySelector('#chart svg').clientWidth") > 0.8 * width - 40
+    assert count_of(page, "#map [data-row]") == 300
+    assert count_of(page, "#worst tbody tr") == 20
+    assert count_of(page, "#tree tbody tr") >= 1
+    tree = texts_of(page, "#tree tbody td")[0]
     assert tree.startswith(f"{MASS} > 1.")
     assert tree.endswith(" kg")
-    assert page.value("document.querySelectorAll('main section b').length") == 4  # the tiles' own
+    assert count_of(page, "main section.tiles b") == 4
+    unnamed = "e => !(e.labels?.length || e.textContent.trim() || e.getAttribute('aria-label'))"
+    controls = "[...document.querySelectorAll('select, button, svg, canvas')]"
+    assert page.value(f"{controls}.filter(e => !e.closest('[hidden]')).filter({unnamed})") == []
+    select(page, "metric", "failures")
+    assert count_of(page, "#chart .bar") > 5
     assert page.errors == []
     assert [r for r in page.requests if not r.startswith(("file:", "data:", "about:"))] == []
 
 
 def test_a_grid_is_drawn_at_its_values(page: Page, tmp_path: Path) -> None:
-    vary = {FORCE: {"uniform": [100, 140], "steps": 7}, "mismatch.preset": {"values": ["a", "b"]}}
+    vary = {FORCE: {"values": [1, 2, 4, 100]}, "mismatch.preset": {"values": ["a", "b"]}}
     sweep = Sweep(scenario=("push",), design="grid", vary=vary)  # type: ignore[arg-type]
-    page.open(write_report(pretended(tmp_path, sweep, lambda _: ("missed", -3.0))))
+
+    def outcome(values: Mapping[str, Any]) -> tuple[str, float]:
+        return "missed" if values[FORCE] == 100 else "success", -3.0 * values[FORCE]
+
+    page.open(write_report(pretended(tmp_path, sweep, outcome)))
     page.wait("window.sweepReport !== undefined")
-    for key, names in ((FORCE, "100 107 113 120 127 133 140"), ("mismatch.preset", "a b")):
-        plot = f"document.querySelector('#scatter svg[data-key=\"{key}\"]')"
-        assert page.value(f"{plot}.querySelectorAll('rect').length") == len(names.split())
-        texts = f"[...{plot}.querySelectorAll('text')].map((each) => each.textContent).join(' ')"
-        assert str(page.value(texts)).endswith(names)
-    assert page.value("document.querySelectorAll('#map rect').length") == 14
+    for key, names in ((FORCE, ["1", "2", "4", "100"]), ("mismatch.preset", ["a", "b"])):
+        select(page, "key", key)
+        assert [text for text in texts_of(page, "#chart text") if text in names] == names
+        across = "[...document.querySelectorAll('#chart line.axis')].map(e => e.getAttribute('x1'))"
+        places = sorted({float(x) for x in page.value(across)})[1:]  # without the axis itself
+        assert np.ptp(np.diff(places[: len(names)])) < 1e-6  # [px]: no holes
+    select(page, "key", FORCE)
+    assert count_of(page, "#chart .curve") == 2  # one for each preset
+    assert count_of(page, "#chart .cross") == 2
+    cells = [text for text in texts_of(page, "#map text") if "\u2212" in text]
+    assert sorted(cells) == sorted(2 * ["\u22123", "\u22126", "\u221212", "\u00d7 \u2212300"])
+    assert "push[1].force[2] [N]" in texts_of(page, "#chart text")
     assert page.value("document.getElementById('influence')") is None
     assert page.errors == []
 
 
+@pytest.mark.fmu
+def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(
+    page: Page, tmp_path: Path
+) -> None:
+    gains = {"vary": {"controller.kp": {"values": [6.0, 8.0, 12.0]}}}
+    definition = short_sweep(tmp_path, 0, design="grid", keep="all", **gains)
+    folder = sweep(definition, tmp_path / "out", jobs=1).folder
+    page.open(write_report(folder))
+    page.wait("window.sweepReport !== undefined")
+    select(page, "metric", "summary.tracking.max_mm")
+    assert "tracking.max [mm]" in texts_of(page, "#chart text")
+    assert count_of(page, "#chart .curve") == 1
+    assert count_of(page, "#chart .cross") == 0
+    errors = [
+        json.loads((folder / "runs" / f"{i:07d}" / "summary.json").read_text())["tracking"][
+            "max_mm"
+        ]
+        for i in range(3)
+    ]
+    dots = "[...document.querySelectorAll('#chart .dot')]"
+    heights = np.array(page.value(f"{dots}.map((dot) => -dot.getAttribute('cy'))"), dtype=float)
+    rise, of = np.diff(heights), np.diff(errors)
+    assert rise[0] / rise[1] == pytest.approx(of[0] / of[1], rel=1e-3)
+    link = page.value("document.querySelector('#worst a').href")
+    page.visit(link)
+    page.wait("window.PandaView?.viewer?.stage?.drawn > 0")
+    assert page.errors == []
+
+
 def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:
-    page.open(write_report(made_up(tmp_path / "sweep", 300)))
+    page.open(write_report(made_up(tmp_path / "sweep", 300, third=True)))
     page.wait("window.sweepReport !== undefined")
     page.value(
         """(() => {
         const canvas = document.getElementById("parallel"), box = canvas.getBoundingClientRect();
         const fire = (kind, y) => canvas.dispatchEvent(new PointerEvent(kind,
-            { clientX: box.left + 70, clientY: box.top + y, pointerId: 1, bubbles: true }));
+            { clientX: box.left + 80, clientY: box.top + y, pointerId: 1, bubbles: true }));
         canvas.setPointerCapture = () => {};
-        fire("pointerdown", 42); fire("pointermove", 128); fire("pointerup", 128);
+        fire("pointerdown", 46); fire("pointermove", 128); fire("pointerup", 128);
         })()"""
     )
     said = str(page.value("document.getElementById('brushed').textContent"))

@@ -261,7 +261,7 @@ def test_a_row_is_shown_against_the_unvaried_scenario(whole: Path) -> None:
     assert f"run:row {missed['index']}" in text
     assert "short unvaried" in text
     report = write_report(whole / "out").read_text(encoding="utf-8")
-    assert f'href="./shown/{missed["index"]:07d}/view.html"' in report
+    assert f'"{missed["index"]}":"./shown/{missed["index"]:07d}/view.html"' in report
 
 
 def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path) -> None:

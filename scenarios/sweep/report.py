@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from shlex import quote
@@ -14,27 +15,27 @@ from urllib.parse import quote as quote_address
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...fmus.atomic import replacing
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import legible, printable, shown
-from ..judging.definitions import DEFINITIONS
-from ..view.export import VIEW_FILE
+from ..judging.definitions import DEFINITIONS, Definition
+from ..view.export import SUMMARY_FILE, VIEW_FILE, shown_run, write_view
 from ..view.page import json_text
 from .definition import SAMPLED
 from .results import Results, heat_map, marginal, missing
-from .row import UNJUDGED, margin_column
+from .row import MARGIN, UNJUDGED, margin_column
 from .statistics import failure_tree, influences, share_bounds
 from .store import Store
 
 REPORT_FILE: Final = "report.html"
 PAGE: Final = Path(__file__).parent / "page"
-WORST: Final = 20
-POINTS: Final = 2000  # drawn one by one
-DRAWN: Final = (-1.0, 1.0)  # margins beyond are drawn at these ends
-PAIRED: Final = 8  # keys in heat maps, the most influential
+OPENED: Final = 20  # kept rows whose 3D page is written with the report, the worst
+POINTS: Final = 4000  # drawn one by one
+ESTIMATED: Final = 10_000  # rows of which the influence on a metric is estimated
+PAIRED: Final = 8  # keys in maps, the most influential
 _DIGITS: Final = 5
 
 
@@ -54,21 +55,14 @@ def page(store: Store, beside: Path) -> str:
     definition, lacking = content["origin"]["definition"], missing(store)
     is_sample = definition["design"] in SAMPLED
     has_bounds = is_sample and not lacking
-    strengths = {
-        name: influences(results.values, results.labels, each)
-        for name, each in results.margins.items()
-    }
-    keys = list(dict.fromkeys((*(each.key for each in strengths["margin"]), *results.values)))
+    order = influences(results.values, results.labels, results.margins[MARGIN])
+    keys = list(dict.fromkeys((*(each.key for each in order), *results.values)))
     values = {key: results.values[key] for key in keys}
     total, good = len(results.bad), int((~results.bad).sum())
     script = (PAGE / "report.js").read_text(encoding="utf-8")
-    data = _data(results, keys, definition, bounds=has_bounds)
+    data = _data(store, results, keys, beside, bounds=has_bounds)
     if is_sample:
-        data["influences"] = {
-            name: [[e.key, e.value, *((e.low, e.high) if has_bounds else (None, None))]
-                   for e in each]
-            for name, each in strengths.items()
-        }  # fmt: skip
+        data["influences"] = dict(_influences(store, results, bounds=has_bounds))
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=shown)
     return environment.get_template(
         "report.html"
@@ -92,10 +86,20 @@ def page(store: Store, beside: Path) -> str:
         idle=content["without_effect"],
         missed=results.missed,
         tree=failure_tree(values, results.labels, results.bad, {k: _unit(k) for k in keys})[:6],
-        worst=_worst(store, beside, list(results.values)),
-        shown=min(total, POINTS),
-        margin=_meaning("margin"),
+        shown=len(data["index"]),
+        estimated=ESTIMATED,
     )
+
+
+def _metric(column: str) -> dict[str, str]:
+    """Return what a column of the table holds, its unit, and whether lower or higher is better."""
+    name = column.removeprefix("summary.").replace("event.", "events.", 1).partition("[")[0]
+    is_margin = name.partition(".")[0] == MARGIN
+    means = DEFINITIONS[MARGIN] if is_margin else DEFINITIONS.get(name, Definition(name, ""))
+    unit = "" if means.unit == "1" else means.unit
+    return {
+        "what": _meaning(column) if is_margin else means.text, "unit": unit, "better": means.better
+    }  # fmt: skip
 
 
 def _meaning(margin: str) -> str:
@@ -111,26 +115,38 @@ def _meaning(margin: str) -> str:
 
 
 def _unit(key: str) -> str:
-    """Return the unit of a parameter of our own FMUs; of another key, and of a bare number, ""."""
+    """Return the unit of a parameter of our own FMUs or a push; of another key, and of 1, ""."""
     instance, _, name = key.partition(".")
+    if re.fullmatch(r"push\[\d+\]\.force\[\d\]", key):
+        return "N"
     interface = INTERFACES.get(instance)
     scalars = interface.scalars() if interface is not None else []
     unit = next((s.unit for s in scalars if name in (s.name, s.variable.name)), "")
     return "" if unit == "1" else unit
 
 
-def _worst(store: Store, beside: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
-    rows = store.worst(WORST, store.content["keys"])
-    for row in rows:
-        shown_again = store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE
-        pages = (shown_again, store.run_folder(row["index"]) / VIEW_FILE)
-        row["view"] = next((_link(each, beside) for each in pages if each.exists()), None)
-        row["values"] = [row[key] for key in keys]
-        # What is pasted into a shell must be one line that does what it says.
-        row["command"] = escape(printable(row["command"] or ""))  # never shortened
-        show = f"panda-cosim sweep show {quote(str(store.folder))} {row['index']}"
-        row["show"] = escape(printable(show))
-    return rows
+def _rows(
+    store: Store, chosen: NDArray[np.int64], worst: Sequence[int], beside: Path
+) -> dict[str, Any]:
+    """Return how the drawn rows ended, what repeats them, and links to them in 3D."""
+    # What is pasted into a shell must be one line that does what it says.
+    show = printable(f"panda-cosim sweep show {quote(str(store.folder))}")
+    rows = store.rows(chosen.tolist(), ["status", "missed", "error", "command"])
+    views = {}
+    for index in chosen.tolist():
+        run = store.run_folder(index)
+        if index in worst and (run / SUMMARY_FILE).exists() and not (run / VIEW_FILE).exists():
+            write_view([shown_run(run, name=f"row {index}")], run / VIEW_FILE)
+        pages = (store.folder / "shown" / run.name / VIEW_FILE, run / VIEW_FILE)
+        if page := next((each for each in pages if each.exists()), None):
+            views[str(index)] = _link(page, beside)
+    return {
+        "results": [row["missed"] or row["status"] for row in rows],
+        "errors": [row["error"] for row in rows],
+        "commands": [printable(row["command"] or "") for row in rows],
+        "show": show,
+        "views": views,
+    }
 
 
 def _link(path: Path, folder: Path) -> str:
@@ -141,26 +157,52 @@ def _link(path: Path, folder: Path) -> str:
 
 
 def _data(
-    results: Results, keys: Sequence[str], definition: Mapping[str, Any], *, bounds: bool
+    store: Store, results: Results, keys: Sequence[str], beside: Path, *, bounds: bool
 ) -> dict[str, Any]:
     """Return what the page draws."""
-    chosen, pairs = _sample(results), combinations(keys[:PAIRED], 2)
-    points = {key: results.values[key][chosen] for key in keys} | {
-        name: np.clip(column[chosen], *DRAWN) for name, column in results.margins.items()
-    }
+    definition = store.content["origin"]["definition"]
+    first, *others = store.content["nominal"].values()
+    worst = [row["index"] for row in store.worst(OPENED, ())]
+    chosen = np.union1d(_sample(results), np.flatnonzero(np.isin(results.index, worst)))
     return {
         "keys": keys,
         "labels": results.labels,
-        "margins": {name: _meaning(name) for name in results.margins},
-        "points": {name: _rounded(column) for name, column in points.items()},
+        "metrics": {name: _metric(name) for name in (*results.margins, *results.metrics)},
+        "units": {key: _unit(key) for key in keys},
+        "points": {name: _rounded(c[chosen]) for name, c in _columns(store, results, keys)},
         "index": results.index[chosen].tolist(),
         "bad": results.bad[chosen].astype(int).tolist(),
         "total": len(results.bad),
         "marginals": {key: marginal(results, key, bounds=bounds) for key in keys},
-        "maps": [heat_map(results, *pair) for pair in pairs],
+        "maps": [heat_map(results, *pair) for pair in combinations(keys[:PAIRED], 2)],
+        "isGrid": results.is_grid,
+        "nominal": {k: v for k, v in first.items() if isinstance(v, float) and not others},
         "influences": None,
         "search": _search(results, definition) if definition["design"] == "search" else None,
+        **_rows(store, results.index[chosen], worst, beside),
     }
+
+
+def _columns(
+    store: Store, results: Results, keys: Sequence[str]
+) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Yield values, margins and metrics by name (n,); metrics are read one by one, as many are."""
+    yield from ((key, results.values[key]) for key in keys)
+    yield from results.margins.items()
+    for name in results.metrics:
+        yield name, store.table([name, "index"])[name].to_numpy()
+
+
+def _influences(
+    store: Store, results: Results, *, bounds: bool
+) -> Iterator[tuple[str, list[tuple[str, float, float | None, float | None]]]]:
+    """Yield the influences on each margin and metric: key, value and its bounds."""
+    rows = _evenly(np.arange(len(results.bad)), min(len(results.bad), ESTIMATED))
+    values = {key: column[rows] for key, column in results.values.items()}
+    for name, column in _columns(store, results, ()):
+        strengths = influences(values, results.labels, column[rows])
+        ends = ((e.low, e.high) if bounds else (None, None) for e in strengths)
+        yield name, [(e.key, e.value, *pair) for e, pair in zip(strengths, ends, strict=True)]
 
 
 def _sample(results: Results) -> NDArray[np.intp]:
@@ -183,7 +225,7 @@ def _rounded(column: NDArray[Any]) -> list[float | None]:
 def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
     """Return the searched margin by row, and the best up to each."""
     name = margin_column(definition["criterion"], results.margins)
-    margin = np.clip(np.nan_to_num(results.margins[name], nan=-np.inf), *DRAWN)
+    margin = results.margins[name]
     reach = np.minimum if definition["goal"] == "fail" else np.maximum
     chosen = _evenly(np.arange(len(margin)), min(len(margin), POINTS))
     best = reach.accumulate(margin)

@@ -36,6 +36,7 @@ class Results:
     values: Mapping[str, Array]  # varied, by key; words as their numbers in `labels`
     labels: Mapping[str, list[str]]  # words by key, the scenarios' names among them
     margins: Mapping[str, Array]  # by column
+    metrics: list[str]  # columns of the summary's other numbers, and of events
     bad: NDArray[np.bool_]  # failed, or missed a criterion
     index: NDArray[np.int64]
     missed: Mapping[str, int]  # number of rows by first missed criterion
@@ -63,6 +64,7 @@ class Results:
             values,
             labels,
             {name: _margins(table, name, content["nominal"]) for name in names},
+            [name for name in content["columns"] if name.startswith(("summary.", "event."))],
             bad,
             table["index"].to_numpy(),
             dict(missed.most_common()),
@@ -182,6 +184,7 @@ def marginal(results: Results, key: str, *, bounds: bool) -> dict[str, Any]:
         "ends": axis.ends.tolist(),
         "names": axis.names,
         "ticks": axis.ticks,
+        "each": axis.ticks == axis.names,
         "rows": rows,
         "bad": bad,
         "bounds": [[round(low, 4), round(high, 4)] for low, high in shares],

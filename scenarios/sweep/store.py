@@ -305,9 +305,15 @@ class Store:
         rank = np.where(np.isnan(margin), np.where(success, np.inf, -np.inf), margin)
         index = table["index"].to_numpy()
         chosen = index[np.lexsort((index, rank, success))][:number].tolist()
-        columns = ["index", "scenario", "status", "missed", "error", "margin", "command", *keys]
-        rows = self.scan(columns=columns, filter=pds.field("index").isin(chosen)).to_pylist()
-        return sorted(rows, key=lambda row: chosen.index(row["index"]))
+        columns = ["scenario", "status", "missed", "error", "margin", "command", *keys]
+        rows = {row["index"]: row for row in self.rows(chosen, columns)}
+        return [rows[each] for each in chosen]
+
+    def rows(self, indices: Sequence[int], columns: Sequence[str]) -> list[Row]:
+        """Return columns, the index among them, of some rows, in the order of their index."""
+        names = ["index", *columns]
+        table = self.scan(columns=names, filter=pds.field("index").isin(indices))
+        return list(table.sort_by("index").to_pylist())
 
     def beyond_limits(self) -> int | None:
         """Return how many successes exceeded a limit of the robot; None: none was measured."""
