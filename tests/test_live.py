@@ -132,7 +132,7 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
         assert drag(page, HAND, "plant.push_force", (90, 0)) <= 80.0 + 1e-9  # [N]
         page.click(".pv-tab:last-child")
         page.value("document.querySelector('[data-name=\"controller.use_reference\"]').click()")
-        gain = move_the_slider(page, "controller.kp[1]")
+        gain = move_the_slider(page, "controller.kp")
         pause(page)
         at = newest(page, "time")
         page.press(".")
@@ -152,14 +152,14 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
     done = {(line["action"], line.get("name")) for line in journal}
     forces = ("plant.push_force", "plant.block_force")
     assert {(what, name) for what in ("set", "release") for name in forces} < done
-    assert {("set", "controller.kp[1]"), ("set_coupling", None), ("end", None)} < done
+    assert {("set", "controller.kp"), ("set_coupling", None), ("end", None)} < done
     assert {"tick", "value"} < {
         key for line in journal if line.get("name") == "controller.use_reference" for key in line
     }
     row = load_scenario("pick_and_place").table.rows[WAYPOINT - 1]
     to = next(line["position"] for line in journal if line["action"] == "move_waypoint")
     np.testing.assert_allclose(np.subtract(to, row.position), way, atol=2e-6)  # m; not turned
-    assert next(x["value"] for x in journal if x.get("name") == "controller.kp[1]") == gain
+    assert next(x["value"] for x in journal if x.get("name") == "controller.kp") == gain
     before, again = Recording.open(tmp_path / "run"), replayed(tmp_path / "run", tmp_path / "again")
     assert before.columns == again.columns
     for name in before.columns:

@@ -91,7 +91,21 @@ def test_the_page_says_the_error_and_the_largest_shares_of_the_limits() -> None:
 def test_a_law_without_a_joint_reference_is_drawn_all_the_same() -> None:
     run = made_up_run()
     del run.signals["controller.qvel_ref"]
-    assert "Jerk of the reference: the law records no reference" in texts(run)
+    written = texts(run)
+    assert not any(text.startswith("Jerk") for text in written)
+    assert "Power of the arm's servos" in written
+    assert all(axes.lines for axes in draw_run(run).axes)
+
+
+def test_the_page_has_the_purpose_and_the_verdict() -> None:
+    run = made_up_run()
+    run.metadata["purpose"] = "Draws a line"
+    missed = {"name": "max_slip", "value": 0.003, "bound": 0.002, "unit": "m"}
+    good = missed | {"value": 0.001}
+    for criteria, words in (([good], "all criteria hold"), ([good, missed], "max_slip 3 mm")):
+        written = [text.get_text() for text in draw_run(run, {"criteria": criteria}).texts]
+        assert any(text.startswith("Draws a line · ") for text in written)
+        assert any(text.startswith(words) for text in written)
 
 
 @pytest.mark.parametrize("rows", [1, 2])

@@ -67,6 +67,7 @@ class Output:
     view: bool
     junit: Path | None
     json: bool  # instead of tables
+    fps: float = 60.0  # of the video
 
 
 def simulate(
@@ -160,7 +161,7 @@ def _draw(done: Run, output: Output) -> None:
         if output.video and drawable:
             tell(TILING)
             done.sheet()
-            draw_video(done.recording, done.folder)
+            draw_video(done.recording, done.folder, fps=output.fps)
         elif output.video:
             warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
     except RenderError as error:
@@ -309,5 +310,5 @@ def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:
     """Draw the video into a folder; for `look`, see `render_video`."""
     from ..pictures.video import render_video  # noqa: PLC0415 - imports mediapy
 
-    with progress("Drawing the video") as update:
+    with progress("Drawing the video (--no-video skips it)") as update:
         return render_video(recording, folder / VIDEO_FILE, progress=update, **look)

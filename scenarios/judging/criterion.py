@@ -103,7 +103,7 @@ def quantity(value: float | None, unit: str) -> str:
     if value is None:
         return "not measured"
     if unit == "m":
-        return f"{value * 1e3:.4g} mm"
+        return f"{round(value * 1e3, 4):.4g} mm"
     return f"{value:.4g} {unit}" if unit not in ("", "1") else f"{value:.4g}"
 
 

@@ -18,6 +18,7 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ..run.folder import SCENARIO_FOLDER
 from ..run.journal import JOURNAL_FILE
 from ..run.session import Session
+from ..view.story import verdict
 from . import commands
 from .commands import Command
 from .page import offset_of, plan
@@ -34,6 +35,7 @@ LAG: Final = 0.25  # [s] behind the clock beyond which it does not catch up
 STATUS: Final = 0.25  # [s] between two reports of the status
 QUEUED: Final = 64  # commands
 TURN: Final = 8  # most commands between two rows
+OVER: Final = "the scenario is over; restart begins another run"
 
 
 def _row(session: Session) -> Array:
@@ -80,7 +82,7 @@ class Simulation:
         return {
             "run": self._run,
             "playing": self._playing,
-            "over": session.tick >= session.ticks,
+            "over": self._is_over,
             "speed": self._speed,
             "coupling": session.coupling,
             "values": {name: _value(values, name) for name in session.tunables},
@@ -104,6 +106,10 @@ class Simulation:
                 if path.is_file():
                     packed.write(path, Path(folder.name) / path.relative_to(folder))
         return archive.getvalue()
+
+    @property
+    def _is_over(self) -> bool:
+        return self._session.tick >= self._session.ticks
 
     def _anchor(self) -> None:
         """Restart the clock from here."""
@@ -131,9 +137,11 @@ class Simulation:
         except SimulationError as error:
             self._playing, self._message = False, str(error)
             return
-        if self._session.tick >= self._session.ticks:
-            self._playing, self._message = False, "the scenario is over"
         self._show(server)
+        if self._is_over:
+            summary = self._session.close().summary.to_dict()  # nothing is journalled from now on
+            self._playing = False
+            self._message = f"the scenario is over: {verdict(summary, {})['words']}"
 
     def _show(self, server: LiveServer) -> None:
         row = _row(self._session)
@@ -153,9 +161,10 @@ class Simulation:
             try:
                 self._do(command, server)
             except CosimError as error:
-                if not self._session.is_open:  # after a restart that failed
+                if not (self._session.is_open or self._is_over):  # after a restart that failed
                     raise
-                refuse(str(error))
+                is_late = self._is_over and not isinstance(command, commands.Keep)
+                refuse(OVER if is_late else str(error))
         return done
 
     def _do(self, command: Command, server: LiveServer) -> None:
@@ -196,8 +205,8 @@ class Simulation:
             self.history.clear()
             server.plan(self.plan())
             self._show(server)
-        elif do == "play" and session.tick >= session.ticks:
-            raise InputError("the scenario is over; restart begins another run")
+        elif do == "play" and self._is_over:
+            raise InputError(OVER)
         else:
             self._playing = do == "play"
 

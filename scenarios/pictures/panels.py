@@ -182,14 +182,11 @@ def _positions(axes: Axes, curves: Curves) -> None:
     _legend(axes, 7)
 
 
-def _limited(shares: Callable[[Recording], Iterator[FloatArray]], needs: str = "") -> Panel:
+def _limited(shares: Callable[[Recording], Iterator[FloatArray]]) -> Panel:
     """Return a panel of what has a limit for each joint, from shares of it (n,) [1]."""
 
     def draw(axes: Axes, curves: Curves) -> None:
         what = axes.get_title(loc="left")
-        if needs and needs not in curves.recording.columns:
-            axes.set_title(f"{what}: the law records no reference")
-            return
         peaks = _draw_shares(axes, curves.time, shares(curves.recording))
         peak = f"{np.max(peaks):.0f} % (joint {int(np.argmax(peaks)) + 1})"
         axes.set_title(f"{what}, {peak} of the limit at most")
@@ -225,6 +222,20 @@ def _jerks(recording: Recording) -> Iterator[FloatArray]:
         yield reference_rates(velocity, recording.metadata)[1] / limit
 
 
+def _power(axes: Axes, curves: Curves) -> None:
+    pairs = ((f"{FORCE}[{joint}]", f"plant.qvel[{joint}]") for joint in range(1, 8))
+    _draw(axes, curves.time, np.sum([curves[force] * curves[v] for force, v in pairs], axis=0))
+
+
+def panels_of(recording: Recording) -> tuple[tuple[tuple[str, str, Panel], ...], ...]:
+    """Return the panels; without a joint reference, the arm's power instead of its jerk."""
+    names = [f"controller.qvel_ref[{joint}]" for joint in range(1, 8)]
+    if names[-1] in recording.columns and any(recording[name].any() for name in names):
+        return PANELS
+    left, right = PANELS
+    return left, (*right[:2], ("Power of the arm's servos", "power [W]", _power), *right[3:])
+
+
 LIMIT = "share of limit [%]"
 PANELS: tuple[tuple[tuple[str, str, Panel], ...], ...] = (
     (  # the left column, from top to bottom: title, axis, what is drawn
@@ -237,7 +248,7 @@ PANELS: tuple[tuple[tuple[str, str, Panel], ...], ...] = (
     (
         ("Joint positions", "share of range [%]", _positions),
         ("Joint velocities", LIMIT, _limited(_shares("velocity_share"))),
-        ("Jerk of the reference", LIMIT, _limited(_jerks, "controller.qvel_ref[7]")),
+        ("Jerk of the reference", LIMIT, _limited(_jerks)),
         ("Joint torques", LIMIT, _limited(_shares("torque_share"))),
         ("Torque rates", LIMIT, _limited(_shares("torque_rate_share"))),
     ),

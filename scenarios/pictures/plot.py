@@ -6,14 +6,16 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from itertools import groupby
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
+from ..judging.criterion import Criterion, missed_text
 from .motion import SHAPES, describe_run
-from .panels import COLOURS, DPI, GREY, PANELS, SHADE, STYLE, Curves, read_curves, thin
+from .panels import COLOURS, DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
     from ..recording import Recording
 
 SIZE: Final = (13.0, 12.8)  # [inch]
+LENGTH: Final = 80  # of the purpose, and of what was missed
+HOLDS, MISSED = "#0f7a54", "#c4243a"
+Summary = Mapping[str, Any]  # content of summary.json
 CARET_DOWN: Final = 11  # matplotlib's marker that points down from its position
 # Of the page of a run whose signals are not those of the task:
 MOST: Final = 24  # signals on a page
@@ -29,10 +34,10 @@ ACROSS: Final = 3
 POINTS: Final = 4000  # of a curve
 
 
-def plot_recording(recording: Recording, path: Path) -> Path:
+def plot_recording(recording: Recording, path: Path, summary: Summary | None = None) -> Path:
     """Write a PNG with the curves of a run of the task, or with the signals of any other run."""
     is_task = all(name in recording for name in SHAPES)
-    return plot_run(recording, path) if is_task else plot_signals(recording, path)
+    return plot_run(recording, path, summary) if is_task else plot_signals(recording, path)
 
 
 def own_style(style: Mapping[Any, Any]) -> AbstractContextManager[None]:
@@ -42,10 +47,10 @@ def own_style(style: Mapping[Any, Any]) -> AbstractContextManager[None]:
     return context(dict(style), after_reset=True)
 
 
-def plot_run(recording: Recording, path: str | Path) -> Path:
+def plot_run(recording: Recording, path: str | Path, summary: Summary | None = None) -> Path:
     """Write a PNG with the curves of a run: hand, error, gripper, block, joints and limits."""
     path = Path(path)
-    figure = draw_run(recording)
+    figure = draw_run(recording, summary)
     with own_style(STYLE):
         _save(figure, path)
     return path
@@ -56,7 +61,7 @@ def _save(figure: Figure, path: Path) -> None:
         figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
 
 
-def draw_run(recording: Recording) -> Figure:
+def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
     """Return the figure of a run, for a notebook or a format other than PNG."""
     curves = read_curves(recording)
     with own_style(STYLE):
@@ -68,7 +73,7 @@ def draw_run(recording: Recording) -> Figure:
         figure.subplots_adjust(
             left=0.06, right=0.975, bottom=0.043, top=0.907, hspace=0.27, wspace=0.15
         )
-        for column, panels in enumerate(PANELS):
+        for column, panels in enumerate(panels_of(recording)):
             for axes, (title, label, draw) in zip(grid[:, column], panels, strict=True):
                 axes.set_title(title)
                 axes.set_ylabel(label)
@@ -77,10 +82,16 @@ def draw_run(recording: Recording) -> Figure:
             grid[-1, column].set_xlabel("time [s]")
         _name_waypoints(grid[0, 0], curves)
         title, details = describe_run(recording)
+        purpose = shorten(str(recording.metadata.get("purpose") or ""), LENGTH, placeholder=" ...")
+        details = " · ".join(filter(None, (purpose, details)))
         # Names come from users: a pair of $ in them is not a formula.
         plain: dict[str, Any] = {"va": "top", "parse_math": False}
         figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
         figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
+        if criteria := Criterion.read(summary or {}):
+            missed = shorten(missed_text(criteria), LENGTH, placeholder=" ...")
+            words, colour = (missed, MISSED) if missed else ("all criteria hold", HOLDS)
+            figure.text(0.975, 0.979, words, fontsize=11, color=colour, ha="right", **plain)
         note = "shaded: the fingers hold the block    ▾ waypoint of the table"
         figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")
     return figure

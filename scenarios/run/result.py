@@ -80,7 +80,8 @@ class Run:
         """
         from ..pictures.plot import plot_recording  # noqa: PLC0415 - matplotlib takes its time
 
-        return Picture(plot_recording(self.recording, path or self.folder / PLOT_FILE))
+        path, summary = path or self.folder / PLOT_FILE, json_values(self.summary.to_dict())
+        return Picture(plot_recording(self.recording, path, summary))
 
     def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
         """Draw the video; a notebook shows it.

@@ -11,7 +11,9 @@ from ...pictures.motion import position_columns
 from ...pictures.plot import plot_recording
 from ...pictures.sheet import contact_sheet
 from ...recording import Recording
+from ...run.folder import SUMMARY_FILE
 from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
+from ...view.export import read_summary
 from ..console import show, tell
 from ..options import MESHES, OVERWRITE, RUN, Meshes, option
 from ..outcome import PLOTTING, TILING, draw_video
@@ -86,4 +88,5 @@ def plot(
         path /= PLOT_FILE
     check_replaceable(path, overwrite=overwrite)
     tell(PLOTTING)
-    show(str(plot_recording(recording, path)))
+    summary = read_summary(recording.path.parent / SUMMARY_FILE)
+    show(str(plot_recording(recording, path, summary)))

@@ -31,6 +31,7 @@ from ..options import (
 from ..outcome import Output, Progress, conclude, simulate
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
+FPS = option("--fps", "Frames per second of the video: 15 take a quarter of the time.", 60.0)
 PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
 VIEW = option("--view/--no-view", "Write the page that shows the run in 3D.", True)
 ISOLATE = option(
@@ -58,6 +59,7 @@ def command(  # noqa: PLR0913 - one for each option
     ),
     realtime: bool = option("--realtime", "Run in real time, paced by the wall clock.", False),
     video: bool = VIDEO,
+    fps: float = FPS,
     plot: bool | None = PLOT,
     view: bool = VIEW,
     controller: str | None = CONTROLLER,
@@ -100,7 +102,7 @@ def command(  # noqa: PLR0913 - one for each option
     if chosen.system and kind != Options().kind:
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
     prepared = prepare(*assigned(chosen, assignments, options))  # refuses bad input
-    output = Output(out, video, plot, view, junit, json)
+    output = Output(out, video, plot, view, junit, json, fps)
 
     def run(folder: Path, update: Progress) -> Run:
         return run_prepared(prepared, folder, progress=update)

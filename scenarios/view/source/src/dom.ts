@@ -46,12 +46,13 @@ export function hint(element: HTMLElement, words: string): void {
   element.title = legible(words);
 }
 
-/** Make a button with a tooltip and a label for screen readers. */
+/** Make a button with a tooltip and a label for screen readers, which begins with its text. */
 export function button(label: string, className: string, action: () => void, ...children: Child[]): HTMLButtonElement {
   const element = make("button", className, ...(children.length ? children : [label]));
   element.type = "button";
   hint(element, label);
-  element.setAttribute("aria-label", legible(label));
+  const text = element.textContent ?? "";
+  element.setAttribute("aria-label", legible(label.includes(text) ? label : `${text}: ${label}`));
   element.addEventListener("click", action);
   return element;
 }
@@ -71,18 +72,19 @@ export function icon(path: string): SVGSVGElement {
 
 const NOISE = 1e-12; // of rounding: smaller numbers are shown as 0
 
-/** Format a number with four digits and a true minus sign. */
-export function number(value: number): string {
+/** Format a number with four digits and a true minus sign; of mm and deg, at most four decimals. */
+export function number(value: number, unit = ""): string {
   if (!Number.isFinite(value)) return "–";
+  if (unit === "mm" || unit === "deg") value = Number(value.toFixed(4));
   const size = Math.abs(value);
   if (size < NOISE) return "0";
-  const text = size < 1e-3 || size >= 1e5 ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  const text = size < 1e-4 || size >= 1e5 ? value.toExponential(2) : String(Number(value.toPrecision(4)));
   return text.replaceAll("-", "−");
 }
 
 /** Format a value with its unit; lengths below 1 m are in mm. */
 export function quantity(value: number | null, unit: string): string {
   if (value === null) return "not measured";
-  if (unit === "m" && Math.abs(value) < 1) return `${number(value * 1e3)} mm`;
-  return unit === "1" || !unit ? number(value) : `${number(value)} ${unit}`;
+  if (unit === "m" && Math.abs(value) < 1) return `${number(value * 1e3, "mm")} mm`;
+  return unit === "1" || !unit ? number(value) : `${number(value, unit)} ${unit}`;
 }

@@ -12,8 +12,9 @@ test("an address is read as it was written", () => {
 });
 
 test("numbers are short and have their units", () => {
-  assert.deepEqual([0, -1.23456, 1234567, -0.000012345, NaN].map(number), ["0", "−1.235", "1.23e+6", "−1.23e−5", "–"]);
+  assert.deepEqual([0, -1.23456, 1234567, -0.000012345, NaN].map((value) => number(value)), ["0", "−1.235", "1.23e+6", "−1.23e−5", "–"]);
   assert.deepEqual([quantity(0.002, "m"), quantity(2, "m"), quantity(3, "1"), quantity(null, "m")], ["2 mm", "2 m", "3", "not measured"]);
+  assert.deepEqual([quantity(4.89e-10, "m"), quantity(1e-6, "m"), number(5e-4), number(4.89e-7, "deg")], ["0 mm", "0.001 mm", "0.0005", "0"]);
 });
 
 test("the clock stays within the run, and steps from row to row", () => {

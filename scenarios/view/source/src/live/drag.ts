@@ -1,5 +1,6 @@
 // Pushes bodies with the mouse or a finger, by a spring and damper from the grabbed point to the pointer.
 import { ArrowHelper, Vector3 } from "three";
+import { make } from "../dom.ts";
 import type { Stage } from "../scene/stage.ts";
 import { Hold } from "./hold.ts";
 
@@ -20,6 +21,7 @@ type Send = (signal: string, force: [number, number, number] | null) => void;
 
 export class Drag extends Hold {
   private readonly arrow = new ArrowHelper(new Vector3(1, 0, 0), new Vector3(), 0.1, COLOUR, 0.03, 0.02);
+  private readonly newtons = make("output", "pv-newtons");
   private push: Push | null = null;
   private readonly grip = new Vector3(); // grabbed point in the body's frame
   private to: Vector3 | null = null;
@@ -36,7 +38,9 @@ export class Drag extends Hold {
   ) {
     super(stage);
     this.arrow.visible = false;
+    this.newtons.hidden = true;
     stage.scene.add(this.arrow);
+    stage.element.append(this.newtons);
   }
 
   /** Follow the moving body; the stage shows this instant [s]. */
@@ -72,6 +76,7 @@ export class Drag extends Hold {
 
   protected drop(): void {
     this.arrow.visible = false;
+    this.newtons.hidden = true;
     if (this.push && this.sent) this.send(this.push.signal, null);
     this.push = this.to = null;
     this.sent = 0;
@@ -101,9 +106,13 @@ export class Drag extends Hold {
   private show(from: Vector3, force: Vector3): void {
     const size = force.length();
     this.arrow.visible = size > SAME;
+    this.newtons.hidden = !this.arrow.visible;
     if (this.arrow.visible) {
       this.arrow.position.copy(from);
       this.arrow.setDirection(force.clone().normalize());
+      const tip = this.seen(force.clone().setLength(Math.max(size * METRES_PER_NEWTON, 0.04)).add(from));
+      this.newtons.textContent = `${size.toFixed(1)} N`;
+      this.newtons.style.transform = `translate(${tip.x + 10}px, ${tip.y - 10}px)`;
       this.arrow.setLength(Math.max(size * METRES_PER_NEWTON, 0.04), 0.03, 0.02);
     }
     this.stage.refresh();

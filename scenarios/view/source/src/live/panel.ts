@@ -110,7 +110,10 @@ export class Parameters {
     for (const [name, group] of groups) {
       const words = make("summary", "", make("code", "", name), " ", make("bdi", "", group[0].unit === "1" ? "" : group[0].unit));
       hint(words, group[0].words);
-      const box = make("details", "", words, ...group.map((tunable) => this.control(tunable)));
+      const each = group.map((tunable) => this.control(tunable));
+      const alike = group.length > 1 && group.every(({ kind, unit }) => kind === "Real" && unit === group[0].unit);
+      const single = alike ? [this.row(group[0], group), make("details", "", make("summary", "", `each of the ${group.length}`), ...each)] : each;
+      const box = make("details", "", words, ...single);
       box.open = name === "controller.kp";
       this.element.append(box);
     }
@@ -156,8 +159,10 @@ export class Parameters {
     return row;
   }
 
-  private row(tunable: Tunable): HTMLElement {
-    const { name, unit, minimum, maximum, words } = tunable;
+  /** A slider and a field for a number, or for all elements of a group at once. */
+  private row(tunable: Tunable, group: readonly Tunable[] = []): HTMLElement {
+    const { unit, minimum, maximum, words } = tunable;
+    const name = group.length ? tunable.name.replace(/\[.*/, "") : tunable.name;
     const slider = make("input", "pv-slider");
     slider.type = "range";
     const field = make("input", "pv-field");
@@ -178,9 +183,10 @@ export class Parameters {
       if (document.activeElement !== slider) slider.value = String(value);
       if (document.activeElement !== field) field.value = String(Number(value.toPrecision(8)));
     };
+    const place = group.length ? "all" : name.replace(/^[^[]*/, "") || "value";
     this.rows.push({ tunable, show });
     const range = minimum !== null && maximum !== null ? `${number(minimum)} to ${number(maximum)}` : "";
-    const row = make("label", "pv-parameter", make("span", "pv-what", name.replace(/^[^[]*/, "") || "value"), slider, field);
+    const row = make("label", "pv-parameter", make("span", "pv-what", place), slider, field);
     hint(row, [words, [range, unit === "1" ? "" : unit].join(" ").trim()].filter(Boolean).join("; "));
     return row;
   }

@@ -32,6 +32,7 @@ export class Chart {
   private plot: uPlot | null = null;
   private readonly plotPlace = make("div", "pv-plot");
   private readonly needle = make("div", "pv-needle");
+  private readonly unit: string;
   private curves: Curve[] = [];
   private zooming = false;
 
@@ -40,8 +41,8 @@ export class Chart {
     readonly columns: readonly string[],
     private readonly links: ChartLinks,
   ) {
-    const unit = links.run.unit(columns[0]);
-    const head = make("h3", "", make("bdi", "", title), make("span", "pv-unit", unit && unit !== "1" ? unit : ""));
+    this.unit = links.run.unit(columns[0]);
+    const head = make("h3", "", make("bdi", "", title), make("span", "pv-unit", this.unit === "1" ? "" : this.unit));
     const close = button(`Remove ${title}`, "pv-close", () => links.removed(this), icon(CROSS));
     this.element = make("section", "pv-chart", make("div", "pv-chart-head", head, close), this.plotPlace);
     this.element.dataset.title = title;
@@ -51,10 +52,11 @@ export class Chart {
   async open(): Promise<void> {
     const { run, ghost } = this.links;
     this.curves = await Promise.all(this.columns.map((column, index) => this.curve(column, index, run, ghost)));
+    const { links } = this;
     const names = this.curves.map(({ column, colour, reading }) => {
       const chip = make("span", "pv-chip");
       chip.style.background = colour;
-      const text = this.columns.length > 1 ? column.slice(column.indexOf("[")) : column;
+      const text = this.columns.length > 1 ? element(column, links.run.unit(column)) : column;
       const name = make("span", "pv-name", chip, make("span", "", text), reading);
       hint(name, column);
       return name;
@@ -70,7 +72,9 @@ export class Chart {
     const x = this.plot.valToPos(time, "x");
     this.needle.style.transform = `translateX(${x.toFixed(1)}px)`;
     this.needle.hidden = !(x >= 0 && x <= this.plot.over.clientWidth);
-    for (const { own, reading } of this.curves) reading.textContent = number(own.values[rowAt(own.time, time)]);
+    for (const { own, reading } of this.curves) {
+      reading.textContent = number(own.values[rowAt(own.time, time)], this.unit);
+    }
   }
 
   /** Show a time range [s]. */
@@ -136,7 +140,7 @@ export class Chart {
       height: HEIGHT,
       padding: [8, 8, 0, 0],
       legend: { show: false },
-      scales: { x: { time: false } },
+      scales: { x: { time: false, range: ({ data: [times] }, low, high) => (times.length > 1 ? [low, high] : [times[0], times[0] + 1]) } }, // 1 s before a run begins
       series: [{}, ...own, ...other],
       cursor: { sync: { key: "panda-view" }, drag: { x: true, y: false }, points: { size: 6 } },
       axes: [
@@ -200,6 +204,14 @@ export class Chart {
       for (const level of pair ?? []) if (!levels.has(level)) levels.set(level, shared ? red : colour);
     return levels;
   }
+}
+
+/** Name an element of a signal: a joint, an axis, or its index. */
+function element(column: string, unit: string): string {
+  const [, signal, index] = /^(.*)\[(\d+)\]$/.exec(column) ?? [];
+  if (!index) return column;
+  if (/^(m|m\/s|N)$/.test(unit) && /(pos|vel|force|linear)/.test(signal) && Number(index) <= 3 && !/q(pos|vel)|actuator/.test(signal)) return "xyz"[Number(index) - 1];
+  return /(qpos|qvel|dq|ctrl|actuator_force|qfrc_\w+|torque|kp|ki|kd)(_ref)?$/.test(signal) && /^(rad|rad\/s|N\.m)$/.test(unit) ? `joint ${index}` : `[${index}]`;
 }
 
 function gap(value: number): number | null {
