@@ -166,6 +166,38 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
         assert np.array_equal(before[name].view("u8"), again[name].view("u8")), name
 
 
+def test_a_run_ends_with_its_verdict_and_nothing_is_journalled_after_it(tmp_path: Path) -> None:
+    with live(tmp_path / "run", "--paused") as server:
+        address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
+        with connect(address, origin=origin) as socket:
+            for _ in range(7):  # 6.5 s
+                socket.send('{"do": "step", "ticks": 1000}')
+            over = told(socket, "status", lambda status: status["over"])["status"]
+            journal = server.folder / "session.jsonl"
+            before = journal.read_text()
+            socket.send('{"do": "set", "name": "plant.push_force", "value": [0, 9, 0]}')
+            assert "the scenario is over" in str(told(socket, "refused"))
+    criteria = json.loads((tmp_path / "run" / "summary.json").read_text())["criteria"]
+    assert all(criterion["ok"] for criterion in criteria)
+    assert over["message"].endswith(f"success: all {len(criteria)} criteria hold")
+    assert journal.read_text() == before
+    assert json.loads(before.splitlines()[-1]) == {"tick": 6500, "action": "end"}
+
+
+def test_names_of_buttons_have_their_texts_and_curves_are_named(page: Page, tmp_path: Path) -> None:
+    with live(tmp_path / "run", "--paused") as server:
+        page.visit(server.address, 720, 400)
+        page.wait(READY)
+        unlike = """[...document.querySelectorAll('.pv button')].filter((b) => b.textContent &&
+            b.ariaLabel && !b.ariaLabel.toLowerCase().includes(b.textContent.toLowerCase()))"""
+        assert page.value(f"{unlike}.map((b) => b.ariaLabel)") == []
+        names = "[...document.querySelectorAll('.pv-name > span:nth-child(2)')]"
+        page.wait(f"{names}.length > 10")
+        legends = set(page.value(f"{names}.map((name) => name.textContent)"))
+        assert {"x", "y", "z", "joint 1", "joint 7"} <= legends
+        server.end()
+
+
 def test_restart_begins_another_run_and_keeps_the_one_before(page: Page, tmp_path: Path) -> None:
     with live(tmp_path / "run") as server:
         page.visit(server.address, 720, 400)

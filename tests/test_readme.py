@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -104,6 +107,18 @@ def test_every_link_leads_somewhere(name: str) -> None:
         if anchor and (not target or target.endswith(".md")):
             page = (ROOT / target).read_text(encoding="utf-8") if target else text
             assert anchor in headings(page), f"{target}#{anchor}"
+
+
+@pytest.mark.fmu
+def test_the_example_of_a_model_runs_anywhere(tmp_path: Path) -> None:
+    example = next(block for block in blocks("sh") if "pendulum.xml" in block)
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", "-e"], input=example, cwd=tmp_path, env=os.environ | {"PATH": path}, text=True,
+        capture_output=True, timeout=200, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Angle of joint hinge" in done.stdout
 
 
 @pytest.mark.fmu

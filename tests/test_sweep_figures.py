@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from browser import Page
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -261,13 +262,16 @@ def test_cells_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
                 assert rows.sum(axis=1 - axis).tolist() == counts
 
 
-def test_a_search_is_drawn_with_its_worst_so_far(tmp_path: Path) -> None:
+def test_a_search_is_drawn_with_its_worst_so_far(page: Page, tmp_path: Path) -> None:
     keys, outcome, _ = CASES["search"]
     report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
     margin = np.array([-1e9 if v is None else v for v in report.column["margin"]], dtype=float)
     lowest = [min(margin[: i + 1]) for i in range(len(margin))]
-    best = [-1e9 if v is None else v for v in report.data["search"]["best"]]
-    assert best == pytest.approx(lowest, rel=1e-4)
+    page.open(tmp_path / "report.html")
+    page.wait("window.sweepReport !== undefined")
+    drawn = page.value("sweepReport.bestSoFar(sweepReport.data.points[sweepReport.data.searched])")
+    assert [-1e9 if v is None else v for v in drawn] == pytest.approx(lowest, rel=1e-4)
+    assert page.value("document.querySelectorAll('#search circle').length") > 10
 
 
 def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ..run.folder import SCENARIO_FOLDER
 from ..run.journal import JOURNAL_FILE
+from ..run.output import json_values
 from ..run.session import Session
 from ..view.story import verdict
 from . import commands
@@ -139,9 +140,11 @@ class Simulation:
             return
         self._show(server)
         if self._is_over:
-            summary = self._session.close().summary.to_dict()  # nothing is journalled from now on
+            summary = self._session.close().summary  # nothing is journalled from now on
             self._playing = False
-            self._message = f"the scenario is over: {verdict(summary, {})['words']}"
+            self._message = (
+                f"the scenario is over: {verdict(json_values(summary.to_dict()), {})['words']}"
+            )
 
     def _show(self, server: LiveServer) -> None:
         row = _row(self._session)

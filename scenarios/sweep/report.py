@@ -6,7 +6,7 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
 from shlex import quote
@@ -94,24 +94,8 @@ def page(store: Store, beside: Path) -> str:
 def _metric(column: str) -> dict[str, str]:
     """Return what a column of the table holds, its unit, and whether lower or higher is better."""
     name = column.removeprefix("summary.").replace("event.", "events.", 1).partition("[")[0]
-    is_margin = name.partition(".")[0] == MARGIN
-    means = DEFINITIONS[MARGIN] if is_margin else DEFINITIONS.get(name, Definition(name, ""))
-    unit = "" if means.unit == "1" else means.unit
-    return {
-        "what": _meaning(column) if is_margin else means.text, "unit": unit, "better": means.better
-    }  # fmt: skip
-
-
-def _meaning(margin: str) -> str:
-    """Return what a column of margins holds."""
-    name = margin.partition(".")[2]
-    what = f"margin of {name}" if name else DEFINITIONS[margin].what
-    if name and (bounded := DEFINITIONS.get(f"success.{name}")):
-        what += f": {bounded.what}"
-    return (
-        f"{what[:1].upper()}{what[1:]}. Not given if the run did not finish, or a criterion could "
-        "not be measured."
-    )
+    means = DEFINITIONS.get(name.replace("margin.", "success.", 1), Definition(name, ""))
+    return {"what": means.text, "unit": means.unit.removeprefix("1"), "better": means.better}
 
 
 def _unit(key: str) -> str:
@@ -178,7 +162,8 @@ def _data(
         "isGrid": results.is_grid,
         "nominal": {k: v for k, v in first.items() if isinstance(v, float) and not others},
         "influences": None,
-        "search": _search(results, definition) if definition["design"] == "search" else None,
+        "search": definition["design"] == "search" and definition["goal"],
+        "searched": margin_column(definition["criterion"], results.margins),
         **_rows(store, results.index[chosen], worst, beside),
     }
 
@@ -195,14 +180,13 @@ def _columns(
 
 def _influences(
     store: Store, results: Results, *, bounds: bool
-) -> Iterator[tuple[str, list[tuple[str, float, float | None, float | None]]]]:
+) -> Iterator[tuple[str, list[tuple[Any, ...]]]]:
     """Yield the influences on each margin and metric: key, value and its bounds."""
     rows = _evenly(np.arange(len(results.bad)), min(len(results.bad), ESTIMATED))
     values = {key: column[rows] for key, column in results.values.items()}
     for name, column in _columns(store, results, ()):
-        strengths = influences(values, results.labels, column[rows])
-        ends = ((e.low, e.high) if bounds else (None, None) for e in strengths)
-        yield name, [(e.key, e.value, *pair) for e, pair in zip(strengths, ends, strict=True)]
+        each = influences(values, results.labels, column[rows])
+        yield name, [(e.key, e.value, *((e.low, e.high) if bounds else (None, None))) for e in each]
 
 
 def _sample(results: Results) -> NDArray[np.intp]:
@@ -220,17 +204,6 @@ def _evenly(rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
 
 def _rounded(column: NDArray[Any]) -> list[float | None]:
     return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in column.tolist()]
-
-
-def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the searched margin by row, and the best up to each."""
-    name = margin_column(definition["criterion"], results.margins)
-    margin = results.margins[name]
-    reach = np.minimum if definition["goal"] == "fail" else np.maximum
-    chosen = _evenly(np.arange(len(margin)), min(len(margin), POINTS))
-    best = reach.accumulate(margin)
-    return {"index": results.index[chosen].tolist(), "margin": _rounded(margin[chosen]),
-            "best": _rounded(best[chosen]), "name": name}  # fmt: skip
 
 
 def _seen(value: Any) -> Any:

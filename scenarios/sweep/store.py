@@ -305,8 +305,7 @@ class Store:
         rank = np.where(np.isnan(margin), np.where(success, np.inf, -np.inf), margin)
         index = table["index"].to_numpy()
         chosen = index[np.lexsort((index, rank, success))][:number].tolist()
-        columns = ["scenario", "status", "missed", "error", "margin", "command", *keys]
-        rows = {row["index"]: row for row in self.rows(chosen, columns)}
+        rows = {row["index"]: row for row in self.rows(chosen, ["scenario", *keys])}
         return [rows[each] for each in chosen]
 
     def rows(self, indices: Sequence[int], columns: Sequence[str]) -> list[Row]:

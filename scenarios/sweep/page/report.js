@@ -36,7 +36,9 @@
 
   /** A number in four digits; what is only rounding is 0. */
   const number = (v) => (v === null ? "none" : Math.abs(v) < 1e-7 ? "0" : String(+v.toPrecision(4)).replace("-", "−"));
-  const unit = (name) => data.metrics[name]?.unit ?? data.units[name] ?? "";
+  const isMargin = (name) => name.split(".")[0] === "margin";
+  const unit = (name) => (isMargin(name) ? "" : data.metrics[name]?.unit ?? data.units[name] ?? "");
+  const better = (name) => (isMargin(name) ? "higher" : data.metrics[name]?.better);
   const withUnit = (text, name) => (unit(name) ? `${text} ${unit(name)}` : text);
   const value = (name, v) => (v === null ? "none" : data.labels[name] ? data.labels[name][v] : withUnit(number(v), name));
   /** A metric's name without its section and unit, which are written beside it. */
@@ -179,12 +181,12 @@
     const said = `${title(metric)} of ${count} rows over ${title(key)}: ${number(Math.min(...numbers))} to ${number(Math.max(...numbers))}; ${data.bad.filter(Boolean).length} rows without success`;
     const [plot, width] = canvas(box, height, said);
     const top = 30, bottom = height - 48, floor = bottom - (lost ? 26 : 0), usual = data.nominal[metric];
-    const y = scale(values, floor, top, [metric.startsWith("margin") ? 0 : null, usual ?? null]);
+    const y = scale(values, floor, top, [isMargin(metric) ? 0 : null, usual ?? null]);
     const ticks = y.ticks.map((v) => [number(v), y.at(v)]);
     const left = 14 + wide(ticks.map(([text]) => text)), right = width - 10;
     const x = keyAxis(key, left, right);
     frame(plot, { left, right, top, bottom }, x, ticks, [title(key), title(metric) + (y.bent ? ", logarithmic away from 0" : "")]);
-    if (metric.startsWith("margin")) svg(plot, "line", { x1: left, x2: right, y1: y.at(0), y2: y.at(0), class: "bound" });
+    if (isMargin(metric)) svg(plot, "line", { x1: left, x2: right, y1: y.at(0), y2: y.at(0), class: "bound" });
     if (usual !== undefined) {
       svg(plot, "line", { x1: left, x2: right, y1: y.at(usual), y2: y.at(usual), class: "usual" });
       svg(plot, "text", { x: right, y: y.at(usual) - 5, "text-anchor": "end" }, "unvaried");
@@ -411,10 +413,21 @@
 
   // A search, row by row.
 
+  /** The smallest margin up to each row, or the largest; -Infinity stands for none. */
+  function bestSoFar(margin) {
+    let best = null;
+    return margin.map((v) => {
+      const now = v ?? -Infinity;
+      if (best === null || (data.search === "fail" ? now < best : now > best)) best = now;
+      return Number.isFinite(best) ? best : null;
+    });
+  }
+
   function search() {
     byId("search-section").hidden = !data.search;
     if (!data.search) return;
-    const { index, margin, best, name } = data.search, height = 280, top = 30, bottom = height - 48;
+    const { index } = data, name = data.searched, margin = data.points[name], best = bestSoFar(margin);
+    const height = 280, top = 30, bottom = height - 48;
     const [plot, width] = canvas(byId("search"), height, `${called(name)} by row, and the best so far`);
     const y = scale(margin, bottom, top, [0]), ticks = y.ticks.map((v) => [number(v), y.at(v)]);
     const left = 14 + wide(ticks.map(([text]) => text)), right = width - 10, last = Math.max(index.at(-1), 1);
@@ -438,7 +451,7 @@
   /** All rows, the worst in the chosen metric first. */
   function worstFirst() {
     const name = state.metric === FAILURES ? "margin" : state.metric, values = data.points[name] ?? data.bad.map(() => 0);
-    const sign = data.metrics[name]?.better === "lower" ? -1 : 1;
+    const sign = better(name) === "lower" ? -1 : 1;
     const rank = (row) => (values[row] === null ? -Infinity : sign * values[row]);
     return [...data.index.keys()].sort((a, b) => data.bad[b] - data.bad[a] || rank(a) - rank(b) || a - b);
   }
@@ -509,15 +522,15 @@
     const add = (group, name, text) => groups.set(group, [...(groups.get(group) ?? []), [name, text]]);
     if (failures) add("verdict", FAILURES, title(FAILURES));
     for (const name of Object.keys(data.metrics)) {
-      const margin = name.startsWith("margin");
+      const margin = isMargin(name);
       if (!hasValues(name) || (margin && !varies(name))) continue;
       const group = name === "margin" ? "verdict" : margin ? "margins" : name.startsWith("event.") ? "events" : called(name).split(".")[0];
       add(varies(name) ? group : SAME, name, title(name));
     }
     const same = groups.get(SAME);
     if (same) groups.delete(SAME), groups.set(SAME, same); // the last
-    const all = [...groups.values()].flat().map(([name]) => name), better = (name) => data.metrics[name]?.better && varies(name);
-    const first = failures ? all.find((name) => name === "margin") ?? FAILURES : all.find((name) => !name.startsWith("margin") && better(name)) ?? all[0];
+    const all = [...groups.values()].flat().map(([name]) => name);
+    const first = failures ? all.find((name) => name === "margin") ?? FAILURES : all.find((name) => !isMargin(name) && better(name) && varies(name)) ?? all[0];
     state.metric = first ?? "margin";
     options(byId("metric"), groups, state.metric);
   }
@@ -531,8 +544,7 @@
   }
 
   function draw() {
-    const means = data.metrics[state.metric]?.what ?? "Rows without success, as a share of all rows with that value or within that range; with bounds of 95 % confidence if the rows are random samples.";
-    byId("meaning").textContent = means;
+    byId("meaning").textContent = meaning(state.metric);
     if (state.metric === FAILURES || hasValues(state.metric)) {
       chart();
       map();
@@ -542,6 +554,12 @@
     parallel();
     search();
     details();
+  }
+
+  function meaning(name) {
+    const { what } = data.metrics[name] ?? {};
+    if (isMargin(name)) return `${name === "margin" ? what : `margin of ${name.slice(7)}${what && `: ${what}`}`}. Not given if the run did not finish, or a criterion could not be measured.`;
+    return what ?? "Rows without success, as a share of all rows with that value or within that range; with bounds of 95 % confidence if the rows are random samples.";
   }
 
   metrics();
@@ -564,5 +582,5 @@
   dark.addEventListener("change", draw);
   let waiting = 0;
   window.addEventListener("resize", () => { waiting ||= requestAnimationFrame(() => { waiting = 0; draw(); }); });
-  window.sweepReport = { data, chosen, state };
+  window.sweepReport = { data, chosen, state, bestSoFar };
 })();
