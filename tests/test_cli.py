@@ -126,6 +126,7 @@ def test_bad_pictures_are_refused_before_any_is_drawn(finished: Path, tmp_path: 
         result = call("render", finished, "--out", tmp_path, option, value)
         assert result.exit_code == InputError.exit_code
         assert value.partition("x")[0] in result.stderr
+    assert call("run", "push", "--fps", "0", "--out", tmp_path / "run").exit_code == 2
     assert not list(tmp_path.iterdir())
 
 

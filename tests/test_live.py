@@ -184,7 +184,7 @@ def test_a_run_ends_with_its_verdict_and_nothing_is_journalled_after_it(tmp_path
     assert json.loads(before.splitlines()[-1]) == {"tick": 6500, "action": "end"}
 
 
-def test_names_of_buttons_have_their_texts_and_curves_are_named(page: Page, tmp_path: Path) -> None:
+def test_buttons_and_curves_have_their_names(page: Page, tmp_path: Path) -> None:
     with live(tmp_path / "run", "--paused") as server:
         page.visit(server.address, 720, 400)
         page.wait(READY)

@@ -140,11 +140,9 @@ class Simulation:
             return
         self._show(server)
         if self._is_over:
-            summary = self._session.close().summary  # nothing is journalled from now on
-            self._playing = False
-            self._message = (
-                f"the scenario is over: {verdict(json_values(summary.to_dict()), {})['words']}"
-            )
+            summary = self._session.close().summary.to_dict()  # nothing is journalled from now on
+            outcome = verdict(json_values(summary), {})["words"]
+            self._playing, self._message = False, f"the scenario is over: {outcome}"
 
     def _show(self, server: LiveServer) -> None:
         row = _row(self._session)

@@ -31,7 +31,7 @@ from ..options import (
 from ..outcome import Output, Progress, conclude, simulate
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
-FPS = option(
+FPS = option("--fps", "Frames per second of the video; 15 take a quarter of the time.", 60.0, min=1.0)
     "--fps",
     "Frames per second of the video; 15 take a quarter of the time.",
     60.0,
