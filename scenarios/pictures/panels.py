@@ -223,7 +223,7 @@ def _jerks(recording: Recording) -> Iterator[FloatArray]:
 
 
 def _power(axes: Axes, curves: Curves) -> None:
-    pairs = ((f"{FORCE}[{joint}]", f"plant.qvel[{joint}]") for joint in range(1, 8))
+    pairs = ((f"plant.actuator_force[{joint}]", f"plant.qvel[{joint}]") for joint in range(1, 8))
     _draw(axes, curves.time, np.sum([curves[force] * curves[v] for force, v in pairs], axis=0))
 
 
