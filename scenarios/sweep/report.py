@@ -73,7 +73,6 @@ def page(store: Store, beside: Path) -> str:
         style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
         data=Markup(json_text(_seen(data))),  # noqa: S704 - escaped
         definition=definition,
-        keys=list(results.values),
         versions=content["origin"]["versions"],
         lacking=lacking,
         total=total,
@@ -113,8 +112,6 @@ def _rows(
     store: Store, chosen: NDArray[np.int64], worst: Sequence[int], beside: Path
 ) -> dict[str, Any]:
     """Return how the drawn rows ended, what repeats them, and links to them in 3D."""
-    # What is pasted into a shell must be one line that does what it says.
-    show = printable(f"panda-cosim sweep show {quote(str(store.folder))}")
     rows = store.rows(chosen.tolist(), ["status", "missed", "error", "command"])
     views = {}
     for index in chosen.tolist():
@@ -127,8 +124,9 @@ def _rows(
     return {
         "results": [row["missed"] or row["status"] for row in rows],
         "errors": [row["error"] for row in rows],
+        # What is pasted into a shell must be one line that does what it says.
         "commands": [printable(row["command"] or "") for row in rows],
-        "show": show,
+        "show": printable(f"panda-cosim sweep show {quote(str(store.folder))}"),
         "views": views,
     }
 
