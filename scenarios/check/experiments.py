@@ -359,8 +359,17 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
 
 
 def csv_text(fmu: Fmu, series: Series) -> bytes:
-    """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
-    return _csv(series, fmu.variables, by_array=True).encode()
+    """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column.
+
+    Its elements that have no values keep their start value.
+    """
+    arrays, names = by_array(fmu.variables.values()), list(series)[1:]
+    whole = {"time": series["time"]}
+    for array in dict.fromkeys(fmu.variables[name].variable.name for name in names):
+        for scalar in arrays[array]:
+            start = np.full(len(series["time"]), scalar.start)
+            whole[scalar.name] = series.get(scalar.name, start)
+    return _csv(whole, fmu.variables, by_array=True).encode()
 
 
 def _csv(series: Series, scalars: Mapping[str, Scalar], *, by_array: bool = False) -> str:
