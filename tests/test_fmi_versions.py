@@ -119,10 +119,8 @@ def test_values_that_are_no_numbers_are_shown(tmp_path: Path) -> None:
     )
     path = toy_fmu(tmp_path / "toy.fmu", 3, more=blob)
     it = described_interface(Fmu(path))
-    assert [(v.kind, v.start) for v in map(it.variable, ("blob", "tick"))] == [
-        ("Binary", "666F6F"),
-        ("Clock", None),
-    ]
+    assert (it.variable("blob").kind, it.variable("blob").start) == ("Binary", "666F6F")
+    assert Fmu(path).clocked == ["tick"]
     assert expand("toy", it, {"blob": "00"}) == {"blob": "00"}
     assert fail(path, "warn")[0] == ""
     check_start_values({"toy": Fmu(path)}, {"toy": {"blob": "00"}})

@@ -175,6 +175,17 @@ A = {1}
 """
 
 
+def test_a_loop_without_a_solution_names_the_time_and_the_output(tmp_path: Path) -> None:
+    """The first of y = D u is y[1] = u[1] + 2, and u[1] = y[1]."""
+    text = (f'coupling = "iterated"\n[fmus]\nit = "{FOLDER}/fmi3/StateSpace.fmu"\n[connect]\n'
+            '"it.u[1]" = "it.y[1]"\n[parameters.it]\nD = [1, 1, 0, 0, 0, 0, 0, 0, 0]\n'
+            "C = 0.0\n")  # fmt: skip
+    (tmp_path / "scenario.toml").write_text(f"duration = 1.0\nstep = 1.0\n{text}")
+    done = command("run", tmp_path, "--out", tmp_path / "run", *QUIET)
+    assert done.returncode == 1
+    assert "at t = 0.000 s, in FMU 'it', variable y[1]: coupling" in done.stderr
+
+
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_a_loop_is_solved_by_iteration(tmp_path: Path, isolate: Sequence[str]) -> None:
     """In FMPy, each alone takes every step to its output with the other's at the step's end."""
@@ -346,6 +357,26 @@ def test_inputs_are_varied_and_runs_with_them_compared(tmp_path: Path) -> None:
     assert "it.String_output" in (tmp_path / "one.csv").read_text().splitlines()[0]
 
 
+def test_columns_of_the_trajectory_s_table_drive_inputs(tmp_path: Path) -> None:
+    table = "it.Int8_input,time,it.Float64_continuous_input\n5,0,1\n7,0.5,2\n"
+    (write(tmp_path, {"it": "fmi3/Feedthrough"}) / "trajectory.csv").write_text(table)
+    recording = run(tmp_path)
+    assert recording["it.Int8_input"].tolist() == [5] * 5 + [7] * 6
+    wanted = np.minimum(1.0 + 2.0 * TIMES, 2.0)
+    np.testing.assert_allclose(recording["it.Float64_continuous_input"], wanted, rtol=1e-15)
+    done = command("run", tmp_path / "run" / "scenario", "--out", tmp_path / "again", *QUIET)
+    assert done.returncode == 0, done.stderr
+    again = Recording.open(tmp_path / "again")
+    assert again["it.Int8_output"].tolist() == recording["it.Int8_output"].tolist()
+
+
+def test_inputs_that_are_set_keep_their_last_digit(tmp_path: Path) -> None:
+    name = "it.UInt64_input"
+    recording = run(write(tmp_path, {"it": "fmi3/Feedthrough"}),
+                    "--set", f"inputs.{name}={2**64 - 1}")  # fmt: skip
+    assert recording[name].tolist() == [2**64 - 1] * (TICKS + 1)
+
+
 @pytest.mark.parametrize(
     ("csv_text", "message"),
     [
@@ -353,7 +384,7 @@ def test_inputs_are_varied_and_runs_with_them_compared(tmp_path: Path) -> None:
         ("time,it.Int8_input\n1,1\n0,2\n", "row 2: time '0'; must be a number of at least 1 s"),
         ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
         ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no such FMU; valid: it"),
-        ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time, then inputs"),
+        ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time and inputs"),
         ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
     ],
 )

@@ -108,6 +108,16 @@ def test_differences_of_temperatures_have_no_offset(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording["b.y[1,2]"][1:], wanted, rtol=1e-15)
 
 
+def test_check_shows_what_is_converted(tmp_path: Path) -> None:
+    measuring(tmp_path / "a.fmu", 2, "degC", CELSIUS)
+    measuring(tmp_path / "b.fmu", 3, "K", '<BaseUnit K="1"/>')
+    (tmp_path / "scenario.toml").write_text(
+        'duration = 1.0\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n"b.u" = "a.y"\n'
+    )
+    said = command("check", tmp_path).stdout
+    assert said.count("b.u [K] = 1 * a.y [degC] + 273.15") == 1
+
+
 def test_units_without_a_conversion_are_refused_by_check_and_run(tmp_path: Path) -> None:
     measuring(tmp_path / "a.fmu", 2, "deg", DEGREE)
     measuring(tmp_path / "b.fmu", 2, "s", '<BaseUnit s="1"/>')
@@ -167,6 +177,29 @@ def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording["it.y[1]"], wanted, rtol=1e-12)
     done = command("check", tmp_path)
     assert "it: takes one step size, 0.4 s: 4 steps of the system" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_a_step_that_returns_early_is_taken_to_its_end(
+    tmp_path: Path, isolate: Sequence[str]
+) -> None:
+    toy_fmu(tmp_path / "it.fmu", 3)
+    text = '[fmus]\nit = "it.fmu"\n[inputs]\n"it.u" = 0.5\n[parameters.it]\nact = "early"\n'
+    recording = run(tmp_path, text, *isolate)
+    np.testing.assert_allclose(recording["it.y[2,3]"], 0.5 + TIMES, rtol=1e-15)
+
+
+def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path: Path) -> None:
+    clocked = (
+        '<Clock name="tick" valueReference="17" causality="input" intervalVariability="triggered"/>'
+        '<Float64 name="w" valueReference="18" causality="input" clocks="17" variability="discrete"'
+        ' start="0"/>'
+    )
+    toy_fmu(tmp_path / "it.fmu", 3, more=clocked)
+    recording = run(tmp_path, '[fmus]\nit = "it.fmu"\n[inputs]\n"it.u" = 0.5\n')
+    np.testing.assert_allclose(recording["it.y[1,1]"], 0.5 + TIMES, rtol=1e-15)
+    said = " ".join(command("check", tmp_path).stdout.split())
+    assert "it: clocks are not supported; left out: tick, w" in said
 
 
 @pytest.mark.parametrize(

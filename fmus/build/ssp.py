@@ -149,8 +149,7 @@ def _connectors(system: WrittenSystem, name: str) -> list[Variable]:
     for key, scalar in component.variables.items():
         variable = scalar.variable
         is_given = variable.causality == "parameter" and key in component.start_values
-        is_output = variable.causality == "output" and variable.kind != "Clock"
-        if is_output or is_given or (name, key) in used:
+        if variable.causality == "output" or is_given or (name, key) in used:
             rows[variable.name] = variable
     return [*rows.values()]
 

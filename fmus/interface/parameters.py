@@ -129,10 +129,16 @@ def literal(text: str, place: str = "") -> ParameterValue:
         return text.lower() == "true"
     parts = text.strip("[]").split(",")
     try:
-        numbers = [float(part) for part in parts]
+        numbers = [_number(part) for part in parts]
     except ValueError:
         return text.strip("\"'")
     if not text.isascii() or "_" in text:
         plain = ",".join(f"{number:.17g}" for number in numbers)
         raise InputError(f"{place}value {excerpt(text)}; must be in the digits 0 to 9, as {plain}")
     return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _number(text: str) -> float:
+    """Read a number; a whole one that a float cannot hold stays an int."""
+    number = float(text)
+    return int(text) if abs(number) > 2**53 and text.strip().lstrip("+-").isdigit() else number

@@ -38,7 +38,7 @@ def is_lossless(source: Variable, target: Variable) -> bool:
     """Whether the target's type holds every value of the source's."""
     one, other = type_of(source), type_of(target)
     if one == other:
-        return one != "Clock" and set(source.choices) <= set(target.choices or source.choices)
+        return set(source.choices) <= set(target.choices or source.choices)
     if other == "Float64":
         return one in ("Float32", "Enumeration") or _bits(one) <= _FRACTIONS[other]
     if one == "Enumeration":
@@ -53,7 +53,7 @@ def is_lossless(source: Variable, target: Variable) -> bool:
 
 def can_convert(source: Variable, target: Variable) -> bool:
     """Whether a source's values can be converted where that is asked for: all numbers can."""
-    return not {type_of(source), type_of(target)} & {"String", "Binary", "Clock"}
+    return not {type_of(source), type_of(target)} & {"String", "Binary"}
 
 
 def _bits(name: str) -> float:

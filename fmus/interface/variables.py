@@ -22,7 +22,7 @@ from .units import Units
 
 Causality = Literal["input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable", "constant"]
-Kind = Literal["Real", "Float32", "Integer", "Boolean", "Enumeration", "String", "Binary", "Clock"]
+Kind = Literal["Real", "Float32", "Integer", "Boolean", "Enumeration", "String", "Binary"]
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
 Unit = str | tuple[str, ...]
@@ -55,8 +55,6 @@ class Scalar:
         Messages call the scalar `place`.
         """
         match self.variable.kind:
-            case "Clock" as kind:
-                raise InputError(f"{place}: is of type {kind}; its start value cannot be changed")
             case "Binary":
                 if isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A):
                     return value
@@ -87,7 +85,8 @@ class Scalar:
     def _checked_text(self, place: str, value: object) -> str:
         choices = self.variable.choices
         if not isinstance(value, str):
-            raise InputError(f"{place}: {value!r} is not text; valid: {', '.join(choices)}")
+            valid = f"valid: {', '.join(choices)}" if choices else "must be text in quotes"
+            raise InputError(f"{place}: {value!r} is not text; {valid}")
         if choices and value not in choices:
             raise InputError(
                 f"{place}: {value!r} is not one of {', '.join(choices)}"
@@ -124,7 +123,7 @@ class Scalar:
         match self.variable.kind:
             case "Binary":
                 return bytes.fromhex(str(value))
-            case "String" | "Clock":
+            case "String":
                 return str(value)
             case "Boolean":
                 return bool(value)
@@ -147,8 +146,7 @@ class Scalar:
         """Start value as an FMU takes it; zero or empty if there is none."""
         if self.start is not None:
             return self.converted(self.start)
-        is_text = self.variable.kind in ("String", "Binary", "Clock")
-        return self.converted("" if is_text else 0.0)
+        return self.converted("" if self.variable.kind in ("String", "Binary") else 0.0)
 
 
 @dataclass(frozen=True)

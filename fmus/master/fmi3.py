@@ -50,7 +50,7 @@ class Fmi3Slave(FmuSlave):
             False,  # visible
             True,  # logging
             False,  # event mode
-            False,  # early return
+            bool(self.fmu.description.coSimulation.mightReturnEarlyFromDoStep),  # early return
             (fmi3.fmi3ValueReference * 0)(),
             0,
             self.log.number,
@@ -75,7 +75,7 @@ class Fmi3Slave(FmuSlave):
 
 
 class _Step(StepCall):
-    """fmi3DoStep, which may end before it has taken the whole step."""
+    """fmi3DoStep, which may return early; it is then called again for the rest of the step."""
 
     def __init__(self, slave: FmuSlave, *, goes_back: bool) -> None:
         self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
@@ -86,6 +86,10 @@ class _Step(StepCall):
 
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step; one that was not taken to its end is an error."""
+        end = time + step_size
         super().__call__(time, step_size)
-        if self._ended.value or self._early.value:
+        while not self._ended.value and self._early.value and time < self._reached.value < end:
+            time = self._reached.value
+            super().__call__(time, end - time)
+        if self._ended.value or (self._early.value and self._reached.value < end):
             self.refuse_early(time, self._reached.value, ended=self._ended.value)

@@ -24,7 +24,7 @@ _KINDS: Final = {
     "Float64": "Real",
     **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
 }
-TEXTS: Final = ("String", "Binary", "Clock")  # kinds whose start value is kept as it is written
+TEXTS: Final = ("String", "Binary")  # kinds whose start value is kept as it is written
 _NUMBERS: Final = ("Real", "Float32", "Integer")  # an interface table's Real
 STRUCTURAL: Final = "structuralParameter"
 _SHOWN: Final = ("input", "output", "parameter")
@@ -51,6 +51,7 @@ class Fmu:
         self.description = _read_description(path, self.folder)
         self.fmi = VERSIONS[self.description.fmiVersion]
         described = self.description.modelVariables
+        self.clocked = [v.name for v in described if v.type == "Clock" or v.clocks]  # left out
         self.structural = {v.name for v in described if v.causality == STRUCTURAL}
         self.relative = {v.name for v in described if _is_relative(v)}
         self.sizes: dict[str, int] = {}  # values of structural parameters that are changed
@@ -66,7 +67,8 @@ class Fmu:
 
     def _scalars(self) -> dict[str, Scalar]:
         place = f"{self.path}: modelDescription.xml"
-        described = list(_scalars(place, self.description.modelVariables, self.sizes))
+        taken = [v for v in self.description.modelVariables if v.name not in self.clocked]
+        described = list(_scalars(place, taken, self.sizes))
         renamed = [_renamed(scalar, self._noted) for scalar in described]
         self._described = {d.name: r for d, r in zip(described, renamed, strict=True)}
         return {scalar.name: scalar for scalar in renamed}
@@ -117,7 +119,8 @@ def read_value(place: str, variable: Variable, text: str) -> Value:
     try:
         return _parsed(variable, text)
     except (ValueError, KeyError):
-        raise InputError(f"{place} {excerpt(text)}; must be of type {variable.kind}") from None
+        valid = variable.fmi_type or variable.kind
+        raise InputError(f"{place} {excerpt(text)}; must be of type {valid}") from None
 
 
 def _parsed(variable: Variable, text: str) -> Value:
@@ -125,7 +128,7 @@ def _parsed(variable: Variable, text: str) -> Value:
         return text
     text = text.strip()
     if variable.kind == "Boolean":
-        return {"true": True, "1": True, "false": False, "0": False}[text]
+        return {"true": True, "1": True, "false": False, "0": False}[text.lower()]  # Python's True
     if variable.kind == "Enumeration" and text in variable.choices:
         return text
     if "_" in text or not text.isascii():  # which Python takes, but not XML

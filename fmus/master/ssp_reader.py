@@ -13,8 +13,8 @@ from ..interface.tables import Connection
 from ..interface.variables import Value
 from ..reading import finite_number
 from .ssp_parameters import Parameters
-from .ssp_structure import Structure, shown
-from .system import RECORDED_KINDS, System
+from .ssp_structure import Structure
+from .system import System
 
 DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
 # Where a file may say the master's step size.
@@ -44,7 +44,6 @@ def system_from_ssp(path: Path) -> CoupledSystem:
     structure = Structure(path)
     parameters = Parameters(structure)
     connections = list(structure.connections())
-    outputs, warnings = _outputs(structure, connections)
     start, stop, step = _experiment(structure)
     master = structure.document.system.find(MASTER, PREFIXES)
     return CoupledSystem(
@@ -52,7 +51,7 @@ def system_from_ssp(path: Path) -> CoupledSystem:
         System(
             {name: fmu.path for name, fmu in structure.fmus.items()},
             connections,
-            outputs=outputs,
+            outputs=_outputs(structure, connections),
             labels={name: fmu.label for name, fmu in structure.fmus.items()},
         ),
         parameters.values,
@@ -61,25 +60,21 @@ def system_from_ssp(path: Path) -> CoupledSystem:
         step,
         "gauss-seidel" if master is None else master.get("coupling", ""),
         {name: max(round(size / step), 1) for name, size in structure.step_sizes.items()},
-        (*parameters.warnings, *warnings),
+        tuple(parameters.warnings),
     )
 
 
-def _outputs(
-    structure: Structure, connections: Sequence[Connection]
-) -> tuple[dict[str, list[str]], list[str]]:
-    """Outputs of each component, connected ones first, in the order of their targets; warnings."""
+def _outputs(structure: Structure, connections: Sequence[Connection]) -> dict[str, list[str]]:
+    """Outputs of each component, connected ones first, in the order of their targets."""
     ends = dict.fromkeys(connection.source for connection in connections)
     for name in structure.fmus:
         for connector, row in structure.connectors[name].items():
             if row.kind == "output":
                 ends |= dict.fromkeys((name, item) for item in structure.items[name][connector])
-    kinds = {end: structure.fmus[end[0]].variable(end[1]).variable.kind for end in ends}
     outputs: dict[str, list[str]] = {name: [] for name in structure.fmus}
-    for name, variable in (end for end, kind in kinds.items() if kind in RECORDED_KINDS):
+    for name, variable in ends:
         outputs[name].append(variable)
-    others = {shown(end): kind for end, kind in kinds.items() if kind not in RECORDED_KINDS}
-    return outputs, [f"{name} is not recorded: it is a {kind}" for name, kind in others.items()]
+    return outputs
 
 
 def _experiment(structure: Structure) -> tuple[float, float, float]:

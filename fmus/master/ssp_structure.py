@@ -107,6 +107,8 @@ class Structure:
             self.units[name, scalar.name] = scalar.unit, fmu.units
         for connector in element.iterfind("ssd:Connectors/ssd:Connector", PREFIXES):
             variable, kind = connector.get("name", ""), connector.get("kind", "")
+            if variable in fmu.clocked:
+                continue
             place = f"connector {name}.{variable}"
             document.check_name(place, variable, items, "a variable of its FMU")
             row = fmu.variable(items[variable][0]).variable

@@ -116,10 +116,14 @@ class IteratedStep(Step):
             end[numbers] = guess + share * change
             for slave in self.followers:
                 slave.slave.restore_state()
+        worst = numbers[int(np.argmax(np.nan_to_num(np.abs(change), nan=np.inf)))]
+        slave = next(slave for slave in self.followers if worst in slave.outputs)
         raise SimulationError(
             f'coupling = "iterated": {MOST_ITERATIONS} iterations do not settle to a change of '
             f"{TOLERANCE:g}",
             time=time,
+            instance=slave.slave.name,
+            variable=slave.names[slave.outputs.index(worst)],
         )
 
     def _iterate(self, row: int, time: float) -> None:

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
@@ -26,9 +26,6 @@ from .wiring import Name
 if TYPE_CHECKING:
     from .remote_slave import RemoteSlave
 
-RECORDED_KINDS: Final = (
-    "Real", "Float32", "Integer", "Enumeration", "Boolean", "String", "Binary"
-)  # fmt: skip
 Instance: TypeAlias = "FmuSlave | RemoteSlave"
 
 
@@ -126,6 +123,25 @@ def _conversion(fmus: Mapping[str, Fmu], connection: Connection) -> tuple[float,
     return conversion(*units)
 
 
+def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
+    """Formulas of the connections that convert numbers, one for all elements of an array."""
+
+    def shown(end: Name) -> str:
+        unit = fmus[end[0]].variable(end[1]).unit
+        return f"{'.'.join(end).partition('[')[0]} [{unit}]"
+
+    converting = (
+        each
+        for each in (_in_units(fmus, connection) for connection in system.connections)
+        if (each.factor, each.offset) != (1.0, 0.0)
+    )
+    formulas = (
+        f"{shown(each.target)} = {each.factor:g} * {shown(each.source)} + {each.offset:g}"
+        for each in converting
+    )
+    return list(dict.fromkeys(formulas))
+
+
 def _objects(fmus: Mapping[str, Fmu], system: System) -> set[Name]:
     """Columns whose values a float64 cannot hold."""
     read = ((instance, name) for instance, names in system.outputs.items() for name in names)
@@ -160,10 +176,6 @@ def _scalar(
         raise InputError(f"{place}: no instance {instance!r}; valid: {', '.join(fmus)}")
     scalar = fmus[instance].variable(variable)
     where = f"{fmus[instance].label}: {variable}"
-    if scalar.variable.kind not in RECORDED_KINDS:
-        raise InputError(
-            f"{where}: type {scalar.variable.kind}; must be {' or '.join(RECORDED_KINDS)} ({place})"
-        )
     if scalar.variable.causality != causality:
         raise InputError(
             f"{where}: causality {scalar.variable.causality}; must be {causality} ({place})"
@@ -220,6 +232,9 @@ def notes(
         interface, experiment = fmu.description.coSimulation, fmu.description.defaultExperiment
         named = interface.fixedInternalStepSize or (experiment and experiment.stepSize)
         own, size = float(named or 0.0), multiples.get(instance, 1) * step_size
+        if fmu.clocked:
+            text = f"clocks are not supported; left out: {', '.join(fmu.clocked)}"
+            yield instance, "Warning", text
         if instance in multiples and instance not in system.steps:
             text = f"takes one step size, {own:g} s: {multiples[instance]} steps of the system"
             yield instance, "Warning", text
@@ -243,8 +258,8 @@ def _loop(fmus: Mapping[str, Fmu], connections: Sequence[Connection]) -> Sequenc
         for each, scalar in fmu.variables.items():
             arrays.setdefault(scalar.variable.name, []).append((instance, each))
         for unknown in fmu.description.outputs:
-            inputs = [end for v in unknown.dependencies or () for end in arrays[v.name]]
-            for output in arrays[unknown.variable.name] if inputs else ():
+            inputs = [end for v in unknown.dependencies or () for end in arrays.get(v.name, ())]
+            for output in arrays.get(unknown.variable.name, ()) if inputs else ():
                 before[output] = fed.keys() & inputs
     try:
         TopologicalSorter(before).prepare()

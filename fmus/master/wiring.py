@@ -56,6 +56,7 @@ class BoundSlave:
     ) -> None:
         self.slave = slave
         self.inputs, self.outputs = set(inputs.values()), list(outputs.values())
+        self.names = list(outputs)
         self.step = slave.step
         self.set_inputs: Exchange = nothing
         self.get_outputs: Exchange = nothing

@@ -107,9 +107,14 @@ static unsigned step(course *r, const call *c, double time)
 {
     if (c->fmi != 3) return c->function.step2(c->instance, time, r->step_size, 1);
     bool event = false, ended = false, early = false;
-    const unsigned status =
-        c->function.step3(c->instance, time, r->step_size, true, &event, &ended, &early, &r->reached);
-    return status > WARNING ? status : ended ? ENDED : early ? EARLY : status;
+    const double end = time + r->step_size;
+    for (double size = r->step_size;; time = r->reached, size = end - time) {
+        const unsigned status =
+            c->function.step3(c->instance, time, size, true, &event, &ended, &early, &r->reached);
+        if (status > WARNING || ended) return status > WARNING ? status : ENDED;
+        if (!early || r->reached >= end) return status;
+        if (!(r->reached > time)) return EARLY; /* else the rest of the step follows */
+    }
 }
 
 static unsigned carry_out(course *r, const call *c, int64_t k, double time)

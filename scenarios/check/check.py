@@ -18,7 +18,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.variables import Variable
-from ...fmus.master.system import RECORDED_KINDS, notes, read_fmus
+from ...fmus.master.system import conversions, notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.criterion import miss_text
@@ -116,6 +116,7 @@ def _foreign(prepared: Prepared) -> list[Diagnostic]:
     fmus = read_fmus(assembly.system, assembly.changed(prepared.values), scenario.coupling)
     seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
     hints = _diagnostics("hint", [*assembly.notes, *_suggestions(assembly), *seen])
+    hints += _diagnostics("good", conversions(fmus, assembly.system))
     models = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
@@ -135,8 +136,7 @@ def _suggestions(assembly: Assembly) -> Iterator[str]:
         for part in assembly.parts
         if part.file is not None
         for variable in part.interface.of("input")
-        if variable.kind in RECORDED_KINDS
-        and not any((part.name, name) in fed for name in variable.names())
+        if not any((part.name, name) in fed for name in variable.names())
     )
     for name, variable in islice(unfed, LOOKED_AT):
         source = _nearest(connector, name, variable)

@@ -21,6 +21,7 @@ from ...fmus.master.step import Coupling
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
 from ..fields import Quantity, check_choice, check_keys, field_names
+from ..scenario.input_table import InputTable
 from ..scenario.mismatch import Mismatch, default_of
 from ..scenario.scenario import DURATION, TABLE_FILE, Scenario
 from ..scenario.table import QUATERNION_COLUMNS
@@ -195,6 +196,9 @@ def _with_all(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scena
     changed: Scenario = _changed(scenario, changes)
     if inputs:
         changed = replace(changed, inputs=_merged(changed.inputs, inputs))
+    if "file" in inputs:
+        file = (scenario.folder or Path()) / str(inputs["file"])
+        changed = replace(changed, input_table=InputTable.read(file))
     return with_options(changed, Options(parameters)) if parameters else changed
 
 

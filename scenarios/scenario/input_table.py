@@ -34,23 +34,40 @@ class InputTable:
         assert len(table.times)  # which are checked
         return table
 
+    @classmethod
+    def of_trajectory(cls, path: Path) -> tuple[Self, bool]:
+        """Read the columns FMU.INPUT of a trajectory's table, and whether it has others, too."""
+        try:
+            lines = list(csv.reader(io.StringIO(read_text(path, _MAX_BYTES))))
+        except csv.Error:  # which the trajectory's reader explains
+            return cls(), True
+        names = [name.strip() for name in lines[0]] if lines else []
+        places = [i for i, name in enumerate(names) if name == "time" or "." in name]
+        if len(places) < 2:  # the time and an input
+            return cls(), True
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(
+            [cell for i, cell in enumerate(line) if i in places] for line in lines
+        )
+        return cls(text.getvalue(), str(path)), len(places) < len(names)
+
     @cached_property
     def _cells(self) -> dict[str, tuple[str, ...]]:
         """Columns by name."""
         try:
-            lines = [line for line in csv.reader(io.StringIO(self.text), strict=True) if line]
+            lines = [line for line in csv.reader(io.StringIO(self.text), strict=True) if any(line)]
         except csv.Error as error:
             raise InputError(f"{self.place}: {error}; must be CSV") from None
         names = [name.strip() for name in lines[0]] if lines else []
-        if names[:1] != ["time"] or len(set(names)) < len(names) or len(lines) < 2:
+        if "time" not in names or len(set(names)) < len(names) or len(lines) < 2:
             raise InputError(
-                f"{self.place}: line 1: columns {excerpt(','.join(names))}; must be time, then "
-                "inputs as FMU.INPUT, each once, and a row"
+                f"{self.place}: line 1: columns {excerpt(','.join(names))}; must be time and "
+                "inputs as FMU.INPUT, each once, with a row"
             )
-        for number, line in enumerate(lines, 1):
+        for row, line in enumerate(lines[1:], 1):
             if len(line) != len(names):
                 raise InputError(
-                    f"{self.place}: row {number}: {len(line)} values; must be {len(names)}"
+                    f"{self.place}: row {row}: {len(line)} values; must be {len(names)}"
                 )
         return dict(zip(names, zip(*lines[1:], strict=True), strict=True))
 

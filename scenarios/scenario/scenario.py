@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PlainValidator
+from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...fmus.errors import InputError
@@ -44,6 +44,7 @@ SCENARIO_FILE = "scenario.toml"
 TABLE_FILE = "trajectory.csv"
 SHIPPED_FOLDER = Path(__file__).parents[1] / "library"
 MAX_STEPS = 3_600_000  # an hour at 1 ms
+MAX_MULTIPLE = 1_000_000  # steps of the system in one of an FMU
 # The table of a system without a commanded hand.
 NO_TABLE = TrajectoryTable(
     tuple(TableRow(time, "world", (0.0, 0.0, 9.87654321), 0.01234) for time in (0.0, 1.0))
@@ -77,6 +78,12 @@ def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
 
 
 Parameter = Annotated[float | bool | str | tuple[float, ...], PlainValidator(_parameter)]
+
+
+def _multiple(value: object) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MAX_MULTIPLE:
+        return value
+    raise ValueError(f"value {excerpt(value)}; must be a whole number from 1 to {MAX_MULTIPLE}")
 
 
 @checked
@@ -140,9 +147,7 @@ class Scenario:
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
     # Steps of an FMU as multiples of the system's.
-    steps: Mapping[str, Annotated[int, Field(strict=True, ge=1, le=1_000_000)]] = field(
-        default_factory=dict
-    )
+    steps: Mapping[str, Annotated[int, PlainValidator(_multiple)]] = field(default_factory=dict)
     # Values of unconnected inputs; `file`: a table of inputs over time.
     inputs: Mapping[str, Parameter] = field(default_factory=dict)
     input_table: InputTable = field(default_factory=InputTable)
@@ -252,18 +257,26 @@ class Scenario:
         path = folder / SCENARIO_FILE
         keys = _parse_toml(path)
         is_system = keys.get("system") or keys.get("fmus")
-        has_table = not is_system or (folder / TABLE_FILE).exists()
+        has_table, driven = not is_system or (folder / TABLE_FILE).exists(), InputTable()
+        if has_table:
+            driven, has_table = InputTable.of_trajectory(folder / TABLE_FILE)
         table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else NO_TABLE
         try:
             check_keys("", keys, KEYS)
             inputs = keys.get("inputs", {})
             file = inputs.get("file") if isinstance(inputs, Mapping) else None
-            inputs_over_time = InputTable.read(folder / file) if isinstance(file, str) else None
+            if file is not None and driven.text:
+                raise InputError(
+                    f"[inputs] file: value {excerpt(file)}; must be left out, as {TABLE_FILE} "
+                    "has inputs"
+                )
+            if file is not None:
+                driven = InputTable.read(folder / Line().check("[inputs] file", file))
             return cls(
                 **keys,
                 name=folder.resolve().name,
                 table=table,
-                input_table=inputs_over_time or InputTable(),
+                input_table=driven,
                 folder=folder,
             )
         except InputError as error:

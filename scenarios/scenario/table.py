@@ -2,7 +2,7 @@
 
 A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,grip_force,blend,name`. The four q
 columns may be missing, or blank in a row, for the hand's home orientation; so may `grip_force` and
-`blend`, for 0, and `name`, for none.
+`blend`, for 0, and `name`, for none. Columns `FMU.INPUT` are read by `input_table`.
 """
 
 import csv
@@ -174,7 +174,7 @@ def _check_header(names: list[str]) -> None:
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
     valid = (*COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN)
     for name in names:
-        if name not in valid:
+        if name not in valid and "." not in name:
             hint = did_you_mean(name, valid)
             raise InputError(f"column {excerpt(name)} is unknown; valid: {', '.join(valid)}{hint}")
         if names.count(name) > 1:

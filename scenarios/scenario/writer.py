@@ -111,8 +111,8 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
             folder / name: (scenario.folder / name).read_bytes().decode("utf-8")
             for name in (
                 SCENARIO_FILE,
-                *([] if scenario.is_system else [TABLE_FILE]),
-                *([str(scenario.inputs["file"])] if scenario.input_table.text else []),
+                *([TABLE_FILE] if (scenario.folder / TABLE_FILE).exists() else []),
+                *([str(scenario.inputs["file"])] if "file" in scenario.inputs else []),
             )
         }
     except (InputError, OSError, ValueError):  # changed or removed since

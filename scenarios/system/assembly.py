@@ -20,7 +20,7 @@ from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.master.step import ITERATIONS
-from ...fmus.master.system import RECORDED_KINDS, System
+from ...fmus.master.system import System
 from ...fmus.master.wiring import Array, Name
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
@@ -75,8 +75,6 @@ class Assembly:
         }  # fmt: skip
 
     def _is_recorded(self, name: str, variable: Variable) -> bool:
-        if variable.kind not in RECORDED_KINDS:
-            return False
         if not variable.on_request or f"{name}.{variable.name}" in self.asked:
             return True
         return any(each.source == (name, variable.names()[0]) for each in self.connections)
@@ -219,7 +217,6 @@ def _unfed(
         (instance, name)
         for instance, interface in interfaces.items()
         for variable in interface.of("input")
-        if variable.kind in RECORDED_KINDS
         for name in variable.names()
         if (instance, name) not in without
     ]

@@ -13,7 +13,6 @@ from ...fmus.interface.tables import Connection
 from ...fmus.interface.types import can_convert, is_lossless, type_of
 from ...fmus.interface.units import BASES, Unit, Units, conversion
 from ...fmus.interface.variables import Variable
-from ...fmus.master.system import RECORDED_KINDS
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean, excerpt
 from ...plant.parameters import ARM_JOINTS
@@ -43,8 +42,7 @@ class Connector:
         self._outputs: dict[str, list[tuple[str, Variable]]] = {}  # by their names
         for part in parts:
             for variable in part.interface.of("output"):
-                if variable.kind in RECORDED_KINDS:
-                    self._outputs.setdefault(variable.name, []).append((part.name, variable))
+                self._outputs.setdefault(variable.name, []).append((part.name, variable))
 
     @property
     def notes(self) -> list[str]:
@@ -52,7 +50,7 @@ class Connector:
         return [
             f"{name}: nothing feeds {', '.join(inputs[:SHOWN])}"
             + (f" and {len(inputs) - SHOWN} more inputs" if len(inputs) > SHOWN else "")
-            + ", which keep their start values"
+            + ": start values are kept"
             for name, inputs in self._open.items()
         ]
 
@@ -98,9 +96,8 @@ class Connector:
 
     def connect_by_name(self, part: Part, variable: Variable) -> None:
         """Connect an input to the one output of its name."""
-        if variable.kind not in RECORDED_KINDS:
-            return
-        if all((part.name, n) in self._fed for n in variable.names()):
+        unfed = [name for name in variable.names() if (part.name, name) not in self._fed]
+        if not unfed:
             return
         outputs = [
             (name, v) for name, v in self._outputs.get(variable.name, ()) if name != part.name
@@ -108,7 +105,8 @@ class Connector:
         target = f"{part.name}.{variable.name}"
         if not outputs:
             if part.file is not None and variable.name not in OPTIONAL:
-                self._open.setdefault(part.name, []).append(variable.name)
+                names = [variable.name] if len(unfed) == variable.size else unfed
+                self._open.setdefault(part.name, []).extend(names)
             return
         if len(outputs) > 1:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
