@@ -111,12 +111,16 @@ def _physics(workload: _Workload, *, drawn: bool) -> Way:
 
 def _own_master(workload: _Workload, session: OpenSystem) -> Way:
     """(c) This project's master over the FMUs."""
-    master, plant = session.master, session.slaves["plant"]
+    master, names = session.master, _names("plant", "qpos")
+    values: Array = np.zeros((1, len(names)))
+    read = session.slaves["plant"].bind_get(names, values)
     master.begin(lambda _rows: None)
-    return (
-        lambda _, count: master.step(count, workload.commands),
-        lambda: plant.get_real(_names("plant", "qpos")),
-    )
+
+    def state() -> Array:
+        read(0)
+        return np.array(values[0])
+
+    return lambda _, count: master.step(count, workload.commands), state
 
 
 @contextmanager

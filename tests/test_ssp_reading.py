@@ -308,7 +308,7 @@ MASS = '<ssd:Connectors><ssd:Connector name="v" kind="input"><ssc:Real unit="s"/
         (ssd(toy("a", more=parameters(value("k", "1 2")))), "has 2 values; must be one value"),
         (ssd(toy("a", more=parameters(value("k", "1", more='unit="s"')))), None),
         (ssd(toy("a", more=parameters(value("u[1,1]", "1", more='unit="s"')))),
-         "parameter a.u[1,1]: unit 's'; must be 'N', or of the same SI base units"),
+         "parameter a.u[1,1]: unit 's' feeds unit 'N'; must be the same"),
         (ssd(toy("a", more=parameters(value("mode", "thrice", "Enumeration")))),
          "parameter a.mode = 'thrice'; must be of type Enumeration"),
     ],

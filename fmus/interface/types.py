@@ -6,8 +6,13 @@ from typing import Any, Final
 
 from .variables import INTEGERS, Scalar, Value, Variable
 
-# Bits that a whole number may have, in each type that holds fractions, too.
-_FRACTIONS: Final = {"Float64": 53, "Float32": 24}
+# Bits of the whole numbers that a type holds without a gap, and whether one is the sign's.
+_WHOLE: Final = {
+    **INTEGERS,
+    "Float64": (54, True),
+    "Float32": (25, True),
+    "Enumeration": (32, True),
+}
 _FMI2: Final = {"Real": "Float64", "Integer": "Int32"}
 # Values that a float64 cannot hold; rows with such values hold Python's objects.
 OBJECTS: Final = ("Int64", "UInt64", "String", "Binary")
@@ -39,22 +44,14 @@ def is_lossless(source: Variable, target: Variable) -> bool:
     one, other = type_of(source), type_of(target)
     if one == other:
         return set(source.choices) <= set(target.choices or source.choices)
-    if other == "Float64":
-        return one in ("Float32", "Enumeration") or _bits(one) <= _FRACTIONS[other]
-    if one == "Enumeration":
-        return other in ("Int32", "Int64")
-    if other in _FRACTIONS:
-        return _bits(one) <= _FRACTIONS[other]
-    if one in INTEGERS and other in INTEGERS:
-        (bits, signed), (room, can_be_negative) = INTEGERS[one], INTEGERS[other]
-        return room - can_be_negative >= bits - signed and can_be_negative >= signed
-    return False
+    if one == "Float32":
+        return other == "Float64"
+    if one == "Float64" or other == "Enumeration" or not {one, other} <= _WHOLE.keys():
+        return False
+    (bits, signed), (room, can_be_negative) = _WHOLE[one], _WHOLE[other]
+    return room - can_be_negative >= bits - signed and can_be_negative >= signed
 
 
 def can_convert(source: Variable, target: Variable) -> bool:
     """Whether a source's values can be converted where that is asked for: all numbers can."""
     return not {type_of(source), type_of(target)} & {"String", "Binary"}
-
-
-def _bits(name: str) -> float:
-    return INTEGERS[name][0] if name in INTEGERS else float("inf")

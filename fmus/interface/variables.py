@@ -22,7 +22,7 @@ from .units import Units
 
 Causality = Literal["input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable", "constant"]
-Kind = Literal["Real", "Float32", "Integer", "Boolean", "Enumeration", "String", "Binary"]
+Kind = Literal["Real", "Integer", "Boolean", "Enumeration", "String", "Binary"]
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
 Unit = str | tuple[str, ...]

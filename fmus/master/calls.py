@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SimulationError
+from ..interface.types import type_of
+from ..interface.variables import INTEGERS, Scalar
 from .message_log import WARNING
 
 if TYPE_CHECKING:
@@ -35,7 +37,6 @@ class Access:
         references: Sequence[int],
         block: NDArray[Any],
         *more: object,
-        sizes: NDArray[np.uintp] | None = None,  # of Binaries
     ) -> None:
         self.slave, self.function, self.block = slave, function, block
         self.references = np.array(references, np.uint32)
@@ -46,7 +47,6 @@ class Access:
             pointer(slave.component),
             pointer(self.references.ctypes.data),
             ctypes.c_size_t.from_param(len(self.references)),
-            *([] if sizes is None else [pointer(sizes.ctypes.data)]),
         )
         self._more = more
 
@@ -65,7 +65,7 @@ class Access:
 
 
 class Rearranged:
-    """An access through values of its own, where those of a block are of another order or type."""
+    """An access through values of its own, where those of a block are in another order."""
 
     def __init__(
         self,
@@ -86,69 +86,57 @@ class Rearranged:
             self.call(0)
             self.block[row, self.columns] = values[self.places]
         else:
-            values[self.places] = self._in_type(self.block[row, self.columns])
+            values[self.places] = self.block[row, self.columns]
             self.call(0)
 
-    def _in_type(self, numbers: NDArray[Any]) -> Any:
-        """Return numbers in the FMU's type; whole ones are rounded, and must be in its range."""
-        dtype = self.call.block.dtype
-        if not np.issubdtype(dtype, np.integer):
-            return numbers.astype(dtype)
-        try:
-            return np.array([round(number) for number in numbers.tolist()], dtype)
-        except OverflowError:
-            what = f"{self.call.function.__name__}: one of {numbers.tolist()} is out of the range"
-            raise SimulationError(f"{what} of {dtype}", instance=self.call.slave.name) from None
 
+class Typed:
+    """An access to variables of one type that is not Real, through FMPy's functions of lists."""
 
-class Texts:
-    """An access to Strings or Binaries, through pointers; rows hold them as str or bytes."""
-
-    def __init__(  # noqa: PLR0913 - see `Rearranged`, and sizes
+    def __init__(  # noqa: PLR0913 - see `Rearranged`
         self,
-        call: Access,
-        sizes: NDArray[np.uintp] | None,  # of Binaries
-        places: Sequence[int],
-        columns: Sequence[int],
+        slave: FmuSlave,
+        scalars: Sequence[Scalar],
+        places: Sequence[int],  # of the values that belong to
+        columns: Sequence[int],  # of the block
         block: NDArray[Any],
         *,
         reads: bool,
     ) -> None:
-        self._call, self._sizes, self._block, self._reads = call, sizes, block, reads
-        self._places = list(zip(places, columns, strict=True))
-        self._items: list[bytes] = [b""] * call.block.shape[1]
-
-    def start_from(self, call: Access) -> None:
-        """Read what is not in the block, and is set again and again, with a getter."""
-        call(0)
-        self._items = self._read(call)
+        self._slave, self._block, self._reads = slave, block, reads
+        self._arrays = list({scalar.variable.name: scalar for scalar in scalars}.values())
+        self._ends = list(zip(scalars, places, columns, strict=True))
+        self._values: list[Any] = [None] * sum(each.variable.size for each in self._arrays)
+        if not reads and len(scalars) < len(self._values):  # the others are set again and again
+            self._values = slave.get_values(self._arrays)
 
     def __call__(self, row: int) -> None:
         """Exchange the values of a row of the block."""
         if self._reads:
-            self._call(0)
-            items = self._read(self._call)
-            for place, column in self._places:
-                item = items[place]
-                text = item if self._sizes is not None else item.decode("utf-8", "replace")
-                self._block[row, column] = text
+            values = self._slave.get_values(self._arrays)
+            for _, place, column in self._ends:
+                self._block[row, column] = values[place]
             return
-        for place, column in self._places:
-            text = self._block[row, column]
-            self._items[place] = text if isinstance(text, bytes) else str(text).encode()
-        buffers = [ctypes.create_string_buffer(item) for item in self._items]
-        self._call.block[0] = [ctypes.addressof(buffer) for buffer in buffers]
-        if self._sizes is not None:
-            self._sizes[:] = [len(item) for item in self._items]
-        self._call(0)
+        for scalar, place, column in self._ends:
+            self._values[place] = self._in_type(scalar, self._block[row, column])
+        self._slave.set_lists(self._arrays, self._values)
 
-    def _read(self, call: Access) -> list[bytes]:
-        pointers: list[int] = call.block[0].tolist()
-        sizes = [-1] * len(pointers) if self._sizes is None else self._sizes.tolist()
-        return [
-            ctypes.string_at(pointer, size) if pointer and size else b""
-            for pointer, size in zip(pointers, sizes, strict=True)
-        ]
+    def _in_type(self, scalar: Scalar, value: Any) -> Any:
+        """Return a value in the FMU's type; a whole number is rounded, and must be in its range."""
+        kind = type_of(scalar.variable)
+        if kind in ("String", "Binary"):
+            return value
+        if kind in ("Boolean", "Float32"):
+            return value != 0 if kind == "Boolean" else float(value)
+        bits, signed = INTEGERS.get(kind, INTEGERS["Int32"])  # of an enumeration
+        number = round(value) if abs(value) < 2**64 else 2**64
+        if not -(2 ** (bits - 1)) * signed <= number < 2 ** (bits - signed):
+            raise SimulationError(
+                f"value {value} is out of the range of {kind}",
+                instance=self._slave.name,
+                variable=scalar.name,
+            )
+        return number
 
 
 class Several:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping
 from functools import cache
-from types import MappingProxyType
 from typing import Any
 
-import numpy as np
 from fmpy import calloc, fmi2, free
 from fmpy.fmi2 import FMU2Slave
 from fmpy.logging import addLoggerProxy
@@ -34,15 +32,7 @@ def _logger() -> Any:
 class Fmi2Slave(FmuSlave):
     """An instance of an FMI 2.0 FMU: a value reference is one scalar."""
 
-    fmpy_class, prefix, counts_values = FMU2Slave, "fmi2", False
-    state_name = "FMUstate"
-    types = MappingProxyType({
-        "Real": ("Real", np.float64),
-        "Integer": ("Integer", np.int32),
-        "Enumeration": ("Integer", np.int32),
-        "Boolean": ("Boolean", np.int32),
-        "String": ("String", np.uintp),
-    })  # fmt: skip
+    fmpy_class, prefix, state_name, enumeration = FMU2Slave, "fmi2", "FMUstate", "Integer"
 
     def _instantiate(self, instance: Any) -> None:
         callbacks = fmi2.fmi2CallbackFunctions()

@@ -5,10 +5,8 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping
 from functools import cache
-from types import MappingProxyType
 from typing import Any
 
-import numpy as np
 from fmpy import fmi3
 from fmpy.fmi3 import FMU3Slave
 
@@ -29,17 +27,7 @@ def _logger() -> Any:
 class Fmi3Slave(FmuSlave):
     """An instance of an FMI 3.0 FMU: a value reference is a whole array."""
 
-    fmpy_class, prefix, counts_values = FMU3Slave, "fmi3", True
-    state_name = "FMUState"
-    types = MappingProxyType({
-        "Float64": ("Float64", np.float64),
-        "Float32": ("Float32", np.float32),
-        "Enumeration": ("Int64", np.int64),
-        "Boolean": ("Boolean", np.bool_),
-        **{kind: (kind, np.uintp) for kind in ("String", "Binary")},
-        **{f"Int{bits}": (f"Int{bits}", f"i{bits // 8}") for bits in (8, 16, 32, 64)},
-        **{f"UInt{bits}": (f"UInt{bits}", f"u{bits // 8}") for bits in (8, 16, 32, 64)},
-    })  # fmt: skip
+    fmpy_class, prefix, state_name, enumeration = FMU3Slave, "fmi3", "FMUState", "Int64"
 
     def _instantiate(self, instance: Any) -> None:
         # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import inspect
-import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -15,15 +14,15 @@ from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, Final, NoReturn
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
-from ..interface.variables import Value
+from ..interface.variables import Scalar, Value
 from ..messages import one_line
-from .calls import Access, Rearranged, Several, StepCall, Texts
+from .calls import Access, Rearranged, Several, StepCall, Typed
 from .fmu_file import Fmu
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 from .wiring import Array, Exchange
@@ -31,6 +30,7 @@ from .wiring import Array, Exchange
 # One thread at a time: FMPy changes the working directory while it loads a library, and
 # PythonFMU's wrapper changes sys.path while it makes an instance.
 _loading = Lock()
+REALS: Final = ("Real", "Float64")  # of FMI 2.0 and 3.0
 
 
 def working_directory() -> Path:
@@ -75,10 +75,9 @@ class FmuSlave(ABC):
     # Different in FMI 2.0 and 3.0.
 
     fmpy_class: ClassVar[Any]  # of FMPy, which loads the library
-    types: ClassVar[Mapping[str, tuple[str, DTypeLike]]]  # name in FMI's functions and C type
+    enumeration: ClassVar[str]  # in the names of functions
     prefix: ClassVar[str]  # of FMI's functions
     state_name: ClassVar[str]  # in the names of functions
-    counts_values: ClassVar[bool]  # whether getters and setters take the number of values
 
     @abstractmethod
     def _instantiate(self, instance: Any) -> None:
@@ -95,27 +94,47 @@ class FmuSlave(ABC):
     # The same in FMI 2.0 and 3.0; in 2.0, each array is one scalar.
 
     def set_values(self, values: Mapping[str, Value]) -> None:
-        """Set scalars once, between two steps for example; others of Real arrays keep their values.
+        """Set scalars once, between two steps for example; other elements keep their values."""
+        self._set_arrays(values, self.get_values)
 
-        What is not Real is set as whole arrays.
-        """
-        variables = {name: self.fmu.variable(name).variable for name in values}
-        parts = [n for n, v in variables.items() if v.shape and v.fmi_type == "Float64"]
-        if parts:
-            self.bind_set(parts, np.array([[float(values[n]) for n in parts]]))(0)
-        self._set_arrays({n: v for n, v in values.items() if n not in parts})
-
-    def _set_arrays(self, values: Mapping[str, Value]) -> None:
-        """Set whole arrays; elements that are not named get their start values."""
-        arrays = {v.name: v for v in (self.fmu.variable(name).variable for name in values)}
-        for name, array in arrays.items():
+    def _set_arrays(
+        self,
+        values: Mapping[str, Value],
+        read: Callable[[Sequence[Scalar]], list[Any]] | None = None,
+    ) -> None:
+        """Set whole arrays; elements that are not named are read, or get their start values."""
+        for array in {
+            v.name: v for v in (self.fmu.variable(name).variable for name in values)
+        }.values():
             scalars = [self.fmu.variable(each) for each in array.names()]
-            content = [
-                s.converted(values[s.name]) if s.name in values else s.start_value()
-                for s in scalars
-            ]
-            setter = getattr(self._instance, f"set{self.types[array.fmi_type][0]}")
-            self._call(f"set {name}", partial(setter, [scalars[0].value_reference], content), name)
+            content = (
+                read(scalars[:1]) if read and array.shape else [s.start_value() for s in scalars]
+            )
+            for i, scalar in enumerate(scalars):
+                if scalar.name in values:
+                    content[i] = scalar.converted(values[scalar.name])
+            self.set_lists(scalars[:1], content)
+
+    def get_values(self, arrays: Sequence[Scalar]) -> list[Any]:
+        """Read whole arrays of one type; each is named by one of its scalars."""
+        kind = arrays[0].variable.fmi_type
+        size = [sum(array.variable.size for array in arrays)] if self.fmu.fmi == 3 else []
+        values = self._call_typed("get", arrays, *size)
+        if kind == "String":
+            return [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values]
+        return [v or b"" for v in values] if kind == "Binary" else list(values)
+
+    def set_lists(self, arrays: Sequence[Scalar], values: Sequence[Any]) -> None:
+        """Write whole arrays of one type, see `get_values`."""
+        self._call_typed("set", arrays, values)
+
+    def _call_typed(self, verb: str, arrays: Sequence[Scalar], *arguments: object) -> Any:
+        kind = arrays[0].variable.fmi_type
+        label = f"{verb}{self.enumeration if kind == 'Enumeration' else kind}"
+        references = [array.value_reference for array in arrays]
+        call = partial(getattr(self._instance, label), references, *arguments)
+        names = [array.variable.name for array in arrays]
+        return self._call(label, call, names[0] if len(names) == 1 else "")
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function of a row's index that reads variables into that row of a block."""
@@ -142,28 +161,21 @@ class FmuSlave(ABC):
     def _bind_type(
         self, verb: str, kind: str, names: Sequence[str], columns: list[int], block: Array
     ) -> Exchange:
-        label, dtype = self.types[kind]
         references, places, size = self._elements(names)
+        if kind not in REALS:
+            scalars = [self.fmu.variable(name) for name in names]
+            return Typed(self, scalars, places, columns, block, reads=verb == "Get")
         is_in_order = places == list(range(size)) and columns == list(
             range(columns[0], columns[-1] + 1)
         )
-        if is_in_order and dtype is np.float64 and block.dtype == np.float64:
+        if is_in_order and block.dtype == np.float64:
             part = block[:, columns[0] : columns[-1] + 1]
-            return self._bind_rows(f"{verb}{label}", references, part)
-        values: NDArray[Any] = np.zeros((1, size), dtype)
-        sizes = np.zeros(size, np.uintp) if kind == "Binary" else None
-        call, get = (
-            self._bind_rows(f"{each}{label}", references, values, sizes) for each in (verb, "Get")
-        )
-        reads, is_part = verb == "Get", verb == "Set" and len(names) < size
-        if dtype is np.uintp:
-            texts = Texts(call, sizes, places, columns, block, reads=reads)
-            if is_part:
-                texts.start_from(get)
-            return texts
-        if is_part:
+            return self._bind_rows(f"{verb}{kind}", references, part)
+        values = np.zeros((1, size))
+        call, get = (self._bind_rows(f"{each}{kind}", references, values) for each in (verb, "Get"))
+        if verb == "Set" and len(names) < size:
             get(0)
-        return Rearranged(call, places, columns, block, reads=reads)
+        return Rearranged(call, places, columns, block, reads=verb == "Get")
 
     def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
         """Value references of the arrays that hold scalars, each one's place, and their size."""
@@ -218,7 +230,7 @@ class FmuSlave(ABC):
         cause = self.log.cause.removeprefix("initialization: ")
         return InputError(f"{self.name}: the FMU refuses its start values: {cause}")
 
-    def _call(self, what: str, call: Callable[[], object], variable: str = "") -> None:
+    def _call(self, what: str, call: Callable[[], object], variable: str = "") -> Any:
         try:
             returned = call()
         except Exception as error:  # FMPy's FMICallException or a ctypes error
@@ -226,17 +238,14 @@ class FmuSlave(ABC):
             self.fail(what, status if isinstance(status, int) else ERROR, None, variable)
         if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
             self.fail(what, returned, None, variable)
+        return returned
 
     def _bind_rows(
-        self,
-        label: str,
-        references: Sequence[int],
-        block: NDArray[Any],
-        sizes: NDArray[np.uintp] | None = None,
+        self, label: str, references: Sequence[int], block: NDArray[np.float64]
     ) -> Access:
         """Make a function that calls a getter or setter of FMI with a row of a block."""
-        more = (ctypes.c_size_t.from_param(block.shape[1]),) if self.counts_values else ()
-        return Access(self, self.function(label), references, block, *more, sizes=sizes)
+        more = (ctypes.c_size_t.from_param(block.shape[1]),) if self.fmu.fmi == 3 else ()
+        return Access(self, self.function(label), references, block, *more)
 
     def function(self, label: str) -> Any:
         """A function of the library, such as "DoStep"."""
@@ -261,12 +270,6 @@ class FmuSlave(ABC):
         name = STATUS[status] if known else f"{ctypes.c_int(status).value}, which is not a status"
         text = f"{what} returned {name}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
-
-    def get_real(self, names: Sequence[str]) -> Array:
-        """Read variables once; returns their values (len(names),)."""
-        values: Array = np.full(len(names), math.nan)
-        self.bind_get(names, values[np.newaxis])(0)
-        return values
 
     def save(self) -> Callable[[], None]:
         """Save the state; returns a function that goes back to it, as often as it is called."""

@@ -10,6 +10,7 @@ from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, cast
+from xml.etree import ElementTree as ET
 
 from ..atomic import cache_folder
 from ..errors import InputError
@@ -21,16 +22,16 @@ from ..reading import file_digest, finite_number, read_xml, unpack
 VERSIONS: Final = {"2.0": 2, "3.0": 3}
 # FMI 3.0's types by the names of FMI 2.0, if the master treats them alike.
 _KINDS: Final = {
-    "Float64": "Real",
+    **dict.fromkeys(("Float64", "Float32"), "Real"),
     **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
 }
 TEXTS: Final = ("String", "Binary")  # kinds whose start value is kept as it is written
-_NUMBERS: Final = ("Real", "Float32", "Integer")  # an interface table's Real
+_NUMBERS: Final = ("Real", "Integer")  # an interface table's Real
 STRUCTURAL: Final = "structuralParameter"
 _SHOWN: Final = ("input", "output", "parameter")
 _NAMES_NOTE: Final = "org.panda-cosim.names"  # annotation with names as in FMI 2.0
 _IDENTIFIER: Final = re.compile(r"[\w-]+", re.A)  # containers have the name of their file
-_LINEAR: Final = ("factor", "offset")  # attributes of a BaseUnit beside the exponents
+_ATTRIBUTES: Final = {**dict.fromkeys(BASES, "0"), "factor": "1", "offset": "0"}  # of a BaseUnit
 _FEW: Final = 4  # descriptions of an array's elements that are joined
 _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
@@ -48,16 +49,18 @@ class Fmu:
         self.path, self.label = path, label or str(path)
         self.sha256 = file_digest(path)
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
-        self.description = _read_description(path, self.folder)
+        place = f"{path}: modelDescription.xml"
+        root = read_xml(self.folder / "modelDescription.xml", place)
+        self.description = _read_description(path, self.folder, root)
         self.fmi = VERSIONS[self.description.fmiVersion]
         described = self.description.modelVariables
         self.clocked = [v.name for v in described if v.type == "Clock" or v.clocks]  # left out
         self.structural = {v.name for v in described if v.causality == STRUCTURAL}
         self.relative = {v.name for v in described if _is_relative(v)}
         self.sizes: dict[str, int] = {}  # values of structural parameters that are changed
-        self._noted = _noted_names(path, self.folder)
+        self._noted = _noted_names(root)
         self.variables = self._scalars()
-        self.units = _units(f"{path}: modelDescription.xml", self.description.unitDefinitions)
+        self.units = read_units(place, root.iterfind("UnitDefinitions/Unit"))
         # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
         if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
             raise InputError(
@@ -133,7 +136,7 @@ def _parsed(variable: Variable, text: str) -> Value:
         return text
     if "_" in text or not text.isascii():  # which Python takes, but not XML
         raise ValueError(text)
-    if variable.kind in ("Real", "Float32"):
+    if variable.kind == "Real":
         is_whole = variable.fmi_type in INTEGERS and text.lstrip("+-").isdigit()
         return int(text) if is_whole else float(text)
     if variable.kind == "Enumeration" and variable.choices:
@@ -141,12 +144,11 @@ def _parsed(variable: Variable, text: str) -> Value:
     return int(text)
 
 
-def _read_description(path: Path, folder: Path) -> Any:
+def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
     import fmpy  # noqa: PLC0415 - takes 0.2 s, wasted on a command that runs no FMU
     from fmpy.model_description import read_model_description  # noqa: PLC0415 - see above
 
     label = f"{path}: modelDescription.xml"
-    root = read_xml(folder / "modelDescription.xml", label)
     version = root.get("fmiVersion")
     if root.tag != "fmiModelDescription" or version not in VERSIONS:
         raise InputError(
@@ -176,11 +178,13 @@ def _read_description(path: Path, folder: Path) -> Any:
     return description
 
 
-def _units(place: str, definitions: Sequence[Any]) -> Units:
-    """Units that define their base units, from FMPy's `Unit`s."""
+def read_units(place: str, elements: Iterable[ET.Element]) -> Units:
+    """Read definitions of units of an FMU or an SSP; a unit may lack its base units."""
     units = {}
-    for name, base in ((each.name, each.baseUnit) for each in definitions if each.baseUnit):
-        numbers = {key: finite_number(str(getattr(base, key))) for key in (*BASES, *_LINEAR)}
+    for name, base in ((each.get("name", ""), each.find("{*}BaseUnit")) for each in elements):
+        if base is None:
+            continue
+        numbers = {key: finite_number(base.get(key, preset)) for key, preset in _ATTRIBUTES.items()}
         if None in numbers.values() or not numbers["factor"]:
             raise InputError(
                 f"{place}: BaseUnit of {excerpt(name)}; must have whole exponents, a factor "
@@ -211,9 +215,8 @@ def _shape(described: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:
     return tuple(changed.get(i, n) for i, n in enumerate(described.shape or ()))
 
 
-def _noted_names(path: Path, folder: Path) -> dict[str, list[str]]:
+def _noted_names(root: ET.Element) -> dict[str, list[str]]:
     """Names of an array's elements without `--fmi 3` and `--names flat`, in an FMU of ours."""
-    root = read_xml(folder / "modelDescription.xml", f"{path}: modelDescription.xml")
     return {
         variable.get("name", ""): [name.text or "" for name in note]
         for variable in root.iterfind("ModelVariables/*")
@@ -310,8 +313,7 @@ def _table_row(name: str, shape: tuple[int, ...], scalars: Sequence[Scalar]) -> 
     units = tuple(s.unit for s in scalars)
     texts = list(dict.fromkeys(s.variable.description for s in scalars))
     kinds = {"parameter": "tunable" if first.variability == "tunable" else "fixed"}
-    is_real = first.kind in ("Real", "Float32")
-    kinds["input"] = first.variability or ("continuous" if is_real else "discrete")
+    kinds["input"] = first.variability or ("continuous" if first.kind == "Real" else "discrete")
     return replace(
         first,
         name=name,

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import Any, Final, NoReturn, TypeAlias
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
@@ -40,17 +40,6 @@ _CHILD: Final = (
 )
 
 
-_Packed: TypeAlias = "bytes | list[Any]"  # values as they are sent: float64, or objects
-
-
-def _packed(values: Array) -> _Packed:
-    return values.tolist() if values.dtype == object else values.tobytes()
-
-
-def _unpacked(packed: _Packed) -> Any:
-    return np.frombuffer(packed) if isinstance(packed, bytes) else np.array(packed, object)
-
-
 class RemoteSlave:
     """One instance of an FMU in a process of its own, as the master steps it.
 
@@ -71,8 +60,8 @@ class RemoteSlave:
         self.name, self.fmu = name, fmu
         self._on_message, self._step_timeout = on_message, step_timeout
         self._time: float | None = None  # of the present step [s]
-        self._inputs: dict[int, _Packed] = {}  # put since the last request, by block
-        self._outputs: list[_Packed] | None = None  # of each block; None: out of date
+        self._inputs: dict[int, Array] = {}  # put since the last request, by block
+        self._outputs: list[Array] | None = None  # of each block; None: out of date
         self._blocks = {"bind_get": 0, "bind_set": 0}  # number of each
         self._waiting = False  # for a reply
         self._connection, there = Pipe()
@@ -100,11 +89,6 @@ class RemoteSlave:
         """Set variables once, see `FmuSlave.set_values`."""
         self._call("set_values", dict(values))
 
-    def get_real(self, names: Sequence[str]) -> Array:
-        """Read variables once, see `FmuSlave.get_real`."""
-        values: Array = self._call("get_real", list(names))
-        return values
-
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that reads variables into a row, see `FmuSlave.bind_get`."""
         index = self._bind("bind_get", names, block)
@@ -112,7 +96,7 @@ class RemoteSlave:
         def read(row: int) -> None:
             if self._outputs is None:
                 self._outputs = self._call("read")
-            block[row] = _unpacked(self._outputs[index])
+            block[row] = self._outputs[index]
 
         return read
 
@@ -121,7 +105,7 @@ class RemoteSlave:
         index = self._bind("bind_set", names, block)
 
         def put(row: int) -> None:
-            self._inputs[index] = _packed(block[row])
+            self._inputs[index] = block[row].copy()
             self._outputs = None
 
         return put
@@ -241,11 +225,11 @@ class _Host:
         self._blocks = {"bind_get": [], "bind_set": []}
         self._slave: Any = None
 
-    def call(self, method: str, arguments: Any, values: dict[int, _Packed]) -> Any:
+    def call(self, method: str, arguments: Any, values: dict[int, Array]) -> Any:
         """Set input blocks, then call a method of the slave."""
         for index, numbers in values.items():
             block, put = self._blocks["bind_set"][index]
-            block[0] = _unpacked(numbers)
+            block[0] = numbers
             put(0)
         match method:
             case "open":
@@ -262,7 +246,7 @@ class _Host:
                     self._slave.step(*arguments)
                 for _, get in self._blocks["bind_get"]:
                     get(0)
-                return [_packed(block[0]) for block, _ in self._blocks["bind_get"]]
+                return [block[0] for block, _ in self._blocks["bind_get"]]
             case _:
                 return getattr(self._slave, method)(*arguments)
         return None

@@ -4,26 +4,33 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Final
 from xml.etree import ElementTree as ET
 
 from ..build.ssp import PREFIXES
 from ..errors import InputError
-from ..interface.units import Units, conversion
+from ..interface.units import Units
 from ..interface.variables import Value
 from ..messages import did_you_mean
 from ..reading import read_xml
-from .fmu_file import read_value
-from .ssp_document import Document, choice, converts_units, local
-from .ssp_structure import PLAIN, End, Structure, shown
+from .fmu_file import read_units, read_value
+from .ssp_structure import (
+    PLAIN,
+    Document,
+    End,
+    Link,
+    Structure,
+    choice,
+    converts_units,
+    local,
+    shown,
+)
 
 _REALS: Final = ("Real", "Float64", "Float32")
 _INTEGERS: Final = ("Integer", *(f"{u}Int{bits}" for u in ("", "U") for bits in (8, 16, 32, 64)))
 # Types of a parameter by the kind of variable that takes it; others take their own.
 _TYPES: Final = {
     "Real": _REALS,
-    "Float32": _REALS,
     "Integer": _INTEGERS,
     "Enumeration": (*_INTEGERS, "Enumeration", "String"),
 }
@@ -44,7 +51,7 @@ class Parameters:
     def _apply(self, binding: ET.Element, owner: str) -> None:
         document = self._document
         values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", document)
-        own_units = document.units_of(values.iterfind("ssv:Units/ssc:Unit", PREFIXES))
+        own_units = read_units(label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES))
         entries, unused = _entries(binding, document), []
         for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
             name, typed = binding.get("prefix", "") + parameter.get("name", ""), choice(parameter)
@@ -75,38 +82,25 @@ class Parameters:
 
     def _value(self, chain: list[End], text: str, given: _Given) -> Value:
         """Value for the end of a chain; its unit is converted first, then it is transformed."""
-        instance, name = chain[-1]
-        scalar, typed = self._structure.fmus[instance].variable(name), local(given.typed)
-        kind, change = scalar.variable.kind, choice(given.entry)
+        structure, (instance, name) = self._structure, chain[-1]
+        scalar, typed = structure.fmus[instance].variable(name), local(given.typed)
+        kind, change, linear = scalar.variable.kind, choice(given.entry), PLAIN
         if typed not in _TYPES.get(kind, (kind,)):
             raise InputError(f"{given.place}: {typed}; must be one value of type {kind}")
-        steps = [self._converted(chain, given)]
         if change is not None and local(change) == "LinearTransformation":
-            steps.append(self._document.linear(change))
+            linear = self._document.linear(change)
         elif change is not None:
             text = _mapped(change, text, given.place)
         value = read_value(f"{given.place} =", scalar.variable, text)
-        for factor, offset in (*steps, self._structure.linear(chain)):
-            if (factor, offset) != PLAIN:
-                if kind not in ("Real", "Float32"):
-                    raise InputError(
-                        f"{given.place}: a transformation of a {kind}; must be of a Real"
-                    )
-                value = factor * float(value) + offset
+        first = Link(("", ""), linear, converts_units(given.entry))
+        links = [(chain[0], first), *((end, structure.links[end]) for end in chain[1:])]
+        unit = given.typed.get("unit", ""), {**self._document.units, **given.units}
+        factor, offset = structure.linear(given.place, unit, links)
+        if (factor, offset) != PLAIN:
+            if kind != "Real":
+                raise InputError(f"{given.place}: a transformation of a {kind}; must be of a Real")
+            value = factor * float(value) + offset
         return scalar.checked(given.place, value)
-
-    def _converted(self, chain: list[End], given: _Given) -> tuple[float, float]:
-        """Factor and offset from the unit of a value to that of the chain's first end."""
-        if not converts_units(given.entry):
-            return PLAIN
-        ends = (self._structure.units[end] for end in chain)
-        # An end without a unit has the next one's.
-        known, unit = next(filter(itemgetter(0), ends), ("", {})), given.typed.get("unit", "")
-        linear = conversion(unit, {**self._document.units, **given.units}, *known)
-        if linear is None:
-            valid = f"{known[0]!r}, or of the same SI base units"
-            raise InputError(f"{given.place}: unit {unit!r}; must be {valid}")
-        return linear
 
 
 @dataclass(frozen=True)

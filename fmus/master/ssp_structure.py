@@ -6,11 +6,11 @@ system become one from FMU to FMU.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from pathlib import Path
-from typing import Final
+from pathlib import Path, PurePosixPath
+from typing import Final, NoReturn
+from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from ..atomic import cache_folder
@@ -19,9 +19,9 @@ from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.units import Units, conversion
 from ..interface.variables import Variable
-from ..reading import file_digest, unpack
-from .fmu_file import Fmu, read_fmu
-from .ssp_document import Document, choice, converts_units, local
+from ..messages import did_you_mean
+from ..reading import file_digest, finite_number, read_xml, unpack
+from .fmu_file import Fmu, read_fmu, read_units
 
 FMU: Final = "application/x-fmu-sharedlibrary"
 # Kinds of connectors that give values: those of an element, and those of the system around it.
@@ -30,6 +30,7 @@ HANDED_DOWN: Final = ("input", "parameter", "structuralParameter")
 End = tuple[str, str]  # an element, "" for the whole system; a scalar of a connector
 STEP_SIZE: Final = "ssd:Annotations/ssc:Annotation/osp:StepSizeHint"
 PLAIN: Final = (1.0, 0.0)  # factor and offset
+_OTHERS: Final = ("ConnectionGeometry", "ConnectorGeometry", "Dimension", "Annotations", "Clock")
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,57 @@ class _Connector:
 
 
 @dataclass(frozen=True)
-class _Link:
+class Link:
     """What feeds an end."""
 
     source: End
     linear: tuple[float, float]  # factor and offset, after units are converted
     converts_units: bool
-    converts_types: bool  # if there is a transformation, which asks for it
+    converts_types: bool = False  # if there is a transformation, which asks for it
+
+
+class Document:
+    """An .ssd file."""
+
+    def __init__(self, file: Path, label: str) -> None:
+        self.folder, self.label = file.parent, label
+        self.root = read_xml(file, label)
+        self.units = read_units(label, self.root.iterfind("ssd:Units/ssc:Unit", PREFIXES))
+        system = self.root.find("ssd:System", PREFIXES)
+        if not self.root.tag.endswith("}SystemStructureDescription") or system is None:
+            valid = "ssd:SystemStructureDescription of a system"
+            self.refuse(f"root element {self.root.tag!r}", valid)
+        self.system: ET.Element = system
+
+    def refuse(self, what: str, valid: str) -> NoReturn:
+        """Raise an error."""
+        raise InputError(f"{self.label}: {what}; must be {valid}")
+
+    def check_name(self, place: str, name: str, valid: Collection[str], what: str) -> None:
+        """Refuse a name that is not among the valid ones."""
+        if name not in valid:
+            self.refuse(place, f"{what}{did_you_mean(name, valid)}")
+
+    def number(self, element: ET.Element, attribute: str, default: float) -> float:
+        """Read an attribute."""
+        text = element.get(attribute, str(default))
+        number = finite_number(text)
+        if number is None:
+            self.refuse(f"{local(element)}: {attribute} = {text!r}", "a finite number")
+        return number
+
+    def linear(self, element: ET.Element) -> tuple[float, float]:
+        """Factor and offset of a transformation."""
+        return self.number(element, "factor", 1.0), self.number(element, "offset", 0.0)
+
+    def member(self, source: str) -> Path:
+        """Path of a file that is named here; it must be inside the archive."""
+        member = PurePosixPath(unquote(source))
+        if ":" in source or member.is_absolute() or ".." in member.parts:
+            self.refuse(f"source {source!r}", "a path inside the .ssp file")
+        if not (self.folder / member).is_file():
+            self.refuse(f"source {source!r} is missing", "a file inside the .ssp file")
+        return self.folder / member
 
 
 class Structure:
@@ -60,7 +105,7 @@ class Structure:
         self.step_sizes: dict[str, float] = {}  # of components that ask for one [s]
         # Elements <ParameterBinding>, and what they are for; later ones take precedence.
         self.bindings: list[tuple[ET.Element, str]] = []
-        self._links: dict[End, _Link] = {}  # by the end that is fed
+        self.links: dict[End, Link] = {}  # by the end that is fed
         folder = unpack(path, cache_folder() / "unpacked" / file_digest(path)[:24])
         self.document = Document(folder / STRUCTURE_FILE, f"{path}: {STRUCTURE_FILE}")
         self._read_system(self.document.system, "")
@@ -148,11 +193,10 @@ class Structure:
             self.document.refuse(f"{place}: {local(change)}", "a LinearTransformation, or none")
         linear = PLAIN if change is None else self.document.linear(change)
         for source, target in zip(sources, targets, strict=True):
-            if target in self._links:
+            if target in self.links:
                 self.document.refuse(f"{place}: {shown(target)} is fed twice", "fed once")
-            self._links[target] = _Link(
-                source, linear, converts_units(connection), change is not None
-            )
+            is_asked = change is not None
+            self.links[target] = Link(source, linear, converts_units(connection), is_asked)
 
     def _end(
         self, connection: ET.Element, side: str, path: str
@@ -178,10 +222,10 @@ class Structure:
 
     def chains(self) -> Iterator[list[End]]:
         """Yield the ends that a value passes on its way to each input or parameter of an FMU."""
-        for end in self._links:
+        for end in self.links:
             chain = [end]
-            while chain[0] in self._links and chain[0] not in chain[1:]:
-                chain.insert(0, self._links[chain[0]].source)
+            while chain[0] in self.links and chain[0] not in chain[1:]:
+                chain.insert(0, self.links[chain[0]].source)
             if chain[0] in chain[1:]:
                 self.document.refuse(f"{shown(end)} feeds itself", "fed by an FMU")
             if end[0] in self.fmus:
@@ -193,26 +237,32 @@ class Structure:
             source, target = chain[0], chain[-1]
             if source[0] in self.fmus:
                 units = {self.units[end][0] for end in (source, target)} - {""}
+                links = [(end, self.links[end]) for end in chain[1:]]
+                place = f"{self.document.label}: connection from {shown(source)} to {shown(target)}"
+                linear = self.linear(place, self.units[source], links)
                 # Units that differ are converted here already.
-                is_asked = any(self._links[end].converts_types for end in chain[1:])
-                yield Connection(source, target, *self.linear(chain), len(units) < 2, is_asked)
+                is_asked = any(link.converts_types for _, link in links)
+                yield Connection(source, target, *linear, len(units) < 2, is_asked)
 
-    def linear(self, chain: Sequence[End]) -> tuple[float, float]:
-        """Factor and offset between the ends of a chain."""
-        (factor, offset), (unit, units) = PLAIN, self.units[chain[0]]
-        variables = ((self.fmus[e], n) for e, n in chain if e in self.fmus)
+    def linear(
+        self, place: str, unit: tuple[str, Units], links: Sequence[tuple[End, Link]]
+    ) -> tuple[float, float]:
+        """Factor and offset by way of some ends, from a value in a unit to the last end."""
+        factor, offset = PLAIN
+        ends = (end for target, link in links for end in (link.source, target))
+        variables = ((self.fmus[e], name) for e, name in ends if e in self.fmus)
         is_difference = any(fmu.variable(n).variable.name in fmu.relative for fmu, n in variables)
-        for source, target in pairwise(chain):
-            link, (other, others) = self._links[target], self.units[target]
-            scale = conversion(unit, units, other, others) if link.converts_units else PLAIN
+        for end, link in links:
+            other = self.units[end]
+            scale = conversion(*unit, *other) if link.converts_units else PLAIN
             if scale is None:
-                ends = f"connection from {shown(source)} to {shown(target)}"
-                what = f"{ends}: unit {unit!r} feeds unit {other!r}"
-                self.document.refuse(what, "the same, or of the same SI base units")
+                raise InputError(
+                    f"{place}: unit {unit[0]!r} feeds unit {other[0]!r}; must be the same, or of "
+                    "the same SI base units"
+                )
             for by, plus in ((scale[0], 0.0 if is_difference else scale[1]), link.linear):
                 factor, offset = by * factor, by * offset + plus
-            if other:
-                unit, units = other, others
+            unit = other if other[0] else unit
         return factor, offset
 
 
@@ -233,3 +283,18 @@ def _items(name: str, shape: tuple[int, ...]) -> list[str]:
 def shown(end: End) -> str:
     """Name of an end in messages."""
     return ".".join(filter(None, end))
+
+
+def local(element: ET.Element) -> str:
+    """Name of an element without its namespace."""
+    return element.tag.rpartition("}")[2]
+
+
+def choice(element: ET.Element) -> ET.Element | None:
+    """Return the child that says a type or a transformation, if there is one."""
+    return next((child for child in element if local(child) not in _OTHERS), None)
+
+
+def converts_units(element: ET.Element) -> bool:
+    """Whether a connection or a mapping converts units."""
+    return element.get("suppressUnitConversion") not in ("true", "1")

@@ -105,22 +105,10 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
                 f"{place}: type {type_of(source.variable)} feeds type {type_of(target.variable)}; "
                 "must be one that holds all its values"
             )
-        if connection.converts_units and _conversion(fmus, connection) is None:
-            raise InputError(
-                f"{place}: unit {source.unit!r} feeds unit {target.unit!r}; must be the same, or "
-                "both defined by the same SI base units"
-            )
+        _in_units(fmus, connection)
     for instance, names in system.outputs.items():
         for name in names:
             _scalar(fmus, (instance, name), "recording", "output")
-
-
-def _conversion(fmus: Mapping[str, Fmu], connection: Connection) -> tuple[float, float] | None:
-    """Factor and offset from the unit of a connection's source to that of its target."""
-    source, target = fmus[connection.source[0]], fmus[connection.target[0]]
-    units = (source.variable(connection.source[1]).unit, source.units,
-             target.variable(connection.target[1]).unit, target.units)  # fmt: skip
-    return conversion(*units)
 
 
 def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
@@ -154,10 +142,19 @@ def _objects(fmus: Mapping[str, Fmu], system: System) -> set[Name]:
 
 def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
     """Return a connection whose factor and offset convert units, too."""
-    factor, offset = (connection.converts_units and _conversion(fmus, connection)) or (1.0, 0.0)
-    for instance, name in (connection.source, connection.target):
-        if fmus[instance].variable(name).variable.name in fmus[instance].relative:
-            offset = 0.0
+    if not connection.converts_units:
+        return connection
+    ends = [(fmus[i], fmus[i].variable(name)) for i, name in (connection.source, connection.target)]
+    (source, one), (target, other) = ends
+    scale = conversion(one.unit, source.units, other.unit, target.units)
+    if scale is None:
+        raise InputError(
+            f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}: unit "
+            f"{one.unit!r} feeds unit {other.unit!r}; must be the same, or both defined by the "
+            "same SI base units"
+        )
+    is_difference = any(scalar.variable.name in fmu.relative for fmu, scalar in ends)
+    factor, offset = scale[0], 0.0 if is_difference else scale[1]
     return replace(
         connection,
         factor=connection.factor * factor,

@@ -43,9 +43,10 @@ class Prepared:
         """Return the start values that the FMUs are given, with those of driven inputs."""
         assembly = self.assembly
         values = assembly.changed(self.values)
-        driven = assembly.driven.at_start(assembly.start_time, assembly.scalars)
-        for name, inputs in driven.items():
-            values[name] = {**values.get(name, {}), **inputs}
+        for (instance, name), driven in assembly.driven.items():
+            values[instance] = values.get(instance, {}) | {
+                name: driven.at_start(assembly.start_time)
+            }
         return values
 
     def open(
@@ -156,11 +157,9 @@ class Inputs:
     def _computed(self, first: int, count: int) -> Array:
         count = min(count, self.shape[0] - first)
         rows = np.tile(self._start, (count, 1))
-        driven = self._assembly.driven
-        for name in driven.names:
-            scalar, column = self._assembly.scalars[name], self._columns[".".join(name)]
+        for name, driven in self._assembly.driven.items():
             times = self._from_time + self._step * np.arange(first, first + count, dtype=np.float64)
-            rows[:, column] = driven.sample(name, scalar, times)
+            rows[:, self._columns[".".join(name)]] = driven.sample(times)
         if self._trajectory is not None:
             times = _instants(first, count)
             commands = _sampled(self._trajectory, first, count)

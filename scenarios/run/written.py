@@ -38,7 +38,8 @@ def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
     makers: dict[str, Callable[..., Path]] = {part.name: part.make for part in assembly.parts}
     connections = list(assembly.connections)
     # Values that never change are start values; the others are played.
-    played = [name for name in assembly.external if name not in assembly.driven.constant]
+    constant = {name for name, driven in assembly.driven.items() if len(driven.values) == 1}
+    played = [name for name in assembly.external if name not in constant]
     if played:
         player = "trajectory"
         while player in makers:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Self
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
@@ -22,69 +20,63 @@ _MAX_BYTES = 256 * 1024 * 1024
 
 @dataclass(frozen=True)
 class InputTable:
-    """The text of the file; "": there is none. Values are typed by the inputs they are for."""
+    """Inputs over time as texts; what they are for gives them their types."""
 
-    text: str = ""
+    times: tuple[float, ...] = ()  # of each row [s]; two rows of one time are a jump
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by FMU.INPUT
     place: str = ""  # of the file, for messages
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read and check a file."""
-        table = cls(read_text(path, _MAX_BYTES), str(path))
-        assert len(table.times)  # which are checked
-        return table
+        """Read a file."""
+        columns = _columns(path, read_text(path, _MAX_BYTES))
+        return cls(_times(path, columns.pop("time")), columns, str(path))
 
     @classmethod
     def of_trajectory(cls, path: Path) -> tuple[Self, bool]:
-        """Read the columns FMU.INPUT of a trajectory's table, and whether it has others, too."""
-        try:
-            lines = list(csv.reader(io.StringIO(read_text(path, _MAX_BYTES))))
-        except csv.Error:  # which the trajectory's reader explains
+        """Read the inputs in a trajectory's table, and whether it has other columns, too."""
+        text = read_text(path, _MAX_BYTES)
+        if "." not in text.partition("\n")[0]:
             return cls(), True
-        names = [name.strip() for name in lines[0]] if lines else []
-        places = [i for i, name in enumerate(names) if name == "time" or "." in name]
-        if len(places) < 2:  # the time and an input
-            return cls(), True
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(
-            [cell for i, cell in enumerate(line) if i in places] for line in lines
-        )
-        return cls(text.getvalue(), str(path)), len(places) < len(names)
-
-    @cached_property
-    def _cells(self) -> dict[str, tuple[str, ...]]:
-        """Columns by name."""
-        try:
-            lines = [line for line in csv.reader(io.StringIO(self.text), strict=True) if any(line)]
-        except csv.Error as error:
-            raise InputError(f"{self.place}: {error}; must be CSV") from None
-        names = [name.strip() for name in lines[0]] if lines else []
-        if "time" not in names or len(set(names)) < len(names) or len(lines) < 2:
-            raise InputError(
-                f"{self.place}: line 1: columns {excerpt(','.join(names))}; must be time and "
-                "inputs as FMU.INPUT, each once, with a row"
-            )
-        for row, line in enumerate(lines[1:], 1):
-            if len(line) != len(names):
-                raise InputError(
-                    f"{self.place}: row {row}: {len(line)} values; must be {len(names)}"
-                )
-        return dict(zip(names, zip(*lines[1:], strict=True), strict=True))
+        columns = _columns(path, text)
+        inputs = {name: cells for name, cells in columns.items() if "." in name}
+        has_others = len(inputs) + 1 < len(columns)
+        return cls(_times(path, columns["time"]), inputs, str(path)), has_others
 
     @property
-    def columns(self) -> dict[str, tuple[str, ...]]:
-        """Texts of each column but the time."""
-        return {n: cells for n, cells in self._cells.items() if n != "time"} if self.text else {}
+    def text(self) -> str:
+        """Content of a file."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["time", *self.columns])
+        writer.writerows(zip(self.times, *self.columns.values(), strict=True))
+        return text.getvalue()
 
-    @cached_property
-    def times(self) -> NDArray[np.float64]:
-        """Time of each row (n,) [s]; two rows of one time are a jump."""
-        times = [finite_number(text) for text in self._cells["time"]]
-        for row, (before, time) in enumerate(zip([None, *times], times, strict=False), 1):
-            if time is None or (before is not None and time < before):
-                text = self._cells["time"][row - 1]
-                raise InputError(
-                    f"{self.place}: row {row}: time {excerpt(text)}; must be a number of at least "
-                    f"{0 if before is None else before:g} s"
-                )
-        return np.array(times, np.float64)
+
+def _columns(path: Path, text: str) -> dict[str, tuple[str, ...]]:
+    """Cells by the names of columns."""
+    try:
+        names, *rows = [line for line in csv.reader(io.StringIO(text), strict=True) if any(line)]
+    except (csv.Error, ValueError) as error:
+        raise InputError(f"{path}: {error}; must be CSV") from None
+    names = [name.strip() for name in names]
+    if "time" not in names or len(set(names)) < len(names) or not rows:
+        raise InputError(
+            f"{path}: line 1: columns {excerpt(','.join(names))}; must be time and inputs as "
+            "FMU.INPUT, each once, with a row"
+        )
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(names):
+            raise InputError(f"{path}: row {number}: {len(row)} values; must be {len(names)}")
+    return dict(zip(names, zip(*rows, strict=True), strict=True))
+
+
+def _times(path: Path, texts: tuple[str, ...]) -> tuple[float, ...]:
+    times = [finite_number(text) for text in texts]
+    for row, (before, time) in enumerate(pairwise([-1e308, *times]), 1):
+        if time is None or (before is not None and time < before):
+            raise InputError(
+                f"{path}: row {row}: time {excerpt(texts[row - 1])}; must be a number, and not "
+                "before the row above"
+            )
+    return tuple(time for time in times if time is not None)

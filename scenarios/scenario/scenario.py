@@ -265,7 +265,7 @@ class Scenario:
             check_keys("", keys, KEYS)
             inputs = keys.get("inputs", {})
             file = inputs.get("file") if isinstance(inputs, Mapping) else None
-            if file is not None and driven.text:
+            if file is not None and driven.columns:
                 raise InputError(
                     f"[inputs] file: value {excerpt(file)}; must be left out, as {TABLE_FILE} "
                     "has inputs"

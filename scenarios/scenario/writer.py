@@ -96,7 +96,7 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
     written = {folder / SCENARIO_FILE: settings_text(scenario)}
     if not scenario.is_system:
         written[folder / TABLE_FILE] = table_text(scenario.table)
-    if scenario.input_table.text:
+    if scenario.input_table.columns:
         written[folder / INPUTS_FILE] = scenario.input_table.text
     write_all(_original(scenario, folder) or written)
 
@@ -128,7 +128,7 @@ def settings_text(scenario: Scenario) -> str:
             del top[name]
     success, tolerances = asdict(scenario.success), scenario.regression
     del success["signal"], success["body"]
-    file = {"file": INPUTS_FILE} if scenario.input_table.text else {}
+    file = {"file": INPUTS_FILE} if scenario.input_table.columns else {}
     inputs = {**{n: v for n, v in scenario.inputs.items() if n != "file"}, **file}
     sections: list[tuple[str, Mapping[str, Any]]] = [
         *((f"[{name}]", values[name]) for name in ("fmus", "connect", "steps") if values[name]),

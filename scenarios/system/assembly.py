@@ -27,7 +27,7 @@ from ...fmus.sources.targets import Kind
 from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Coupling, Scenario
 from .connector import Connector
-from .driven import DrivenInputs, driven_inputs
+from .driven import DrivenInput, driven_inputs
 from .parts import Part, read_parts
 
 
@@ -41,7 +41,7 @@ class Assembly:
     parts: Sequence[Part] = ()  # where the FMUs come from; empty for an .ssp file
     notes: Sequence[str] = ()  # unconnected inputs
     asked: frozenset[str] = frozenset()  # signals of criteria, recorded in any case
-    driven: DrivenInputs = field(default_factory=DrivenInputs)  # among the external ones
+    driven: Mapping[Name, DrivenInput] = field(default_factory=dict)  # among the external ones
     steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
     # Of an .ssp file: its system, start values and start time [s].
     ssp: System | None = None
@@ -180,8 +180,8 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     external = [] if scenario.is_system else _external(scenario, connector, from_outside)
     interfaces = {part.name: part.interface for part in parts}
     driven = driven_inputs(scenario, interfaces)
-    connector.drive(driven.names)
-    external += driven.names
+    connector.drive(driven)
+    external += driven
     if scenario.mismatch.has_sensors:
         _feed_from_sensors(connector)
     for part in parts:
@@ -270,10 +270,10 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     parts = [Part(n, f, interfaces[n], partial(Path, f)) for n, f in system.fmus.items()]
     connector, driven = Connector(parts), driven_inputs(scenario, interfaces)
     connector.drive([connection.target for connection in system.connections])
-    connector.drive(driven.names)
-    unfed = _unfed(interfaces, system.connections, driven.names) if from_outside else []
+    connector.drive(driven)
+    unfed = _unfed(interfaces, system.connections, [*driven]) if from_outside else []
     _check_names(scenario, interfaces)
-    system = replace(system, external=[*unfed, *driven.names], steps=scenario.steps)
+    system = replace(system, external=[*unfed, *driven], steps=scenario.steps)
     return Assembly(
         interfaces,
         system.connections,

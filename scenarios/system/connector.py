@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -62,7 +62,7 @@ class Connector:
         """Mark an input as fed from outside."""
         self._fed |= {(instance, name) for name in variable.names()}
 
-    def drive(self, names: Sequence[Name]) -> None:
+    def drive(self, names: Collection[Name]) -> None:
         """Mark inputs as driven by the scenario; what is connected cannot be."""
         if both := self._fed.intersection(names):
             ends = ", ".join(sorted(".".join(name) for name in both))
@@ -105,8 +105,8 @@ class Connector:
         target = f"{part.name}.{variable.name}"
         if not outputs:
             if part.file is not None and variable.name not in OPTIONAL:
-                names = [variable.name] if len(unfed) == variable.size else unfed
-                self._open.setdefault(part.name, []).extend(names)
+                whole = len(unfed) == variable.size
+                self._open.setdefault(part.name, []).extend([variable.name] if whole else unfed)
             return
         if len(outputs) > 1:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)

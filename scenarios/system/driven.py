@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, expand, targets
@@ -19,88 +19,79 @@ from ...fmus.messages import did_you_mean, excerpt
 from ..scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
-_REALS: Final = ("Float64", "Float32")
 EARLY: Final = 1e-9  # [s] by which a tick may be before the row that holds from its time on
 
 
 @dataclass(frozen=True, eq=False)
-class DrivenInputs:
-    """Values of inputs by FMU and scalar variable, which is the same as in the table's rows."""
+class DrivenInput:
+    """An input over time: one row, or several at times that do not decrease.
 
-    constant: Mapping[Name, Value] = field(default_factory=dict)
-    varying: Mapping[Name, tuple[Value, ...]] = field(default_factory=dict)  # at each of the times
-    times: Array = field(default_factory=lambda: np.zeros(0))  # (n,) [s]
+    A continuous Real is interpolated linearly, others are held from their row on; before the first
+    row and after the last, the input has these rows' values. At a jump, the later row counts.
+    """
+
+    scalar: Scalar
+    values: Sequence[Value]  # of each row
+    times: Array  # (n,) [s]
 
     @property
-    def names(self) -> list[Name]:
-        """All of them."""
-        return [*self.constant, *self.varying]
+    def _is_interpolated(self) -> bool:
+        variable = self.scalar.variable
+        is_real = type_of(variable) in ("Float64", "Float32")
+        return is_real and variable.variability == "continuous" and len(self.values) > 1
 
-    def at_start(self, time: float, scalars: Mapping[Name, Scalar]) -> dict[str, dict[str, Value]]:
-        """Start values by FMU, for the time of the start [s]."""
-        row = max(int(self._row(time)), 0)
-        values: dict[str, dict[str, Value]] = {}
-        for (instance, name), value in self.constant.items():
-            values.setdefault(instance, {})[name] = value
-        for (instance, name), column in self.varying.items():
-            scalar = scalars[instance, name]
-            value = column[row]
-            if type_of(scalar.variable) in _REALS:
-                value = float(self.sample((instance, name), scalar, np.array([time]))[0])
-            values.setdefault(instance, {})[name] = value
-        return values
+    def _rows(self, times: Array) -> Any:
+        """The last row up to each time; the first one before it."""
+        return (np.searchsorted(self.times, times + EARLY, side="right") - 1).clip(0)
 
-    def _row(self, times: ArrayLike) -> Any:
-        """The last row up to some times; -1 before the first."""
-        return np.searchsorted(self.times, np.asarray(times) + EARLY, side="right") - 1
+    def at_start(self, time: float) -> Value:
+        """Start value, for the time of the start [s]."""
+        at = np.array([time])
+        return (
+            float(self.sample(at)[0]) if self._is_interpolated else self.values[self._rows(at)[0]]
+        )
 
-    def sample(self, name: Name, scalar: Scalar, times: Array) -> Any:
-        """Values of an input at some times, as rows hold them.
-
-        Continuous Reals are interpolated linearly, others are held from their row on; before the
-        first row and after the last they have these rows' values. At a jump, the later row counts.
-        """
-        if name in self.constant:
-            return in_row(scalar, self.constant[name])
-        column = [in_row(scalar, value) for value in self.varying[name]]
-        last = len(self.times) - 1
-        rows = self._row(times)
-        is_held = scalar.variable.variability != "continuous"
-        if is_held or type_of(scalar.variable) not in _REALS or not last:
-            return [column[row] for row in rows.clip(0, last)]
-        values, before = np.array(column), rows.clip(0, last - 1)
+    def sample(self, times: Array) -> Any:
+        """Values at some times, as rows hold them."""
+        if not self._is_interpolated:
+            column = [in_row(self.scalar, value) for value in self.values]
+            return [column[row] for row in self._rows(times)]
+        values, before = np.array(self.values), self._rows(times).clip(max=len(self.values) - 2)
         t0, t1 = self.times[before], self.times[before + 1]
         share = ((t1 - times) / np.where(t1 > t0, t1 - t0, 1.0)).clip(0.0, 1.0)
         return share * values[before] + (1.0 - share) * values[before + 1]
 
 
-def driven_inputs(scenario: Scenario, interfaces: Mapping[str, Interface]) -> DrivenInputs:
-    """Check the inputs of [inputs] and of its file against the FMUs."""
+def driven_inputs(
+    scenario: Scenario, interfaces: Mapping[str, Interface]
+) -> dict[Name, DrivenInput]:
+    """Check the inputs of [inputs] and of its file against the FMUs; by FMU and scalar."""
     by_fmu: dict[str, dict[str, ParameterValue]] = {}
     for key, value in scenario.inputs.items():
         if key != "file":
             instance, name = _split(key, interfaces)
             by_fmu.setdefault(instance, {})[name] = value
-    constant = {
-        (instance, name): value
-        for instance, given in by_fmu.items()
-        for name, value in expand(instance, interfaces[instance], given, "input").items()
-    }
+    driven: dict[Name, DrivenInput] = {}
+    for instance, values in by_fmu.items():
+        scalars = {scalar.name: scalar for scalar in interfaces[instance].scalars()}
+        for name, value in expand(instance, interfaces[instance], values, "input").items():
+            driven[instance, name] = DrivenInput(scalars[name], [value], np.zeros(1))
     table = scenario.input_table
-    varying: dict[Name, tuple[Value, ...]] = {}
     for key, cells in table.columns.items():
         instance, name = _split(key, interfaces)
         scalars = {scalar.name: scalar for scalar in interfaces[instance].scalars()}
-        named = targets(instance, interfaces[instance], scalars, name, "input")
-        scalar, place = named[0], f"{table.place}: {key}: row"
-        if len(named) > 1 or (instance, scalar.name) in constant:
-            what = "has several elements" if len(named) > 1 else "is in [inputs], too"
+        scalar, *others = targets(instance, interfaces[instance], scalars, name, "input")
+        if others or (instance, scalar.name) in driven:
+            what = "has several elements" if others else "is in [inputs], too"
             raise InputError(f"{table.place}: {key}: {what}; must be one element, given once")
-        varying[instance, scalar.name] = tuple(
+        place = f"{table.place}: {key}: row"
+        values_over_time = [
             scalar.checked(f"{place} {row}", read_value(f"{place} {row}:", scalar.variable, cell))
             for row, cell in enumerate(cells, 1)
-        )
-    return DrivenInputs(constant, varying, table.times if varying else np.zeros(0))
+        ]
+        times = np.array(table.times)
+        driven[instance, scalar.name] = DrivenInput(scalar, values_over_time, times)
+    return driven
 
 
 def _split(key: str, interfaces: Mapping[str, Interface]) -> Name:
