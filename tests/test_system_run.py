@@ -62,6 +62,8 @@ file = "inputs.csv"
 "a.Int32_input" = 5
 "b.Boolean_input" = true
 "b.String_input" = "text"
+"b.Binary_input" = "00ff"
+"b.Int64_input" = 9007199254740993
 """
 OWN = """coupling = "jacobi"
 duration = 0.3

@@ -122,7 +122,7 @@ class Scalar:
         """Return a value as an FMU takes it: of an enumeration, the number of a choice."""
         match self.variable.kind:
             case "Binary":
-                return bytes.fromhex(str(value))
+                return value if isinstance(value, bytes) else bytes.fromhex(str(value))
             case "String":
                 return str(value)
             case "Boolean":

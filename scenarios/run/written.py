@@ -13,6 +13,7 @@ from ...fmus.build.ssp import Component, WrittenSystem
 from ...fmus.errors import InputError
 from ...fmus.interface.tables import Connection
 from ...fmus.interface.trajectory import TABLE_FILE, TRAJECTORY
+from ...fmus.interface.types import type_of
 from ...fmus.interface.variables import Interface, output
 from ...fmus.master.fmu_file import read_fmu
 from ...fmus.master.wiring import Name
@@ -86,10 +87,10 @@ def _build_player(
         return build_trajectory(rows, target=target)
     scalars = [assembly.scalars[name] for name in played]
     for scalar in scalars:
-        if scalar.variable.kind != "Real":
+        if type_of(scalar.variable) != "Float64":
             raise InputError(
-                f"[inputs] {scalar.name}: is a {scalar.variable.kind}; must be a Real, or a value "
-                "that does not change over time"
+                f"[inputs] {scalar.name}: is of type {type_of(scalar.variable)}; must be a Real, "
+                "or a value that does not change over time"
             )
     variables = tuple(
         output(name, (), scalar.unit, scalar.variable.description)
