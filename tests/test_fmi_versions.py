@@ -15,7 +15,7 @@ from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.interface.variables import Variable
 from panda_cosim.fmus.master.fmu_file import Fmu, described_interface, read_value
-from panda_cosim.fmus.master.system import System, check_start_values, open_slave, open_system
+from panda_cosim.fmus.master.system import System, open_slave, open_system
 from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [
@@ -123,7 +123,6 @@ def test_values_that_are_no_numbers_are_shown(tmp_path: Path) -> None:
     assert Fmu(path).clocked == ["tick"]
     assert expand("toy", it, {"blob": "00"}) == {"blob": "00"}
     assert fail(path, "warn")[0] == ""
-    check_start_values({"toy": Fmu(path)}, {"toy": {"blob": "00"}})
 
 
 def test_an_fmu_may_ask_to_end(tmp_path: Path) -> None:
@@ -160,17 +159,6 @@ def test_versions_are_coupled_and_agree(tmp_path: Path) -> None:
     for first, second in ((two, three), (three, two), (three, three)):
         np.testing.assert_array_equal(couple(first, second), expected)
     np.testing.assert_array_equal(couple(three, two, isolate=True), expected)
-
-
-def test_start_values_are_checked(toy: Path) -> None:
-    for start, message in (
-        ({"k": 11.0}, "k: 11.0 N? ?is out of range; must be between -10 and 10"),
-        ({"y[1,1]": 1.0}, r"y\[1,1\]: causality output; cannot be set"),
-        ({"u[1,4]": 1.0}, r"no variable 'u\[1,4\]'; did you mean"),
-    ):
-        system = System({"a": toy}, (), (), {"a": Y})
-        with pytest.raises(InputError, match=message), open_system(system, {"a": start}, stop=1.0):
-            pass
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Final
 from xml.etree import ElementTree as ET
 
 from ..build.ssp import PREFIXES
@@ -26,14 +25,6 @@ from .ssp_structure import (
     shown,
 )
 
-_REALS: Final = ("Real", "Float64", "Float32")
-_INTEGERS: Final = ("Integer", *(f"{u}Int{bits}" for u in ("", "U") for bits in (8, 16, 32, 64)))
-# Types of a parameter by the kind of variable that takes it; others take their own.
-_TYPES: Final = {
-    "Real": _REALS,
-    "Integer": _INTEGERS,
-    "Enumeration": (*_INTEGERS, "Enumeration", "String"),
-}
 _Elements = list[list[list[End]]]  # for each element of a parameter, the chains that it goes along
 
 
@@ -83,10 +74,11 @@ class Parameters:
     def _value(self, chain: list[End], text: str, given: _Given) -> Value:
         """Value for the end of a chain; its unit is converted first, then it is transformed."""
         structure, (instance, name) = self._structure, chain[-1]
-        scalar, typed = structure.fmus[instance].variable(name), local(given.typed)
-        kind, change, linear = scalar.variable.kind, choice(given.entry), PLAIN
-        if typed not in _TYPES.get(kind, (kind,)):
-            raise InputError(f"{given.place}: {typed}; must be one value of type {kind}")
+        scalar = structure.fmus[instance].variable(name)
+        kind, causality = scalar.variable.kind, scalar.variable.causality
+        change, linear = choice(given.entry), PLAIN
+        if causality not in ("parameter", "input"):
+            raise InputError(f"{given.place}: causality {causality}; must be parameter or input")
         if change is not None and local(change) == "LinearTransformation":
             linear = self._document.linear(change)
         elif change is not None:
@@ -148,7 +140,7 @@ def _texts(typed: ET.Element) -> list[str]:
     if "value" not in typed.attrib:
         return [child.get("value", "") for child in typed]
     text = typed.attrib["value"]
-    return text.split() if local(typed) in (*_REALS, *_INTEGERS, "Boolean") else [text]
+    return [text] if local(typed) in ("String", "Enumeration", "Binary") else text.split()
 
 
 def _entries(binding: ET.Element, document: Document) -> dict[str, list[ET.Element]] | None:

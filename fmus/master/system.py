@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
 from ..interface.units import conversion
-from ..interface.variables import Scalar, Value
+from ..interface.variables import Value
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
@@ -76,7 +76,6 @@ def read_fmus(
     }
     if coupling == "iterated":
         _check_states(fmus)
-    check_start_values(fmus, start_values)
     _check_connections(fmus, system)
     if not isolate:
         _check_single_instances(fmus)
@@ -85,30 +84,30 @@ def read_fmus(
 
 def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
     """Check that connections exist, lead from output to input, in units that can be converted."""
-    fed: set[Name] = set()
-
-    def check_target(target: Name, place: str) -> Scalar:
-        if target in fed:
-            raise InputError(f"{place}: {'.'.join(target)} is fed twice; must be fed once")
-        fed.add(target)
-        return _scalar(fmus, target, place, "input")
-
-    for command in system.external:
-        check_target(command, "command")
-    for connection in system.connections:
-        place = f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}"
-        source = _scalar(fmus, connection.source, place, "output")
-        target = check_target(connection.target, place)
-        fits = can_convert if connection.converts_types else is_lossless
-        if not fits(source.variable, target.variable):
+    inputs = [*system.external, *(connection.target for connection in system.connections)]
+    outputs = [
+        *(connection.source for connection in system.connections),
+        *((instance, name) for instance, names in system.outputs.items() for name in names),
+    ]
+    ends = dict.fromkeys(inputs, "input") | dict.fromkeys(outputs, "output")
+    for (instance, name), causality in ends.items():
+        own = fmus[instance].variable(name).variable.causality
+        if own != causality:
             raise InputError(
-                f"{place}: type {type_of(source.variable)} feeds type {type_of(target.variable)}; "
-                "must be one that holds all its values"
+                f"{fmus[instance].label}: {name}: causality {own}; must be {causality}"
+            )
+    for connection in system.connections:
+        source, target = (
+            fmus[i].variable(name).variable for i, name in (connection.source, connection.target)
+        )
+        fits = can_convert if connection.converts_types else is_lossless
+        if not fits(source, target):
+            raise InputError(
+                f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}: "
+                f"type {type_of(source)} feeds type {type_of(target)}; must be one that holds all "
+                "its values"
             )
         _in_units(fmus, connection)
-    for instance, names in system.outputs.items():
-        for name in names:
-            _scalar(fmus, (instance, name), "recording", "output")
 
 
 def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
@@ -160,39 +159,6 @@ def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
         factor=connection.factor * factor,
         offset=connection.factor * offset + connection.offset,
     )
-
-
-def _scalar(
-    fmus: Mapping[str, Fmu],
-    name: Name,
-    place: str,
-    causality: str,
-) -> Scalar:
-    instance, variable = name
-    if instance not in fmus:
-        raise InputError(f"{place}: no instance {instance!r}; valid: {', '.join(fmus)}")
-    scalar = fmus[instance].variable(variable)
-    where = f"{fmus[instance].label}: {variable}"
-    if scalar.variable.causality != causality:
-        raise InputError(
-            f"{where}: causality {scalar.variable.causality}; must be {causality} ({place})"
-        )
-    return scalar
-
-
-def check_start_values(
-    fmus: Mapping[str, Fmu], start_values: Mapping[str, Mapping[str, Value]]
-) -> None:
-    """Check start values, by instance and scalar variable, against the FMUs' descriptions."""
-    for instance, values in start_values.items():
-        if instance not in fmus:
-            raise InputError(f"start value of {instance!r}: no such instance")
-        for name, value in values.items():
-            scalar = fmus[instance].variable(name)
-            place, causality = f"{fmus[instance].label}: {name}", scalar.variable.causality
-            if causality not in ("parameter", "input"):
-                raise InputError(f"{place}: causality {causality}; cannot be set")
-            scalar.checked(place, value)
 
 
 def _check_single_instances(fmus: Mapping[str, Fmu]) -> None:
