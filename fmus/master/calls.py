@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,18 +137,6 @@ class Typed:
                 variable=scalar.name,
             )
         return number
-
-
-class Several:
-    """Accesses to variables of several types, one after the other."""
-
-    def __init__(self, calls: Sequence[Callable[[int], None]]) -> None:
-        self._calls = calls
-
-    def __call__(self, row: int) -> None:
-        """Exchange the values of a row."""
-        for call in self._calls:
-            call(row)
 
 
 class StepCall:

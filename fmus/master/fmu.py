@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..interface.variables import Scalar, Value
 from ..messages import one_line
-from .calls import Access, Rearranged, Several, StepCall, Typed
+from .calls import Access, Rearranged, StepCall, Typed
 from .fmu_file import Fmu
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 from .wiring import Array, Exchange
@@ -103,13 +103,11 @@ class FmuSlave(ABC):
         read: Callable[[Sequence[Scalar]], list[Any]] | None = None,
     ) -> None:
         """Set whole arrays; elements that are not named are read, or get their start values."""
-        for array in {
-            v.name: v for v in (self.fmu.variable(name).variable for name in values)
-        }.values():
-            scalars = [self.fmu.variable(each) for each in array.names()]
-            content = (
-                read(scalars[:1]) if read and array.shape else [s.start_value() for s in scalars]
-            )
+        named = (self.fmu.variable(name).variable for name in values)
+        for array in {variable.name: variable for variable in named}.values():
+            scalars = [self.fmu.variable(name) for name in array.names()]
+            starts = [scalar.start_value() for scalar in scalars]
+            content = read(scalars[:1]) if read and array.shape else starts
             for i, scalar in enumerate(scalars):
                 if scalar.name in values:
                     content[i] = scalar.converted(values[scalar.name])
@@ -121,7 +119,10 @@ class FmuSlave(ABC):
         size = [sum(array.variable.size for array in arrays)] if self.fmu.fmi == 3 else []
         values = self._call_typed("get", arrays, *size)
         if kind == "String":
-            return [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values]
+            texts = (
+                v if isinstance(v, str) else (v or b"").decode("utf-8", "replace") for v in values
+            )
+            return list(texts)
         return [v or b"" for v in values] if kind == "Binary" else list(values)
 
     def set_lists(self, arrays: Sequence[Scalar], values: Sequence[Any]) -> None:
@@ -156,7 +157,14 @@ class FmuSlave(ABC):
             self._bind_type(verb, kind, [names[i] for i in places], places, block)
             for kind, places in columns.items()
         ]
-        return calls[0] if len(calls) == 1 else Several(calls)
+        if len(calls) == 1:
+            return calls[0]
+
+        def exchange(row: int) -> None:
+            for call in calls:
+                call(row)
+
+        return exchange
 
     def _bind_type(
         self, verb: str, kind: str, names: Sequence[str], columns: list[int], block: Array
