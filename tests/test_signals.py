@@ -228,6 +228,16 @@ def test_check_suggests_connections_that_nearly_fit(
     assert (line in said) == suggested
 
 
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path: Path, isolate: Sequence[str]) -> None:
+    """It refuses to go back otherwise. The loop y = 0.5 y + t has the solution y = 2 t."""
+    states = 'modelIdentifier="toy" canGetAndSetFMUState="true"'
+    described(toy_fmu(tmp_path / "it.fmu", 3), ('modelIdentifier="toy"', states))
+    text = '[fmus]\nit = "it.fmu"\n[connect]\n"it.u" = "it.y"\n[parameters.it]\nk = 0.5\n'
+    recording = run(tmp_path, f'coupling = "iterated"\n{text}', *isolate)
+    np.testing.assert_allclose(recording["it.y[2,2]"], 2.0 * TIMES, atol=1e-9)
+
+
 def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path: Path) -> None:
     toy_fmu(tmp_path / "it.fmu", 3)
     text = 'duration = 1.0\ncoupling = "iterated"\n[fmus]\nit = "it.fmu"\n'

@@ -44,8 +44,8 @@ class Fmi2Slave(FmuSlave):
         self._keep.append(callbacks)
         instance.instantiate(callbacks=callbacks, loggingOn=True)
 
-    def _make_step(self, *, goes_back: bool) -> StepCall:
-        return StepCall(self, self.function("DoStep"), ctypes.c_int(not goes_back))
+    def _make_step(self) -> StepCall:
+        return StepCall(self, self.function("DoStep"), self.no_going_back)
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         instance = self._instance

@@ -48,8 +48,8 @@ class Fmi3Slave(FmuSlave):
         if not instance.component:
             raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
 
-    def _make_step(self, *, goes_back: bool) -> StepCall:
-        return _Step(self, goes_back=goes_back)
+    def _make_step(self) -> StepCall:
+        return _Step(self)
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         structural = {n: v for n, v in start_values.items() if n in self.fmu.structural}
@@ -65,12 +65,12 @@ class Fmi3Slave(FmuSlave):
 class _Step(StepCall):
     """fmi3DoStep, which may return early; it is then called again for the rest of the step."""
 
-    def __init__(self, slave: FmuSlave, *, goes_back: bool) -> None:
+    def __init__(self, slave: FmuSlave) -> None:
         self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
         self._reached = ctypes.c_double()
         answers = (self._event, self._ended, self._early, self._reached)
         pointers = (ctypes.byref(answer) for answer in answers)
-        super().__init__(slave, slave.function("DoStep"), ctypes.c_bool(not goes_back), *pointers)
+        super().__init__(slave, slave.function("DoStep"), slave.no_going_back, *pointers)
 
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step; one that was not taken to its end is an error."""

@@ -70,7 +70,9 @@ class FmuSlave(ABC):
         # wrapper needs it at once; calls to other FMUs release it, so that other threads run.
         kind = ctypes.PyDLL if fmu.in_python else ctypes.CDLL
         self._library: Any = kind("", handle=self._instance.dll._handle)
-        self.step = self._make_step(goes_back=False)
+        # Argument of fmiDoStep: whether no earlier state is returned to. It is read at each call.
+        self.no_going_back = ctypes.c_int(True)
+        self.step = self._make_step()
 
     # Different in FMI 2.0 and 3.0.
 
@@ -84,8 +86,8 @@ class FmuSlave(ABC):
         """Make the instance; raises any Exception."""
 
     @abstractmethod
-    def _make_step(self, *, goes_back: bool) -> StepCall:
-        """Make the function `step`, by one communication step; the FMU may have to go back."""
+    def _make_step(self) -> StepCall:
+        """Make the function `step`, by one communication step."""
 
     @abstractmethod
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
@@ -286,12 +288,12 @@ class FmuSlave(ABC):
                 f"{self.fmu.label}: {self.name} cannot go back to a state; its FMU must have "
                 f"canGetAndSetFMU{'s' if self.fmu.fmi == 2 else 'S'}tate"
             )
-        self.step = self._make_step(goes_back=True)
         self.save_state()
         return self.restore_state
 
     def save_state(self) -> None:
         """Keep the present state in the one place for it."""
+        self.no_going_back.value = False
         self._use_state("Get", ctypes.byref(self._state))
 
     def restore_state(self) -> None:

@@ -19,7 +19,7 @@ enum { U, Y = N, K = 2 * N };
 
 typedef struct {
     double values[COUNT], time;
-    int integers[COUNT], booleans[COUNT], steps, is_half; /* the first are the mode and `flip` */
+    int integers[COUNT], booleans[COUNT], steps, is_half, is_final; /* the first are the mode and `flip` */
     char act[32], name[64];
     fmi2CallbackFunctions callbacks;
     fmi3LogMessageCallback log3;
@@ -186,12 +186,25 @@ SET3(fmi3SetString, fmi3String, set_act(c, v[0]))
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean keep,
                       fmi3Boolean *event, fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last)
 {
-    (void)keep;
     toy *it = c;
+    it->is_final = keep;
     *early = !strcmp(it->act, "early") && !it->is_half; /* half a step, then the rest */
     it->is_half = *early;
     *event = fmi3False, *last = time + (*early ? size / 2 : size);
     int status = step(c, time, *last - time);
     *end = time > 0.0015 && !strcmp(it->act, "end");
     return (fmi3Status)status;
+}
+fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state)
+{
+    return *state = memcpy(malloc(sizeof(toy)), c, sizeof(toy)), fmi3OK;
+}
+fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state)
+{
+    if (((toy *)c)->is_final) return fmi3Error; /* it was told that nobody goes back */
+    return memcpy(c, state, sizeof(toy)), fmi3OK;
+}
+fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state)
+{
+    return (void)c, free(*state), *state = NULL, fmi3OK;
 }
