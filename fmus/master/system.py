@@ -107,7 +107,7 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
                 f"type {type_of(source)} feeds type {type_of(target)}; must be one that holds all "
                 "its values"
             )
-        _in_units(fmus, connection)
+        in_units(fmus, connection)
 
 
 def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
@@ -119,7 +119,7 @@ def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
 
     converting = (
         each
-        for each in (_in_units(fmus, connection) for connection in system.connections)
+        for each in (in_units(fmus, connection) for connection in system.connections)
         if (each.factor, each.offset) != (1.0, 0.0)
     )
     formulas = (

@@ -153,7 +153,8 @@ def _scenario(fmu: Fmu, experiment: Experiment) -> Scenario:
         name=_IT, table=NO_TABLE, duration=experiment.steps * experiment.step,
         step=experiment.step, fmus={_IT: str(fmu.path.absolute())},
         inputs={f"{_IT}.{name}": given[name] for name in inputs},
-        input_table=InputTable(_csv(stimuli, scalars), fmu.label) if stimuli else InputTable(),
+        input_table=InputTable.of_text(_csv(stimuli, scalars), fmu.label)
+        if stimuli else InputTable(),
         parameters={_IT: {n: v for n, v in given.items() if n not in inputs}},
     )  # fmt: skip
 

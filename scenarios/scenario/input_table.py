@@ -29,8 +29,13 @@ class InputTable:
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a file."""
-        columns = _columns(path, read_text(path, _MAX_BYTES))
-        return cls(_times(path, columns.pop("time")), columns, str(path))
+        return cls.of_text(read_text(path, _MAX_BYTES), str(path))
+
+    @classmethod
+    def of_text(cls, text: str, place: str) -> Self:
+        """Read the text of a file."""
+        columns = _columns(place, text)
+        return cls(_times(place, columns.pop("time")), columns, place)
 
     @classmethod
     def of_trajectory(cls, path: Path) -> tuple[Self, bool]:
@@ -38,10 +43,10 @@ class InputTable:
         text = read_text(path, _MAX_BYTES)
         if "." not in text.partition("\n")[0]:
             return cls(), True
-        columns = _columns(path, text)
+        columns = _columns(str(path), text)
         inputs = {name: cells for name, cells in columns.items() if "." in name}
         has_others = len(inputs) + 1 < len(columns)
-        return cls(_times(path, columns["time"]), inputs, str(path)), has_others
+        return cls(_times(str(path), columns["time"]), inputs, str(path)), has_others
 
     @property
     def text(self) -> str:
@@ -53,7 +58,7 @@ class InputTable:
         return text.getvalue()
 
 
-def _columns(path: Path, text: str) -> dict[str, tuple[str, ...]]:
+def _columns(path: str, text: str) -> dict[str, tuple[str, ...]]:
     """Cells by the names of columns."""
     try:
         names, *rows = [line for line in csv.reader(io.StringIO(text), strict=True) if any(line)]
@@ -71,7 +76,7 @@ def _columns(path: Path, text: str) -> dict[str, tuple[str, ...]]:
     return dict(zip(names, zip(*rows, strict=True), strict=True))
 
 
-def _times(path: Path, texts: tuple[str, ...]) -> tuple[float, ...]:
+def _times(path: str, texts: tuple[str, ...]) -> tuple[float, ...]:
     times = [finite_number(text) for text in texts]
     for row, (before, time) in enumerate(pairwise([-1e308, *times]), 1):
         if time is None or (before is not None and time < before):
