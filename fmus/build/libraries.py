@@ -159,9 +159,19 @@ def _folder_of(package: str) -> Path:
 
 # From the package, the cache, or another package.
 
+
+@cache
+def package_version(name: str) -> str:
+    """Version of a package; `metadata.version` would parse all of its description."""
+    package = distribution(name)
+    text = package.read_text("METADATA") or ""
+    return text.partition("\nVersion: ")[2].partition("\n")[0] or package.version
+
+
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
-MUJOCO: Final = "mujoco-core"  # the package that holds MuJoCo's library and headers
+# The package that holds MuJoCo's library and headers.
+MUJOCO: Final = "mujoco-core" if int(package_version("mujoco").split(".")[0]) >= 4 else "mujoco"
 # Folders whose code FMUs contain or are described by.
 _CODE: Final = ("assets", "controller", "plant", "fmus/interface", "fmus/native", "fmus/build",
                 "fmus/inside")  # fmt: skip
@@ -222,14 +232,6 @@ def prebuild() -> list[Path]:
         if not path.is_file():
             path.write_bytes(compile_library(backend, platform))
     return list(backends)
-
-
-@cache
-def package_version(name: str) -> str:
-    """Version of a package; `metadata.version` would parse all of its description."""
-    package = distribution(name)
-    text = package.read_text("METADATA") or ""
-    return text.partition("\nVersion: ")[2].partition("\n")[0] or package.version
 
 
 def mujoco_version() -> str:

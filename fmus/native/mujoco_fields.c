@@ -6,17 +6,12 @@
 
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wconversion" /* MuJoCo's macros shorten sizes to int */
+#pragma GCC diagnostic ignored "-Wunused-variable" /* and declare all sizes of their version */
 #endif
-
-#define UNUSED_SIZES                                                                                \
-    (void)nuser_body, (void)nuser_jnt, (void)nuser_geom, (void)nuser_site, (void)nuser_cam,         \
-        (void)nuser_tendon, (void)nuser_actuator, (void)nuser_sensor, (void)nq, (void)nv, (void)na, \
-        (void)nu, (void)nmocap, (void)nplastic
 
 mjtNum *model_field(mjModel *m, const char *name, size_t *size)
 {
     MJMODEL_POINTERS_PREAMBLE(m)
-    UNUSED_SIZES;
 #define X(type, field, rows, columns)                            \
     if (!strcmp(#type, "mjtNum") && !strcmp(name, #field)) {     \
         *size = (size_t)m->rows * (size_t)(columns);             \
@@ -37,7 +32,6 @@ mjtNum *model_field(mjModel *m, const char *name, size_t *size)
 mjtNum *data_field(const mjModel *m, mjData *d, const char *name, size_t *size)
 {
     MJMODEL_POINTERS_PREAMBLE(m)
-    UNUSED_SIZES;
 #define X(type, field, rows, columns)                            \
     if (!strcmp(#type, "mjtNum") && !strcmp(name, #field)) {     \
         *size = (size_t)m->rows * (size_t)(columns);             \

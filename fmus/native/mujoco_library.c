@@ -88,7 +88,7 @@ typedef struct {
 static fmu_status load(fmu *f, void *file)
 {
     model_file *from = file;
-    from->m = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
+    from->m = mj.mj_loadModelBuffer(from->bytes, (int)from->size);
     return FMU_OK;
 }
 

@@ -137,7 +137,8 @@ def mujoco_fmu(
 
 def _saved(model: Any) -> bytes:
     """Return a model as MJB, which includes its meshes and textures."""
-    whole = mujoco.mj_embedAssets(model)
+    embed = getattr(mujoco, "mj_embedAssets", lambda whole: whole)  # always embedded before 3.15
+    whole = embed(model)
     buffer = np.empty(mujoco.mj_sizeModel(whole), np.uint8)
     mujoco.mj_saveModel(whole, None, buffer)
     return buffer.tobytes()

@@ -31,7 +31,7 @@ from ..processes import SAFE_PATH, run
 HOST: Final = "python_host.py"  # what the library calls Python through
 BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
 MIN_PYTHON: Final = "3.11"
-NEEDS: Final = MappingProxyType({"numpy": "2.3", "mujoco": "4.0"})  # as in pyproject.toml
+NEEDS: Final = MappingProxyType({"numpy": "2.3", "mujoco": "3.10"})  # as in pyproject.toml
 PATHS_VARIABLE: Final = "PANDA_COSIM_PYTHONPATH"  # see fmus/native/python_host.py
 # CPython 3.11 counts the depth of a syntax tree for all threads together: two that parse at once
 # can end with a SystemError ("recursion depth mismatch").
