@@ -101,9 +101,11 @@ def box_least_squares(
         qd: Vector = start.copy()
         factor, index = np.empty((7, 14)), np.empty(7, dtype=np.int32)
         free = mujoco.mju_boxQP(qd, factor, index, hessian, gradient, low, high)
+        if not np.isfinite(qd).all():  # a failure that MuJoCo 3 does not tell
+            free = -1
         if free >= 0 and _is_minimum(qd, hessian, gradient, box):
             return qd
-    if free >= 0 and np.isfinite(qd).all():
+    if free >= 0:
         return qd
     return clamp(np.zeros(7), low, high)  # braking is always allowed
 

@@ -6,7 +6,7 @@ import io
 import struct
 import uuid
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import IO, Final
@@ -37,6 +37,8 @@ class NativeFmu:
     needs: tuple[str, ...] = (NOTHING,)  # run-time requirements, one paragraph each
     step_size: float = TICK  # internal step [s]
     stop_time: float = STOP_TIME  # of the default experiment [s]
+    # Describes it once more, under another MuJoCo; None: it has no part in it.
+    again: Callable[[], NativeFmu] | None = field(default=None, compare=False)
 
     @property
     def model(self) -> str:

@@ -117,9 +117,10 @@ void box_least_squares(const controller_functions *mj, const double *jac, const 
     for (int i = 0; i < 3 && is_box(low, high); i++) {
         memcpy(qd, starts[i], sizeof middle);
         free_joints = mj->mju_boxQP(qd, factor, index, hessian, gradient, JOINTS, low, high);
+        if (!is_finite(qd)) free_joints = -1; /* a failure that MuJoCo 3 does not tell */
         if (free_joints >= 0 && is_minimum(mj, hessian, gradient, low, high, qd)) return;
     }
-    if (free_joints >= 0 && is_finite(qd)) return;
+    if (free_joints >= 0) return;
     for (int i = 0; i < JOINTS; i++) qd[i] = clamp(0.0, low[i], high[i]); /* braking is always permitted */
 }
 

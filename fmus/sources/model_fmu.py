@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from threading import RLock
 from typing import Any, Final
@@ -69,7 +69,8 @@ def model_fmu(
         )
     model = load(path, warn)
     model.opt.timestep = options.step or model.opt.timestep
-    return _fmu(path, model, options, name or path.stem)
+    fmu = _fmu(path, model, options, name or path.stem)
+    return replace(fmu, again=partial(model_fmu, path, options, name))
 
 
 def model_part(path: Path) -> NativeFmu:
@@ -78,11 +79,11 @@ def model_part(path: Path) -> NativeFmu:
     Without one, it has the default interface and starts at the keyframe `home`, if there is one.
     """
     model = load(path)
-    beside = path.with_suffix(".toml")
-    if beside.is_file():
-        return _fmu(path, model, ModelOptions(interface=beside), path.stem)
     keys = [model.key(i).name for i in range(model.nkey)]
-    return _fmu(path, model, ModelOptions("home" if "home" in keys else ""), path.stem)
+    options = ModelOptions("home" if "home" in keys else "")
+    if (beside := path.with_suffix(".toml")).is_file():
+        options = ModelOptions(interface=beside)
+    return replace(_fmu(path, model, options, path.stem), again=partial(model_part, path))
 
 
 def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str:
@@ -177,12 +178,21 @@ def load(path: Path, warn: Warn | None = None) -> Any:
             else:  # files beside the model go first: MuJoCo would take those that it is given
                 ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
                 model = mujoco.MjModel.from_xml_path(str(path), ours)
+                _fill_keyframes(model, path, ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
     if warn is not None:
         for text in texts:
             warn(f"{path}: MuJoCo warns: {one_line(text)}")
     return model
+
+
+def _fill_keyframes(model: Any, path: Path, files: Mapping[str, bytes]) -> None:
+    """Fill keyframes that are shorter than qpos with qpos0; before 3.15, MuJoCo takes zeros."""
+    if model.nkey and mujoco.mj_version() < 3_015_000 and path.suffix.lower() == ".xml":
+        spec = mujoco.MjSpec.from_file(str(path), include=files, assets=files)
+        for key, row in zip(spec.keys, model.key_qpos, strict=True):
+            row[len(key.qpos) :] = model.qpos0[len(key.qpos) :]
 
 
 _TRIAL: Final = """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
@@ -15,7 +16,14 @@ from ...assets import SCENES
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
 from ..build.description import STOP_TIME, Layout
-from ..build.libraries import code_digest, digest, own_licences, this_platform
+from ..build.engines import made_with
+from ..build.libraries import (
+    code_digest,
+    digest,
+    mujoco_version,
+    own_licences,
+    this_platform,
+)
 from ..inside.base import TICK
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
@@ -24,6 +32,8 @@ from ..interface.trajectory import TABLE_FILE, TRAJECTORY
 from ..interface.variables import Interface
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ..build.native import NativeFmu
 
 Kind = Literal["native", "python"]
@@ -39,6 +49,12 @@ class Target:
     platforms: tuple[str, ...] = ()  # keys of `libraries.PLATFORMS`; empty: this one
     scalars: bool = False  # FMI 3.0 without arrays
     flat: bool = False  # names such as `q_1` instead of `q[1]`
+    mujoco: str = ""  # version of MuJoCo in those that have one; empty: the installed one
+
+    def __post_init__(self) -> None:
+        """The installed version needs no name."""
+        if self.mujoco == mujoco_version():
+            object.__setattr__(self, "mujoco", "")
 
     def in_python(self, name: str) -> bool:
         """Whether one of the project's own FMUs runs Python code; the sensors do in either kind."""
@@ -46,8 +62,14 @@ class Target:
 
     def make(self, fmu: NativeFmu) -> bytes:
         """Make the .fmu file."""
+        if self.mujoco and fmu.again is not None:
+            return made_with(self.mujoco, partial(_make, fmu.again, replace(self, mujoco="")))
         layout = Layout(self.fmi, self.scalars, self.flat)
         return fmu.build(layout, self.platforms or (this_platform(),))
+
+
+def _make(describe: Callable[[], NativeFmu], target: Target) -> bytes:
+    return target.make(describe())
 
 
 def build(
@@ -104,7 +126,8 @@ def _own_place(name: str, target: Target, commands: bytes = b"") -> Path:
 
 def _place(model: str, target: Target, *content: str | bytes) -> Path:
     """Place in the cache of an FMU that depends on the content."""
-    shape = (target.fmi, target.platforms or (this_platform(),), target.scalars, target.flat)
+    shape = (target.fmi, target.platforms or (this_platform(),), target.scalars, target.flat,
+             target.mujoco)  # fmt: skip
     name = digest(model, repr(shape), own_licences(), *content)
     return cache_folder() / name[:24] / f"{model}.fmu"
 
@@ -151,18 +174,20 @@ def own_fmu(
 
         code = own_code(name) | dict(changed or {})
         return python_fmu(own.interface, "", code, own.slave, own.needs, resources=table)
+    again = partial(own_fmu, name, in_python=False)
     if name == "plant":
         from ...plant.scene import load_scene  # noqa: PLC0415 - see above
         from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above
 
         models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
-        return mujoco_fmu(PLANT, models, "", "home", STOP_TIME)
+        fmu = mujoco_fmu(PLANT, models, "", "home", STOP_TIME)
+        return replace(fmu, again=again)
     from ..build.native import NativeFmu  # noqa: PLC0415 - see above
 
     if name == "controller":
         from ...controller.model import arm_mjb  # noqa: PLC0415 - see above
 
-        return NativeFmu(CONTROLLER, "controller", "", {"arm.mjb": arm_mjb()})
+        return NativeFmu(CONTROLLER, "controller", "", {"arm.mjb": arm_mjb()}, again=again)
     return NativeFmu(TRAJECTORY, "player", "", table, (("table", TABLE_FILE),))
 
 

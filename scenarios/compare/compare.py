@@ -60,6 +60,7 @@ class Comparison:
 
     problems: tuple[str, ...]  # one line each, the most important first
     deviations: tuple[Deviation, ...]  # of each compared column, the worst first
+    engines: tuple[str, str] = ("", "")  # versions of MuJoCo: the run's, the reference's
 
     @property
     def ok(self) -> bool:
@@ -104,7 +105,9 @@ def compare_with_reference(
     problems += _tube_problems(deviations)
     if exact:
         problems += guards.bit_problems(recording, reference)
-    return Comparison(tuple(problems), tuple(deviations))
+    run, made = (each.metadata.get("versions", {}) for each in (recording, reference))
+    engines = (run.get("mujoco", ""), made.get("mujoco", ""))
+    return Comparison(tuple(problems), tuple(deviations), engines)
 
 
 def _check_precision(reference: Reference, tolerances: Tolerances) -> None:

@@ -209,9 +209,10 @@ def run_suite(
 
     `tell` is called with each outcome as it arrives.
     """
-    from ...fmus.sources.targets import build  # noqa: PLC0415 - imports much
+    from ...fmus.sources.targets import Target, build  # noqa: PLC0415 - imports much
 
-    build()  # once, not in each process
+    for engine in dict.fromkeys(scenario.mujoco for scenario in suite.usable):
+        build(target=Target(mujoco=engine))  # once, not in each process
     outcomes = {}
     with Workers(suite.jobs) as workers:
         futures = [

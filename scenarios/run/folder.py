@@ -16,7 +16,7 @@ from ...fmus.errors import InputError
 from ..files import MODEL_FILE, safe_name
 from ..scenario.scenario import Scenario
 from ..scenario.writer import write_scenario
-from ..system.assembly import Assembly
+from ..system.assembly import Assembly, assemble
 from ..system.parts import part_path
 
 RUNS = Path("runs")
@@ -84,7 +84,7 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
     folder.mkdir(parents=True, exist_ok=True)
     files = assembly.system.fmus
     if scenario.system or "plant" in scenario.fmus:
-        _keep_model(files.get("plant"), folder / MODEL_FILE)
+        _keep_model(_drawn_plant(scenario, assembly), folder / MODEL_FILE)
     if scenario.system:
         path, _ = part_path(scenario, scenario.system)
         shutil.copy2(path, folder / path.name)
@@ -103,7 +103,16 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
             file = f"{path.stem}.fmu"
             kept[name] = f"{name}_{file}" if file in kept.values() else file
             shutil.copy2(files[name], folder / kept[name])
-    return replace(scenario, fmus=kept)
+    still = any(part.is_model and part.name not in kept for part in assembly.parts)
+    return replace(scenario, fmus=kept, mujoco=scenario.mujoco if still else "")
+
+
+def _drawn_plant(scenario: Scenario, assembly: Assembly) -> Path | None:
+    """Return the plant's FMU, with the installed MuJoCo, which has to read its model."""
+    if not scenario.mujoco:
+        return assembly.system.fmus.get("plant")
+    parts = assemble(replace(scenario, mujoco="")).parts
+    return next((part.make() for part in parts if part.name == "plant"), None)
 
 
 def _keep_model(fmu: Path | None, path: Path) -> None:

@@ -37,6 +37,8 @@ TOP: Final = (
     "timing",
     "timing_share",
     "align",
+    "mujoco",
+    "input_scale",
 )
 _SECTIONS: Final = ("table.", "push[", "success.", "mismatch.", "inputs.")
 _STEP: Final = re.compile(r"(\w+)(?:\[(\d{1,6})\])?", re.A)

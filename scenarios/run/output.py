@@ -35,7 +35,7 @@ class Output:
         self._journal = self._place / JOURNAL_FILE if journals else None
         columns = prepared.assembly.recorded(prepared.scenario.coupling)
         self.signals = tuple(column.name for column in columns)
-        provenance = _provenance(system) if writes else {}
+        provenance = _provenance(system, prepared.scenario.mujoco) if writes else {}
         metadata = {**_metadata(prepared), **provenance} if writes else {}
         metadata |= {"session": JOURNAL_FILE} if journals else {}
         make = Recorder if writes else MemoryRecorder
@@ -86,6 +86,8 @@ def _metadata(prepared: Prepared) -> dict[str, Any]:
     scene = values.get("plant", {}).get("scene")
     if isinstance(scene, str):  # from an .ssp file it is a number
         ours["scene"] = scene
+    if scenario.mujoco:
+        ours["mujoco"] = scenario.mujoco
     if not scenario.is_system:
         ours |= {
             "gains": scenario.gains,
@@ -106,7 +108,7 @@ def _metadata(prepared: Prepared) -> dict[str, Any]:
     }
 
 
-def _provenance(system: OpenSystem) -> dict[str, Any]:
+def _provenance(system: OpenSystem, engine: str) -> dict[str, Any]:
     """FMUs, versions and platform of a recording, for its metadata."""
     return {
         "fmus": {
@@ -116,6 +118,7 @@ def _provenance(system: OpenSystem) -> dict[str, Any]:
         "versions": {
             "python": platform.python_version(),
             **{package: package_version(package) for package in PACKAGES},
+            **({"mujoco": engine} if engine else {}),
         },
         "platform": f"{sys.platform} {platform.machine()}",
     }

@@ -122,6 +122,8 @@ class Inputs:
         self._columns = {name: column for column, name in enumerate(self._scalars)}
         self._assembly = assembly
         self._start = assembly.inputs_at_start(values)
+        self._of_plant = [i for i, (fmu, _) in enumerate(assembly.external) if fmu == "plant"]
+        self._scale = scenario.input_scale
         self._from_time, self._step = assembly.start_time, scenario.step
         self._held: dict[int, float] = {}
         self.shape = (scenario.ticks + 1, len(self._columns))  # instants, inputs
@@ -165,6 +167,8 @@ class Inputs:
             commands = _sampled(self._trajectory, first, count)
             scenario = np.hstack((self._forces(times), commands))
             rows[:, self._to] = scenario[:, self._from]
+        if self._scale != 1.0:
+            rows[:, self._of_plant] *= self._scale
         return rows
 
     def _forces(self, times: Array) -> Array:

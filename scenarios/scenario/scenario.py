@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
+from ...fmus.build.engines import check_engine
 from ...fmus.errors import InputError
 from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.messages import did_you_mean, excerpt
@@ -132,6 +133,11 @@ class Scenario:
     mismatch: Mismatch = field(default_factory=Mismatch)  # robot and camera against the model
     success: Success = field(default_factory=Success)
     # With an expected failure and its reason, a scenario tests that something does not work.
+    # Version of MuJoCo in the FMUs that are made of models, and in our controller's; empty: the
+    # installed one.
+    mujoco: Annotated[str, PlainValidator(check_engine)] = ""
+    # Factor on all inputs of the FMU `plant`; 1.00000000000001 shows how rounding errors grow.
+    input_scale: Annotated[float, Quantity(0.99, 1.01, "1")] = 1.0
     expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"
     expect_reason: Annotated[str, Line()] = ""
     # How far a run may deviate from its reference recording.
@@ -191,6 +197,9 @@ class Scenario:
                     f"{key}: acts only on a scenario with a {TABLE_FILE}; must be left out here, "
                     "as a system has none"
                 )
+        for key in ("mujoco", "input_scale") if self.system else ():
+            if getattr(self, key) != getattr(Scenario, key):
+                raise ValueError(f"{key}: must be left out with system, which has its own FMUs")
         if self.coupling == "iterated" and (self.steps or not self.is_system):
             raise ValueError(
                 'coupling: value "iterated"; must be another one with [steps], or with a '

@@ -36,7 +36,8 @@ _OWN_PLANT: Final = (
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
-_RARE = ("system", "step", "timing", "timing_share")  # keys that are written if they say something
+# Keys that are written if they say something.
+_RARE = ("system", "step", "timing", "timing_share", "mujoco", "input_scale")
 
 
 def make_scenario(

@@ -178,7 +178,8 @@ def _differ(one: Scenario, other: Scenario) -> bool:
     runs = prepare(one), prepare(other)
     if runs[0].values != runs[1].values:
         return True
-    if any(getattr(one, n) != getattr(other, n) for n in ("ticks", "coupling", "success", "asked")):
+    own = ("ticks", "coupling", "success", "asked", "mujoco", "input_scale")
+    if any(getattr(one, name) != getattr(other, name) for name in own):
         return True
     first, second = (run.inputs() for run in runs)
     chunks = (slice(k, k + CHUNK) for k in range(0, first.shape[0], CHUNK))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ...fmus.sources.targets import build
+from ...fmus.sources.targets import Target, build
 from ..judging.criterion import Criterion
 from ..run.folder import SUMMARY_FILE, default_folder
+from ..run.options import with_values
 from ..scenario.success import Success
 from ..work import cores
 from .backend import Backend, backend
@@ -90,9 +91,11 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     if jobs is not None and jobs < 1:
         raise InputError(f"jobs: value {jobs!r}; must be at least 1")
     scenarios, design = check_sweep(definition, out)
-    fmus = {name: path.read_bytes() for name, path in build().items()}
     keep = "none" if definition.keep.startswith("worst:") else definition.keep
-    job = Job(tuple(map(pack, scenarios)), fmus, time_limit, keep)
+    job = _job(scenarios, time_limit, keep)
+    engines = dict.fromkeys(map(str, design.columns.get("mujoco", ())))
+    varied = {each: _job(_with_engine(scenarios, each), time_limit, keep) for each in engines}
+    job = replace(job, engines=varied)
     begun_with = origin(definition, job.scenarios, job.fmus)
     store = Store(default_folder("sweep") if out is None else out)
     with store.claimed(), ExitStack() as stack:
@@ -113,6 +116,18 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     counts = store.count()
     gate = judge_rate(definition, counts, len(design)) if definition.min_success else None
     return SweepResult(store.folder, counts, gate)
+
+
+def _job(scenarios: Sequence[Loaded], time_limit: float | None, keep: str) -> Job:
+    """Build the FMUs of scenarios, and pack them; our own if all have the same MuJoCo."""
+    engine, *others = {each.scenario.mujoco for each in scenarios}
+    files = {} if others else build(target=Target(mujoco=engine))
+    fmus = {name: path.read_bytes() for name, path in files.items()}
+    return Job(tuple(map(pack, scenarios)), fmus, time_limit, keep)
+
+
+def _with_engine(scenarios: Sequence[Loaded], engine: str) -> list[Loaded]:
+    return [replace(s, scenario=with_values(s.scenario, {"mujoco": engine})) for s in scenarios]
 
 
 def judge_rate(definition: Sweep, counts: Mapping[str, int], rows: int) -> Criterion:

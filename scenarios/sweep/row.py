@@ -50,6 +50,7 @@ class Job:
     fmus: Mapping[str, bytes]  # content of our own FMUs' files by instance
     time_limit: float | None = None  # wall time of a row [s]
     keep: str = "none"  # which recordings are kept: none, failures, all
+    engines: Mapping[str, Job] = field(default_factory=dict)  # for values of the key `mujoco`
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,13 @@ def unpack_job(job: Job, folder: Path) -> None:
     for name, content in job.fmus.items():
         (folder / f"{name}.fmu").write_bytes(content)
     scenarios = (unpack(each, folder / f"scenario-{i}") for i, each in enumerate(job.scenarios))
-    job = replace(job, scenarios=tuple(scenarios), fmus=dict.fromkeys(job.fmus, b""))
-    (folder / JOB_FILE).write_bytes(pickle.dumps(job))
+    for engine, other in job.engines.items():
+        (folder / engine).mkdir()
+        unpack_job(other, folder / engine)
+    fmus = dict.fromkeys(job.fmus, b"")
+    kept = replace(job, scenarios=tuple(scenarios), fmus=fmus, engines={})
+    kept = replace(kept, engines=dict.fromkeys(job.engines, kept))
+    (folder / JOB_FILE).write_bytes(pickle.dumps(kept))
 
 
 def run_rows(work: tuple[Path, Sequence[Task]]) -> list[Done]:
@@ -108,13 +114,16 @@ def _run_row(folder: Path, task: Task) -> Done:
 def _run(folder: Path, task: Task, *, writes: bool) -> Done:
     """Run a row, in memory or in a folder whose files are kept; a failed run is a row, too."""
     job, place = _job_in(folder), folder / f"run-{os.getpid()}"
+    row, values = first_columns(job, task), dict(task.values)
+    if job.engines:  # whose scenarios have that value
+        folder /= str(values.pop("mujoco", ""))
+        job = _job_in(folder)
     fmus = {name: folder / f"{name}.fmu" for name in job.fmus}
-    row = first_columns(job, task)
     began = time.perf_counter()
     try:
         with warnings.catch_warnings():  # an overflow is a failure of the run soon
             warnings.simplefilter("ignore", RuntimeWarning)
-            scenario = with_values(job.scenarios[task.scenario].scenario, task.values)
+            scenario = with_values(job.scenarios[task.scenario].scenario, values)
             prepared = prepare(scenario, Options(fmus=fmus, time_limit=job.time_limit))
             stop = StopRequest()
             with Execution(prepared, place, writes=writes) as execution:

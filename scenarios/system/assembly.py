@@ -191,10 +191,20 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
         raise InputError(connector.unfed_message("plant", "ctrl"))
     _check_names(scenario, interfaces)
     connections, notes = connector.connections, connector.notes
+    if scenario.input_scale != 1.0:
+        connections = [_scaled(connection, scenario.input_scale) for connection in connections]
     if from_outside:
         external, notes = [*_unfed(interfaces, connections, external), *external], []
     asked, steps = scenario.asked, scenario.steps
     return Assembly(interfaces, connections, external, parts, notes, asked, driven, steps)
+
+
+def _scaled(connection: Connection, scale: float) -> Connection:
+    """Return a connection, with a factor on what it gives the plant."""
+    if connection.target[0] != "plant":
+        return connection
+    factor, offset = scale * connection.factor, scale * connection.offset
+    return replace(connection, factor=factor, offset=offset)
 
 
 def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -45,6 +45,7 @@ class Part:
     file: Path | None  # where it comes from; None: the project's own
     interface: Interface
     make: Callable[..., Path]  # builds the FMU, if need be, for a Target if given; returns its path
+    is_model: bool = False  # whether it is made of a MuJoCo model
 
     @property
     def place(self) -> str:
@@ -82,23 +83,30 @@ def read_parts(
     read = {
         name: _read(scenario, name, scenario.fmus[name], run_code)
         if name in scenario.fmus
-        else _own(name, kind, files or {})
+        else _own(name, Target(kind, mujoco=scenario.mujoco), files or {})
         for name in order
     }
     parts = {name: part for name, part in read.items() if isinstance(part, Part)}
     for name, law in read.items():
         if not isinstance(law, Part):  # its signals are those of the parts around it
             parts[name] = _law_part(scenario, name, law, parts)
+    if scenario.mujoco and kind == "python":
+        raise InputError("mujoco: FMUs in Python use the installed version; must be left out")
+    if scenario.mujoco and not any(part.is_model for part in parts.values()):
+        raise InputError("mujoco: no FMU is made of a MuJoCo model here; must be left out")
+    if scenario.input_scale != 1.0 and "plant" not in parts:
+        raise InputError("input_scale: there is no FMU named plant; must be left out")
     return [parts[name] for name in order]
 
 
-def _own(name: str, kind: Kind, files: Mapping[str, Path]) -> Part:
+def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
     interface = SENSORS if name == "sensors" else INTERFACES[name]
 
     def make(target: Target | None = None) -> Path:
-        return files[name] if name in files else build([name], target=target or Target(kind))[name]
+        chosen = replace(target, mujoco=own.mujoco) if target else own
+        return files[name] if name in files else build([name], target=chosen)[name]
 
-    return Part(name, None, interface, make)
+    return Part(name, None, interface, make, name == "plant")
 
 
 def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | LawFile:
@@ -130,9 +138,12 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - see above
 
         model = model_part(path)
-        return Part(
-            name, path, model.interface, lambda target=None: build_fmu(model, target=target)
-        )
+
+        def make(target: Target | None = None) -> Path:
+            chosen = replace(target or Target(), mujoco=scenario.mujoco)
+            return build_fmu(model, target=chosen)
+
+        return Part(name, path, model.interface, make, is_model=True)
     values = {"plant": scenario.plant, "controller": scenario.controller, **scenario.parameters}
     fmu = read_fmu(path).restructured(values.get(name, {}))
     return Part(name, path, described_interface(fmu), lambda _target=None: path)

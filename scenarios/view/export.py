@@ -70,7 +70,8 @@ def show_source(
     physics = plant_model(source)
     scene = str(source.metadata.get("scene") or DEFAULT_SCENE)
     look = physics if meshes == "never" else load_model(scene, meshes)
-    return Shown(name, source, look, physics, summary)
+    # Another engine's contact forces cannot be computed by the installed one.
+    return Shown(name, source, look, None if "mujoco" in source.metadata else physics, summary)
 
 
 def plant_model(source: RunData) -> Any:

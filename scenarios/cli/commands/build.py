@@ -17,6 +17,7 @@ from ...check.experiments import (
     experiments_of,
     write_compatibility,
 )
+from ...run.options import with_values
 from ...run.written import written_system
 from ...scenario.scenario import Scenario
 from ..console import show_file, warn
@@ -24,6 +25,7 @@ from ..options import (
     DEFAULT_SCENARIO,
     FMI,
     KIND,
+    MUJOCO,
     NAMES,
     OVERWRITE,
     PLATFORM,
@@ -57,6 +59,7 @@ def command(  # noqa: PLR0913 - one for each option
     platform: str = PLATFORM,
     scalars: bool = SCALARS,
     names: Names = NAMES,
+    mujoco: str = MUJOCO,
     slave: str = option(
         "--slave FILE.py[:CLASS]",
         "Build only this: a slave class of your own, written for PythonFMU.",
@@ -90,13 +93,15 @@ def command(  # noqa: PLR0913 - one for each option
     target = target_of(kind, fmi, platform, scalars=scalars, names=names)
     if slave:
         others = {"--scenario": scenario != DEFAULT_SCENARIO, "--kind": kind != "native",
-                  "--container": container}  # fmt: skip
+                  "--container": container, "--mujoco": mujoco != ""}  # fmt: skip
         for name in (name for name, is_used in others.items() if is_used):
             raise InputError(f"{name}: cannot be combined with --slave")
         built = {_build_slave(slave, out, target, overwrite=overwrite): ""}
         experiments: dict[str, Experiment] = {}
     else:
         chosen = find_scenario(scenario)
+        if mujoco:
+            chosen = with_values(chosen, {"mujoco": mujoco})
         if not chosen.is_system:
             announce_build(target)
         built = build_all(chosen, out, target, container=container, overwrite=overwrite)

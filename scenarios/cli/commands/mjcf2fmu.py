@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import typer
@@ -14,6 +15,7 @@ from ....fmus.sources.targets import build_fmu
 from ..console import show_file, warn
 from ..options import (
     FMI,
+    MUJOCO,
     NAMES,
     OVERWRITE,
     PLATFORM,
@@ -22,6 +24,7 @@ from ..options import (
     Names,
     argument,
     option,
+    read_engines,
     target_of,
 )
 from .build import put_reference
@@ -37,6 +40,7 @@ def command(  # noqa: PLR0913 - one for each option
     platform: str = PLATFORM,
     scalars: bool = SCALARS,
     names: Names = NAMES,
+    mujoco: str = MUJOCO,
     step: float = option("--step SECONDS", "Internal step. Default: the model's own.", 0.0),
     key: str = option("--key NAME", "Keyframe to start from. Default: qpos0.", ""),
     inputs: list[str] | None = option(
@@ -78,6 +82,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim mjcf2fmu humanoid.xml --print-interface > humanoid.toml
     panda-cosim mjcf2fmu humanoid.xml --interface humanoid.toml --fmi 3 --out Humanoid.fmu
     panda-cosim mjcf2fmu humanoid.xml ant.xml --step 0.001 --names flat
+    panda-cosim mjcf2fmu humanoid.xml --mujoco 3.11.0
     ```
     """
     given = (tuple(inputs or ()), tuple(outputs or ()), tuple(parameters or ()))
@@ -86,7 +91,9 @@ def command(  # noqa: PLR0913 - one for each option
         for model in models:
             typer.echo(describe(model, options, warn), nl=False)
         return
+    engine = ",".join(read_engines(mujoco))
     target = target_of("native", fmi, platform, scalars=scalars, names=names)
+    target = replace(target, mujoco=engine)
     paths = _paths(models, out)
     check_replaceable(*paths.values(), overwrite=overwrite)
     fmus = {path: model_fmu(model, options, path.stem, warn) for model, path in paths.items()}

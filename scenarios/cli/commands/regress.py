@@ -10,6 +10,7 @@ import typer
 
 from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
+from ...compare.engines import EngineRow, engine_rows, is_noisy, variants
 from ...compare.formats import multiple
 from ...compare.junit import write_junit
 from ...compare.regress import (
@@ -27,7 +28,16 @@ from ...run.folder import default_folder
 from ...sweep.suite import SuiteSweep, find_sweeps
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
-from ..options import JSON, OVERWRITE, PARAMETERS, argument, option, overrides
+from ..options import (
+    ENGINES,
+    JSON,
+    OVERWRITE,
+    PARAMETERS,
+    argument,
+    option,
+    overrides,
+    read_engines,
+)
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES, BAD = {"same": "green", "holds": "green", "no reference": "yellow"}, "bold red"
@@ -66,6 +76,7 @@ def command(  # noqa: PLR0913 - one for each option
         True,
     ),
     overwrite: bool = OVERWRITE,
+    mujoco: str = ENGINES,
     yes: bool = option("--yes -y", "With --update: do not ask.", False),
     json: bool = JSON,
 ) -> None:
@@ -81,10 +92,15 @@ def command(  # noqa: PLR0913 - one for each option
 
     A sweep.toml in a scenario's folder is judged by the success rate that it requires.
 
+    With `--mujoco`, scenarios also run with other versions of MuJoCo, and without sweeps. A table
+    says of each whether it is equal to the installed one, differs by rounding, or has changed, from
+    which tick on, and which signal leaves its tube first.
+
     ```
     panda-cosim regress
     panda-cosim regress push jacobi --set controller.kp=7.6 --report report
     panda-cosim regress --scenarios my-scenarios --update
+    panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
     ```
     """
     if update and (assignments or exact or json):
@@ -92,19 +108,23 @@ def command(  # noqa: PLR0913 - one for each option
             "--update: cannot be combined with --set, --exact or --json; references are made of "
             "unchanged scenarios"
         )
+    engines = read_engines(mujoco)
+    if engines and (update or exact):
+        raise InputError("--mujoco: cannot be combined with --update or --exact")
     if yes and not update:
         raise InputError("--yes: only goes with --update")
     if overwrite and report is None:
         raise InputError("--overwrite: only goes with --report")
     chosen = find_scenarios(scenarios or (), folder)
-    suite = Suite(chosen, overrides(assignments), exact, jobs or cores())
+    runs_of = [v for s in chosen for v in (variants(s, engines) if engines else [s])]
+    suite = Suite(runs_of, overrides(assignments), exact, jobs or cores())
     # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
-    swept = find_sweeps(chosen) if sweeps and not update else []
+    swept = find_sweeps(chosen) if sweeps and not update and not engines else []
     if swept and assignments:
         raise InputError(f"--set: does not go with {swept[0].file}; must have --no-sweeps, too")
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
-        check_kept_runs(report / "runs", (each.name for each in (*chosen, *swept)))
+        check_kept_runs(report / "runs", (each.name for each in (*runs_of, *swept)))
     with ExitStack() as stack:
         # Beside the report's, so that runs can be moved there.
         parent = report or cache_folder()
@@ -113,6 +133,8 @@ def command(  # noqa: PLR0913 - one for each option
         except OSError as error:
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
         outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
+        compared = engine_rows(chosen, engines, outcomes) if engines else []
+        outcomes = [outcome for outcome in outcomes if not is_noisy(outcome.scenario)]
         if report is not None:
             write_report(outcomes, report / REPORT_FILE, suite.overrides)
             write_junit(outcomes, report / JUNIT_FILE)
@@ -123,9 +145,11 @@ def command(  # noqa: PLR0913 - one for each option
         if update:
             return _update(outcomes, yes=yes)
     if json:
-        show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
+        table_of_engines = {"engines": compared} if engines else {}
+        show_json({"scenarios": [_described(each) for each in outcomes], **table_of_engines})
     else:
         _show_result(outcomes)
+        _show_engines(compared)
     raise typer.Exit(exit_code(outcomes))
 
 
@@ -179,8 +203,25 @@ def _show_result(outcomes: list[Outcome]) -> None:
     runs = [outcome for outcome in outcomes if not isinstance(outcome.scenario, SuiteSweep)]
     judged = [outcome.name for outcome in runs if outcome.verdict in ("holds", "missed")]
     show(headline(outcomes), "bold red" if wrong else "bold green")
+    pairs = [outcome.comparison.engines for outcome in outcomes if outcome.comparison]
+    if pairs:
+        used, made = (", ".join(sorted(set(each))) for each in zip(*pairs, strict=True))
+        show(f"MuJoCo of the runs: {used}; of the references: {made}")
     if judged:
         show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
+
+
+def _show_engines(rows: list[EngineRow]) -> None:
+    """Print what each version of MuJoCo makes of each scenario."""
+    cells: dict[str, list[str]] = {}
+    for row in rows:
+        tick = "" if row.tick is None else f", tick {row.tick}"
+        left = f"; {row.signal} leaves its tube at {row.time:.3f} s" if row.signal else ""
+        text = f"{row.difference}{tick}{left}" if row.mujoco else row.verdict
+        cells.setdefault(row.scenario, []).append(as_cell(text))
+    if cells:
+        head = dict.fromkeys(row.mujoco or "own" for row in rows)
+        show(table(("Scenario", *head), [(as_cell(name), *row) for name, row in cells.items()]))
 
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:

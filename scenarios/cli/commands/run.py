@@ -18,6 +18,7 @@ from ..options import (
     DEFAULT_SCENARIO,
     JSON,
     KIND,
+    MUJOCO,
     OUT_RUN,
     PLANT,
     SETTINGS,
@@ -71,6 +72,7 @@ def command(  # noqa: PLR0913 - one for each option
     isolate: bool = ISOLATE,
     step_timeout: float | None = STEP_TIMEOUT,
     kind: Kind = KIND,
+    mujoco: str = MUJOCO,
     junit: Path | None = JUNIT,
     json: bool = JSON,
 ) -> None:
@@ -101,7 +103,9 @@ def command(  # noqa: PLR0913 - one for each option
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
-    prepared = prepare(*assigned(chosen, assignments, options))  # refuses bad input
+    engine = [f"mujoco={mujoco}"] if mujoco else []
+    changes = [*(assignments or ()), *engine]
+    prepared = prepare(*assigned(chosen, changes, options))  # refuses bad input
     output = Output(out, video, plot, view, junit, json, fps)
 
     def run(folder: Path, update: Progress) -> Run:

@@ -18,7 +18,7 @@ from ...judging.criterion import line as criterion_line
 from ...judging.criterion import miss_text
 from ...run.folder import default_folder
 from ...sweep.again import promote_row, show_row
-from ...sweep.definition import SAMPLED, Sweep, load_sweep, sweep_of
+from ...sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...sweep.engine import SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import REPORT_FILE, write_report
@@ -27,7 +27,16 @@ from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.statistics import share_bounds
 from ...sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
-from ..options import JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
+from ..options import (
+    ENGINES,
+    JSON,
+    OPEN_PAGE,
+    OVERWRITE,
+    announce_build,
+    argument,
+    option,
+    read_engines,
+)
 from ..outcome import NOT_A_SUCCESS, Fault
 
 SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
@@ -73,6 +82,7 @@ def command(  # noqa: PLR0913 - one for each option
         "With --min-success, compare the one-sided lower bound by Clopper and Pearson at this "
         "confidence, such as 0.95. For random rows. In the file: confidence.",
     ),
+    mujoco: str = ENGINES,
     junit: Path | None = option(
         "--junit FILE", "With --min-success, write the verdict as JUnit XML, for CI."
     ),
@@ -97,7 +107,7 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError(
             "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
         )
-    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    definition = _definition(sweep, vary, mujoco)
     if min_success is not None:
         definition = replace(definition, min_success=min_success)
     if confidence is not None:
@@ -128,6 +138,14 @@ def command(  # noqa: PLR0913 - one for each option
         _write_junit(junit, name, began, None if done.gate.ok else ("failure", "missed", text))
         if not done.gate.ok:
             raise typer.Exit(NOT_A_SUCCESS)
+
+
+def _definition(sweep: str, vary: list[str] | None, mujoco: str) -> Sweep:
+    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    if not mujoco:
+        return definition
+    engines = Distribution("values", values=tuple(read_engines(mujoco)))
+    return replace(definition, vary={**definition.vary, "mujoco": engines})
 
 
 def _write_junit(path: Path | None, name: str, began: float, fault: Fault | None) -> None:
