@@ -1,7 +1,7 @@
-"""Other versions of MuJoCo: each an importable folder in the cache, for processes of its own.
+"""Other versions of MuJoCo: each a folder in the cache that a process of its own imports.
 
-The project itself runs with any of them. So an FMU with another engine is the one that the project
-builds where that version is installed: its models are compiled by that version, byte for byte.
+The project runs with any of them. So an FMU with another engine is the one that the project makes
+where that version is installed: its models are compiled by that version, byte for byte.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from typing import Final
 
 from ..atomic import cache_folder, in_cache, temporary_folder
 from ..errors import CosimError, InputError
+from ..messages import excerpt
 from ..processes import SAFE_PATH, run
+from .libraries import mujoco_version
 
-OLDEST: Final = (3, 10, 0)  # as in pyproject.toml
-_VERSION: Final = re.compile(r"\d{1,3}(\.\d{1,3}){2}", re.A)
+_VERSION: Final = re.compile(r"(3\.[1-9]\d|[4-9]\.\d\d?)\.\d\d?", re.A)
 _CHILD: Final = """
 import pickle, sys
 from pathlib import Path
@@ -38,38 +39,16 @@ except CosimError as error:
 
 def check_engine(version: object) -> str:
     """Return a version of MuJoCo that FMUs can hold; "" is the installed one."""
-    if version != "":
-        is_version = isinstance(version, str) and _VERSION.fullmatch(version)
-        if not is_version or tuple(map(int, str(version).split("."))) < OLDEST:
-            oldest = ".".join(map(str, OLDEST))
-            raise ValueError(f'value {version!r}; must be a version of MuJoCo from "{oldest}" on')
+    if version != "" and not (isinstance(version, str) and _VERSION.fullmatch(version)):
+        raise InputError(f"mujoco: value {excerpt(version)}; must be a version from 3.10.0 on")
     return str(version)
 
 
-def engine_folder(version: str) -> Path:
-    """Folder from which this version of MuJoCo can be imported; downloaded if it is missing."""
-    folder = cache_folder() / "engines" / f"{version}-{sys.implementation.cache_tag}"
-    if not folder.is_dir():
-        packages = ["mujoco"] if version.startswith("3.") else ["mujoco", "mujoco-core"]
-        with in_cache(folder) as partial:
-            command = [
-                *(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"),
-                *("--disable-pip-version-check", "--retries", "1", "--only-binary", ":all:"),
-                *("--target", str(partial)),
-                *(f"{package}=={version}" for package in packages),
-            ]
-            done = run(command)
-            if done.returncode:
-                lines = done.stderr.strip().splitlines() or ["pip failed"]
-                raise CosimError(f"MuJoCo {version} cannot be downloaded: {lines[-1]}")
-            with suppress(OSError):  # another process was first
-                partial.rename(folder)
-    return folder
-
-
 def made_with(version: str, make: Callable[[], bytes]) -> bytes:
-    """Call a function that can be pickled in a process that has another MuJoCo."""
-    paths = [str(engine_folder(version)), *filter(None, [os.environ.get("PYTHONPATH")])]
+    """Call a function that can be pickled where this version of MuJoCo is imported."""
+    if version == mujoco_version():
+        return make()
+    paths = [str(_installed(version)), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, **SAFE_PATH, "PYTHONPATH": os.pathsep.join(paths)}
     with temporary_folder(cache_folder()) as folder:
         call, answer = folder / "call", folder / "answer"
@@ -77,7 +56,26 @@ def made_with(version: str, make: Callable[[], bytes]) -> bytes:
         command = [sys.executable, "-c", _CHILD, str(call), str(answer), version]
         done = run(command, environment=environment)
         if done.returncode:
-            lines = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]
             kind = InputError if done.returncode == InputError.exit_code else CosimError
-            raise kind(f"with MuJoCo {version}: {lines[-1]}")
+            raise kind(f"with MuJoCo {version}: {_last_line(done.stderr)}")
         return answer.read_bytes()
+
+
+def _installed(version: str) -> Path:
+    """Return the folder of a version, downloaded if it is missing."""
+    folder = cache_folder() / "engines" / f"{version}-{sys.implementation.cache_tag}"
+    packages = ["mujoco"] if version.startswith("3.") else ["mujoco", "mujoco-core"]
+    if not folder.is_dir():
+        with in_cache(folder) as partial:
+            pip = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+            options = ("--no-deps", "--only-binary", ":all:", "--retries", "1", "--target")
+            done = run([*pip, *options, str(partial), *(f"{p}=={version}" for p in packages)])
+            if done.returncode:
+                raise CosimError(f"MuJoCo {version} cannot be got: {_last_line(done.stderr)}")
+            with suppress(OSError):  # another process was first
+                partial.rename(folder)
+    return folder
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or ["no reason is known"])[-1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,13 +17,7 @@ from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
 from ..build.description import STOP_TIME, Layout
 from ..build.engines import made_with
-from ..build.libraries import (
-    code_digest,
-    digest,
-    mujoco_version,
-    own_licences,
-    this_platform,
-)
+from ..build.libraries import code_digest, digest, own_licences, this_platform
 from ..inside.base import TICK
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
@@ -32,8 +26,6 @@ from ..interface.trajectory import TABLE_FILE, TRAJECTORY
 from ..interface.variables import Interface
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from ..build.native import NativeFmu
 
 Kind = Literal["native", "python"]
@@ -51,11 +43,6 @@ class Target:
     flat: bool = False  # names such as `q_1` instead of `q[1]`
     mujoco: str = ""  # version of MuJoCo in those that have one; empty: the installed one
 
-    def __post_init__(self) -> None:
-        """The installed version needs no name."""
-        if self.mujoco == mujoco_version():
-            object.__setattr__(self, "mujoco", "")
-
     def in_python(self, name: str) -> bool:
         """Whether one of the project's own FMUs runs Python code; the sensors do in either kind."""
         return self.kind == "python" or name == "sensors"
@@ -63,13 +50,14 @@ class Target:
     def make(self, fmu: NativeFmu) -> bytes:
         """Make the .fmu file."""
         if self.mujoco and fmu.again is not None:
-            return made_with(self.mujoco, partial(_make, fmu.again, replace(self, mujoco="")))
+            return made_with(
+                self.mujoco, partial(replace(self, mujoco="")._make_described, fmu.again)
+            )
         layout = Layout(self.fmi, self.scalars, self.flat)
         return fmu.build(layout, self.platforms or (this_platform(),))
 
-
-def _make(describe: Callable[[], NativeFmu], target: Target) -> bytes:
-    return target.make(describe())
+    def _make_described(self, describe: Callable[[], NativeFmu]) -> bytes:
+        return self.make(describe())
 
 
 def build(
@@ -180,8 +168,7 @@ def own_fmu(
         from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above
 
         models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
-        fmu = mujoco_fmu(PLANT, models, "", "home", STOP_TIME)
-        return replace(fmu, again=again)
+        return replace(mujoco_fmu(PLANT, models, "", "home", STOP_TIME), again=again)
     from ..build.native import NativeFmu  # noqa: PLC0415 - see above
 
     if name == "controller":

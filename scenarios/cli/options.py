@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import typer
 
-from ...fmus.build.engines import check_engine
 from ...fmus.build.libraries import PLATFORMS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
@@ -82,12 +81,7 @@ PLATFORM = option(
 )
 
 
-MUJOCO = option(
-    "--mujoco VERSION",
-    "MuJoCo in the FMUs, such as 3.11.0; downloaded when it is first used. Default: the installed "
-    "one.",
-    "",
-)
+MUJOCO = option("--mujoco VERSION", "MuJoCo in the FMUs, such as 3.11.0. Default: this one.", "")
 ENGINES = option("--mujoco LIST", "Versions of MuJoCo to run with, such as 3.10.0,3.17.0.", "")
 SCALARS = option(
     "--scalars", "FMI 3.0 without arrays, for importers that read only scalars.", False
@@ -109,14 +103,6 @@ def target_of(
             valid = ", ".join(PLATFORMS)
             raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
     return Target(kind, int(fmi), keys, scalars, names == "flat")
-
-
-def read_engines(text: str) -> list[str]:
-    """Read versions of MuJoCo, separated by commas."""
-    try:
-        return list(dict.fromkeys(check_engine(each.strip()) for each in text.split(",") if text))
-    except ValueError as error:
-        raise InputError(f"--mujoco: {error}") from None
 
 
 def find_scenario(name: str) -> Scenario:

@@ -72,6 +72,12 @@ class Comparison:
         """The column with the largest deviation."""
         return self.deviations[0] if self.deviations else None
 
+    @property
+    def first(self) -> Deviation | None:
+        """The column that leaves its tube first."""
+        outside = [each for each in self.deviations if each.first is not None]
+        return min(outside, key=lambda each: each.first or 0.0, default=None)
+
 
 def compare_with_reference(
     recording: Recording,

@@ -1,45 +1,26 @@
 """Scenarios on several versions of MuJoCo: where they differ, and whether rounding explains it.
 
-Two engines that round differently are never equal to the last bit, and a small difference may grow
-without anything having changed. So each scenario runs once more with all inputs of its plant times
-1 + 1e-14: an engine has changed a signal where it is further off than `GROWTH` times what this
-noise has made of it so far.
+Engines that round differently are never equal to the last bit, and what rounding makes may grow. So
+each scenario runs once more with all inputs of its plant times 1 + 1e-14. An engine has changed a
+signal where it is further off than `GROWTH` times what this noise has made of the signal so far.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Literal
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
 from ..recording import Recording
 from ..scenario.scenario import Scenario
 from ..scenario.tolerances import Tolerances, is_compared
 from .regress import Outcome, Unusable
 
 NOISE: Final = 1.0 + 1e-14
-NOISY: Final = "-noise"  # end of the noisy run's name
-GROWTH: Final = 1000.0  # times the noise's largest effect so far
+GROWTH: Final = 1000.0
 FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
-Difference = Literal["equal", "rounding", "changed"]
-
-
-@dataclass(frozen=True)
-class EngineRow:
-    """A scenario on one version of MuJoCo."""
-
-    scenario: str
-    mujoco: str  # "": the scenario's own
-    verdict: str  # against the reference, as in an `Outcome`
-    difference: Difference  # from the run with the scenario's own
-    tick: int | None  # first one that differs or, of a change, that rounding does not explain
-    signal: str = ""  # the first that leaves its tube
-    time: float | None = None  # when it does [s]
-    reason: str = ""  # of a failed run, and of a bad verdict
 
 
 def variants(scenario: Scenario | Unusable, engines: Iterable[str]) -> list[Scenario | Unusable]:
@@ -47,65 +28,44 @@ def variants(scenario: Scenario | Unusable, engines: Iterable[str]) -> list[Scen
     if isinstance(scenario, Unusable):
         return [scenario]
     name = scenario.name
-    try:
-        noisy = replace(scenario, name=name + NOISY, input_scale=NOISE)
-        others = [replace(scenario, name=f"{name}-{each}", mujoco=each) for each in engines]
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-    return [scenario, noisy, *others]
-
-
-def is_noisy(member: object) -> bool:
-    """Tell whether a member of a suite is a scenario with noise."""
-    return isinstance(member, Scenario) and member.input_scale == NOISE
+    noisy = replace(scenario, name=f"{name}-noise", input_scale=NOISE)
+    return [scenario, noisy, *(replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)]
 
 
 def engine_rows(
-    scenarios: Iterable[Scenario | Unusable], engines: Sequence[str], outcomes: Iterable[Outcome]
-) -> list[EngineRow]:
-    """Compare the runs of each scenario with that of its own engine."""
-    by_name = {outcome.name: outcome for outcome in outcomes}
-    usable = [scenario for scenario in scenarios if isinstance(scenario, Scenario)]
-    return [_row(scenario, each, by_name) for scenario in usable for each in ("", *engines)]
+    scenarios: Sequence[Scenario | Unusable], engines: int, outcomes: Iterable[Outcome]
+) -> list[list[Outcome]]:
+    """Return the outcomes of each scenario: its own engine's, then the others' with differences."""
+    rows, remaining = [], iter(outcomes)  # in the order of `variants`
+    for scenario in scenarios:
+        rows.append([next(remaining)])
+        if isinstance(scenario, Scenario):
+            own, noisy = rows[-1][0], next(remaining)
+            others = (next(remaining) for _ in range(engines))
+            rows[-1] += [replace(o, difference=_difference(own, noisy, o)) for o in others]
+    return rows
 
 
-def _row(scenario: Scenario, engine: str, outcomes: Mapping[str, Outcome]) -> EngineRow:
-    name = scenario.name
-    outcome = outcomes[f"{name}-{engine}" if engine else name]
-    involved = (outcomes[name], outcomes[name + NOISY], outcome)
-    difference: tuple[Difference, int | None] = ("changed", None)
-    if all(each.verdict != "failed" for each in involved):
-        own, noisy, run = (Recording.open(each.run) for each in involved)
-        difference = difference_of(own, noisy, run, scenario.regression)
-    deviations = outcome.comparison.deviations if outcome.comparison else ()
-    left = [(each.first, each.name) for each in deviations if each.first is not None]
-    time, signal = min(left, default=(None, ""))
-    return EngineRow(name, engine, outcome.verdict, *difference, signal, time, outcome.reason)
+def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
+    if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
+        return "changed"
+    own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
+    return difference_of(own_run, noisy_run, run, own.tolerances)
 
 
-def difference_of(
-    own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances
-) -> tuple[Difference, int | None]:
+def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:
     """Tell whether rounding explains how a run differs from another, and the first such tick."""
     rows = min(each.rows for each in (own, noisy, run))
-    apart, beyond = np.zeros((2, rows), bool)
+    apart, beyond = np.zeros((2, rows + 1), bool)
+    beyond[rows] = own.rows != run.rows
     for name in own.columns:
         first, other = own[name][:rows], run[name][:rows]
-        apart |= first != other
-        if is_compared(name) and (first != other).any():
-            tolerance = tolerances.value(name, own.units[name])
-            beyond |= _beyond(first, noisy[name][:rows], other, tolerance)
-    if beyond.any() or own.rows != run.rows:
-        return "changed", int(np.argmax(beyond)) if beyond.any() else rows
-    return ("rounding", int(np.argmax(apart))) if apart.any() else ("equal", None)
-
-
-def _beyond(
-    own: NDArray[np.float64], noisy: NDArray[np.float64], run: NDArray[np.float64], tolerance: float
-) -> NDArray[np.bool_]:
-    """Return the ticks at which a run is further off than rounding explains."""
-    own, noisy, run = (each.astype(float) for each in (own, noisy, run))
-    effect = np.maximum.accumulate(np.abs(noisy - own))
-    near = np.abs(run - own) <= np.maximum(GROWTH * effect, FLOOR * tolerance)
-    beyond: NDArray[np.bool_] = ~near & (run != own)
-    return beyond
+        apart[:rows] |= first != other
+        if is_compared(name):
+            first, noise, other = (x.astype(float) for x in (first, noisy[name][:rows], other))
+            effect = np.maximum.accumulate(np.abs(noise - first))
+            near = np.maximum(GROWTH * effect, FLOOR * tolerances.value(name, own.units[name]))
+            beyond[:rows] |= ~(np.abs(other - first) <= near)
+    if beyond.any():
+        return f"changed, tick {np.argmax(beyond)}"
+    return f"rounding, tick {np.argmax(apart)}" if apart.any() else "equal"

@@ -74,6 +74,7 @@ class Outcome:
     comparison: Comparison | None = None  # with the reference; None: there is none, or it failed
     error: str = ""  # why it failed or missed, or why the reference cannot be used
     criteria: tuple[Criterion, ...] = ()  # as judged; empty without a summary
+    difference: str = ""  # from the run with the scenario's own MuJoCo, if it is another's
 
     @property
     def ok(self) -> bool:

@@ -90,7 +90,7 @@ def _section(outcome: Outcome, views: Views) -> Section:
         state="good" if outcome.ok else "warn" if unknown else "bad",
         parts=[*([Part("Success condition", [criteria])] if criteria.rows else []), *compared],
         word="not compared" if unknown else outcome.verdict,
-        purpose=outcome.scenario.purpose,
+        purpose=" · ".join(filter(None, (outcome.difference, outcome.scenario.purpose))),
         problems=comparison.problems if comparison else [outcome.error] if outcome.error else [],
         reason=outcome.reason,
         seconds=outcome.seconds,

@@ -84,7 +84,9 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
     folder.mkdir(parents=True, exist_ok=True)
     files = assembly.system.fmus
     if scenario.system or "plant" in scenario.fmus:
-        _keep_model(_drawn_plant(scenario, assembly), folder / MODEL_FILE)
+        # The installed MuJoCo, which draws, has to read the model.
+        drawn = assemble(replace(scenario, mujoco="")) if scenario.mujoco else assembly
+        _keep_model(drawn.system.fmus.get("plant"), folder / MODEL_FILE)
     if scenario.system:
         path, _ = part_path(scenario, scenario.system)
         shutil.copy2(path, folder / path.name)
@@ -105,14 +107,6 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
             shutil.copy2(files[name], folder / kept[name])
     still = any(part.is_model and part.name not in kept for part in assembly.parts)
     return replace(scenario, fmus=kept, mujoco=scenario.mujoco if still else "")
-
-
-def _drawn_plant(scenario: Scenario, assembly: Assembly) -> Path | None:
-    """Return the plant's FMU, with the installed MuJoCo, which has to read its model."""
-    if not scenario.mujoco:
-        return assembly.system.fmus.get("plant")
-    parts = assemble(replace(scenario, mujoco="")).parts
-    return next((part.make() for part in parts if part.name == "plant"), None)
 
 
 def _keep_model(fmu: Path | None, path: Path) -> None:

@@ -190,21 +190,17 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     if not scenario.is_system and not connector.is_fed("plant", "ctrl"):
         raise InputError(connector.unfed_message("plant", "ctrl"))
     _check_names(scenario, interfaces)
-    connections, notes = connector.connections, connector.notes
-    if scenario.input_scale != 1.0:
-        connections = [_scaled(connection, scenario.input_scale) for connection in connections]
+    scale, notes = scenario.input_scale, connector.notes
+    connections = [
+        replace(c, factor=scale * c.factor, offset=scale * c.offset)
+        if c.target[0] == "plant"
+        else c
+        for c in connector.connections
+    ]
     if from_outside:
         external, notes = [*_unfed(interfaces, connections, external), *external], []
     asked, steps = scenario.asked, scenario.steps
     return Assembly(interfaces, connections, external, parts, notes, asked, driven, steps)
-
-
-def _scaled(connection: Connection, scale: float) -> Connection:
-    """Return a connection, with a factor on what it gives the plant."""
-    if connection.target[0] != "plant":
-        return connection
-    factor, offset = scale * connection.factor, scale * connection.offset
-    return replace(connection, factor=factor, offset=offset)
 
 
 def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> None:

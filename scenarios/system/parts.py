@@ -140,8 +140,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         model = model_part(path)
 
         def make(target: Target | None = None) -> Path:
-            chosen = replace(target or Target(), mujoco=scenario.mujoco)
-            return build_fmu(model, target=chosen)
+            return build_fmu(model, target=replace(target or Target(), mujoco=scenario.mujoco))
 
         return Part(name, path, model.interface, make, is_model=True)
     values = {"plant": scenario.plant, "controller": scenario.controller, **scenario.parameters}

@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 
 from ....fmus.atomic import check_replaceable
+from ....fmus.build.engines import check_engine
 from ....fmus.errors import InputError
 from ....fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from ....fmus.sources.targets import build_fmu
@@ -24,7 +25,6 @@ from ..options import (
     Names,
     argument,
     option,
-    read_engines,
     target_of,
 )
 from .build import put_reference
@@ -91,9 +91,8 @@ def command(  # noqa: PLR0913 - one for each option
         for model in models:
             typer.echo(describe(model, options, warn), nl=False)
         return
-    engine = ",".join(read_engines(mujoco))
     target = target_of("native", fmi, platform, scalars=scalars, names=names)
-    target = replace(target, mujoco=engine)
+    target = replace(target, mujoco=check_engine(mujoco))
     paths = _paths(models, out)
     check_replaceable(*paths.values(), overwrite=overwrite)
     fmus = {path: model_fmu(model, options, path.stem, warn) for model, path in paths.items()}

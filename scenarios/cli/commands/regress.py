@@ -10,7 +10,7 @@ import typer
 
 from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
-from ...compare.engines import EngineRow, engine_rows, is_noisy, variants
+from ...compare.engines import engine_rows, variants
 from ...compare.formats import multiple
 from ...compare.junit import write_junit
 from ...compare.regress import (
@@ -28,16 +28,7 @@ from ...run.folder import default_folder
 from ...sweep.suite import SuiteSweep, find_sweeps
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
-from ..options import (
-    ENGINES,
-    JSON,
-    OVERWRITE,
-    PARAMETERS,
-    argument,
-    option,
-    overrides,
-    read_engines,
-)
+from ..options import ENGINES, JSON, OVERWRITE, PARAMETERS, argument, option, overrides
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES, BAD = {"same": "green", "holds": "green", "no reference": "yellow"}, "bold red"
@@ -108,7 +99,7 @@ def command(  # noqa: PLR0913 - one for each option
             "--update: cannot be combined with --set, --exact or --json; references are made of "
             "unchanged scenarios"
         )
-    engines = read_engines(mujoco)
+    engines = mujoco.split(",") if mujoco else []
     if engines and (update or exact):
         raise InputError("--mujoco: cannot be combined with --update or --exact")
     if yes and not update:
@@ -133,8 +124,8 @@ def command(  # noqa: PLR0913 - one for each option
         except OSError as error:
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
         outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
-        compared = engine_rows(chosen, engines, outcomes) if engines else []
-        outcomes = [outcome for outcome in outcomes if not is_noisy(outcome.scenario)]
+        rows = engine_rows(chosen, len(engines), outcomes) if engines else []
+        outcomes = [outcome for row in rows for outcome in row] or outcomes
         if report is not None:
             write_report(outcomes, report / REPORT_FILE, suite.overrides)
             write_junit(outcomes, report / JUNIT_FILE)
@@ -145,11 +136,10 @@ def command(  # noqa: PLR0913 - one for each option
         if update:
             return _update(outcomes, yes=yes)
     if json:
-        table_of_engines = {"engines": compared} if engines else {}
-        show_json({"scenarios": [_described(each) for each in outcomes], **table_of_engines})
+        show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
     else:
         _show_result(outcomes)
-        _show_engines(compared)
+        _show_engines(engines, rows)
     raise typer.Exit(exit_code(outcomes))
 
 
@@ -187,8 +177,9 @@ def _line(outcome: Outcome) -> str:
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
     worst = outcome.comparison.worst if outcome.comparison else None
-    names = ("name", "verdict", "reason", "seconds", "criteria")
-    return {name: getattr(outcome, name) for name in names} | {"worst": worst}
+    first = outcome.comparison.first if outcome.comparison else None
+    names = ("name", "verdict", "reason", "seconds", "criteria", "difference")
+    return {name: getattr(outcome, name) for name in names} | {"worst": worst, "first": first}
 
 
 def _show_result(outcomes: list[Outcome]) -> None:
@@ -211,17 +202,17 @@ def _show_result(outcomes: list[Outcome]) -> None:
         show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
 
 
-def _show_engines(rows: list[EngineRow]) -> None:
-    """Print what each version of MuJoCo makes of each scenario."""
-    cells: dict[str, list[str]] = {}
+def _show_engines(engines: list[str], rows: list[list[Outcome]]) -> None:
+    """Print what each MuJoCo changes, and the signal that leaves its tube first."""
+    cells = []
     for row in rows:
-        tick = "" if row.tick is None else f", tick {row.tick}"
-        left = f"; {row.signal} leaves its tube at {row.time:.3f} s" if row.signal else ""
-        text = f"{row.difference}{tick}{left}" if row.mujoco else row.verdict
-        cells.setdefault(row.scenario, []).append(as_cell(text))
+        cells.append([as_cell(row[0].name)])
+        for outcome in row:
+            first = outcome.comparison.first if outcome.comparison else None
+            left = f"; {first.name} leaves its tube at {first.first:.3f} s" if first else ""
+            cells[-1].append(as_cell(f"{outcome.difference or outcome.verdict}{left}"))
     if cells:
-        head = dict.fromkeys(row.mujoco or "own" for row in rows)
-        show(table(("Scenario", *head), [(as_cell(name), *row) for name, row in cells.items()]))
+        show(table(("Scenario", "own", *engines), cells))
 
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:

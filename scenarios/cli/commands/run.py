@@ -103,9 +103,9 @@ def command(  # noqa: PLR0913 - one for each option
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
-    engine = [f"mujoco={mujoco}"] if mujoco else []
-    changes = [*(assignments or ()), *engine]
-    prepared = prepare(*assigned(chosen, changes, options))  # refuses bad input
+    if mujoco:
+        assignments = [*(assignments or ()), f"mujoco={mujoco}"]
+    prepared = prepare(*assigned(chosen, assignments, options))  # refuses bad input
     output = Output(out, video, plot, view, junit, json, fps)
 
     def run(folder: Path, update: Progress) -> Run:

@@ -27,16 +27,7 @@ from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.statistics import share_bounds
 from ...sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
-from ..options import (
-    ENGINES,
-    JSON,
-    OPEN_PAGE,
-    OVERWRITE,
-    announce_build,
-    argument,
-    option,
-    read_engines,
-)
+from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
 from ..outcome import NOT_A_SUCCESS, Fault
 
 SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
@@ -142,10 +133,8 @@ def command(  # noqa: PLR0913 - one for each option
 
 def _definition(sweep: str, vary: list[str] | None, mujoco: str) -> Sweep:
     definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
-    if not mujoco:
-        return definition
-    engines = Distribution("values", values=tuple(read_engines(mujoco)))
-    return replace(definition, vary={**definition.vary, "mujoco": engines})
+    engines = {"mujoco": Distribution("values", values=tuple(mujoco.split(",")))} if mujoco else {}
+    return replace(definition, vary={**definition.vary, **engines})
 
 
 def _write_junit(path: Path | None, name: str, began: float, fault: Fault | None) -> None:
