@@ -29,6 +29,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "measured.md"
 RUN = [sys.executable, "-m", "panda_cosim"]
 DELAYS = (0.0, 0.001, 0.003, 0.006, 0.008, 0.012)  # [s]
+ENGINES = ("3.10.0", "3.11.0", "3.14.0", "3.17.0")  # beside the installed MuJoCo
 ERRORS = ("", "joint_noise=1e-5", "delay=0.001", "joint_offset=3.5e-4")
 
 
@@ -215,9 +216,36 @@ def cost(_: Path | None) -> str:
     return _table(["", "native FMUs", "Python FMUs"], rows)
 
 
+def engines(_: Path | None) -> str:
+    """Shipped scenarios by version of MuJoCo: `panda-cosim regress --no-sweeps --mujoco LIST`.
+
+    Against the installed one, whose references they are held against, too.
+    """
+    command = [*RUN, "regress", "--no-sweeps", "--json", "--mujoco", ",".join(ENGINES)]
+    outcomes = json.loads(_said(command, (0, 1)))["scenarios"]
+    width = 1 + len(ENGINES)
+    rows = [outcomes[i : i + width] for i in range(0, len(outcomes), width)]
+    return _table(
+        ["scenario", *ENGINES],
+        [[f"`{own['name']}`", *map(_on_engine, others)] for own, *others in rows],
+    )
+
+
+def _on_engine(outcome: dict[str, Any]) -> str:
+    if outcome["verdict"] == "same":
+        return str(outcome["difference"])
+    first, worst = outcome["first"], outcome["worst"]
+    if first is None:
+        return f"{outcome['difference']}; **{outcome['verdict']}**: {outcome['reason']}"
+    return (
+        f"{outcome['difference']}; **`{first['name']}` leaves its tube at {first['first']:.3f} s**"
+        f", at most {worst['share']:.1f} tolerances"
+    )
+
+
 SECTIONS: dict[str, Callable[[Path | None], str]] = {
     "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
-    "moves": moves, "mink": mink, "cost": cost,
+    "moves": moves, "mink": mink, "cost": cost, "engines": engines,
 }  # fmt: skip
 
 

@@ -1,0 +1,341 @@
+"""Other versions of MuJoCo: in FMUs, in runs, sweeps and suites, and what counts as a change."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from forked import command as cli
+from panda_cosim import Recording, Scenario, load_scenario
+from panda_cosim.controller.ik import box_least_squares
+from panda_cosim.fmus.atomic import cache_folder
+from panda_cosim.fmus.build.engines import made_with
+from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.scenarios.compare.compare import compare_with_reference
+from panda_cosim.scenarios.compare.engines import difference_of
+from panda_cosim.scenarios.compare.reference import Reference
+from panda_cosim.scenarios.run.options import Options, with_values
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.scenarios.scenario.tolerances import Tolerances
+from panda_cosim.scenarios.sweep.definition import sweep_of
+from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.scenarios.sweep.row import recording_digest
+from regress_support import SUMMARY, columns, record
+
+ENGINE = "3.11.0"
+HERE = mujoco.__version__
+ARM = """<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom type="plane" size="2 2 .1"/>
+    <body pos="0 0 .5"><joint name="a" axis="0 1 0" damping=".1"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03"/>
+      <body pos=".3 0 0"><joint name="b" axis="0 1 .3" damping=".1"/>
+        <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03"/></body></body>
+  </worldbody>
+  <actuator><motor joint="a" gear="3"/><motor joint="b"/></actuator>
+</mujoco>
+"""
+CTRL = (0.7, -0.3)
+SCENARIO = f"""purpose = "An arm falls on the floor"
+duration = 1.0
+step = 0.002
+[fmus]
+plant = "model.xml"
+[inputs]
+"plant.ctrl" = [{CTRL[0]}, {CTRL[1]}]
+"""
+# The same in MuJoCo alone; prints qpos as hex. Arguments: model, factor on ctrl.
+ALONE = f"""
+import sys, mujoco, numpy as np
+model = mujoco.MjModel.from_xml_path(sys.argv[1])
+data = mujoco.MjData(model)
+rows = [data.qpos.copy()]
+for _ in range(500):
+    data.ctrl[:] = np.array({CTRL}) * float(sys.argv[2])
+    mujoco.mj_step(model, data)
+    rows.append(data.qpos.copy())
+print(mujoco.__version__, np.array(rows).tobytes().hex())
+"""
+# What a version's library alone makes of a model. Arguments: library, model, file.
+COMPILED = """
+import ctypes, sys
+library = ctypes.CDLL(sys.argv[1])
+library.mj_loadXML.restype = ctypes.c_void_p
+model = ctypes.c_void_p(library.mj_loadXML(sys.argv[2].encode(), None, None, 0))
+library.mj_saveModel(model, sys.argv[3].encode(), None, 0)
+"""
+
+
+@pytest.fixture(scope="module")
+def engine() -> Path:
+    """Return the folder of another version of MuJoCo."""
+    try:
+        made_with(ENGINE, bytes)
+    except CosimError as error:
+        pytest.skip(str(error))
+    return next((cache_folder() / "engines").glob(f"{ENGINE}-*"))
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    """Return the folder of a scenario of a model that is not ours."""
+    folder = tmp_path / "suite" / "arm"
+    folder.mkdir(parents=True)
+    (folder / "model.xml").write_text(ARM)
+    (folder / "scenario.toml").write_text(SCENARIO)
+    return folder
+
+
+def python(*arguments: object, path: Path | None = None) -> str:
+    environment = {**os.environ, **({"PYTHONPATH": str(path)} if path else {})}
+    command = [sys.executable, "-c", *map(str, arguments)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def qpos(run: Path) -> np.ndarray:
+    return np.asarray(Recording.open(run)["plant.qpos"])
+
+
+# FMUs.
+
+
+def test_an_fmu_holds_the_engine_and_what_it_compiles(
+    engine: Path, arm: Path, tmp_path: Path
+) -> None:
+    model = arm / "model.xml"
+    assert cli("mjcf2fmu", model, "--mujoco", ENGINE, "--out", tmp_path / "a.fmu").returncode == 0
+    library = engine / "mujoco" / f"libmujoco.so.{ENGINE}"
+    python(COMPILED, library, model, tmp_path / "model.mjb")
+    with zipfile.ZipFile(tmp_path / "a.fmu") as fmu:
+        members = {Path(name).name: fmu.read(name) for name in fmu.namelist()}
+    assert members["libmujoco.so"] == library.read_bytes()
+    assert members["model.mjb"] == (tmp_path / "model.mjb").read_bytes()
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-14])
+def test_a_run_has_the_bits_of_its_engine(
+    engine: Path, arm: Path, tmp_path: Path, factor: float
+) -> None:
+    alone = {}
+    for version, path in ((HERE, None), (ENGINE, engine)):
+        name, bits = python(ALONE, arm / "model.xml", repr(factor), path=path).split()
+        assert name == version
+        alone[version] = np.frombuffer(bytes.fromhex(bits)).reshape(-1, 2)
+        values = {"mujoco": version, "input_scale": factor}
+        scenario = with_values(load_scenario(arm), values)
+        run = run_scenario(scenario, tmp_path / version)
+        assert np.array_equal(qpos(run.folder), alone[version])
+        assert run.recording.metadata["versions"]["mujoco"] == version
+    assert not np.array_equal(alone[HERE], alone[ENGINE])  # else nothing was told apart
+
+
+def test_the_shipped_task_runs_with_another_engine(engine: Path, tmp_path: Path) -> None:
+    command = ["run", "push", "--no-video", "--mujoco", ENGINE, "--out", tmp_path / "push"]
+    assert cli(*command).returncode == 0
+    recording = Recording.open(tmp_path / "push")
+    assert recording.metadata["versions"]["mujoco"] == ENGINE
+    here = run_scenario(load_scenario("push"), tmp_path / "here")
+    assert recording_digest(recording) != recording_digest(here.recording)
+    again = ["run", tmp_path / "push" / "scenario", "--no-video", "--out"]
+    assert cli(*again, tmp_path / "again").returncode == 0  # the copy says the engine, too
+    assert recording_digest(Recording.open(tmp_path / "again")) == recording_digest(recording)
+
+
+def test_a_run_of_a_model_with_another_engine_is_drawn_by_the_installed_one(
+    engine: Path, arm: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    assert cli("run", arm, "--no-video", "--mujoco", ENGINE, "--out", out).returncode == 0
+    assert (out / "view.html").is_file()
+    assert cli("run", out / "scenario", "--no-video", "--out", tmp_path / "again").returncode == 0
+    assert np.array_equal(qpos(tmp_path / "again"), qpos(out))
+
+
+def test_built_fmus_hold_the_engine(engine: Path, tmp_path: Path) -> None:
+    assert cli("build", "--out", tmp_path, "--mujoco", ENGINE).returncode == 0
+    library = (engine / "mujoco" / f"libmujoco.so.{ENGINE}").read_bytes()
+    for name in ("PandaPlant", "PandaController"):
+        with zipfile.ZipFile(tmp_path / f"{name}.fmu") as fmu:
+            (member,) = (each for each in fmu.namelist() if each.endswith("libmujoco.so"))
+            assert fmu.read(member) == library
+
+
+# What failed with older versions.
+
+
+def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(
+    engine: Path, arm: Path, tmp_path: Path
+) -> None:
+    key = '<keyframe><key name="home" qpos=".1 .2"/></keyframe></mujoco>'
+    (arm / "arm.xml").write_text(ARM.replace("</mujoco>", key))
+    (arm / "model.xml").write_text(
+        '<mujoco><include file="arm.xml"/><worldbody><body pos="1 2 .3"><freejoint/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    for version in (HERE, ENGINE):
+        scenario = with_values(load_scenario(arm), {"mujoco": version, "duration": 0.01})
+        run = run_scenario(scenario, tmp_path / version)
+        assert np.array_equal(qpos(run.folder)[0], [0.1, 0.2, 1.0, 2.0, 0.3, 1, 0, 0, 0])
+
+
+def test_a_solver_that_gives_no_number_makes_the_joints_brake(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def solve(qd: np.ndarray, *_: object) -> int:
+        qd[:] = np.nan  # as MuJoCo 3 does, as if it had been solved
+        return 7
+
+    monkeypatch.setattr(mujoco, "mju_boxQP", solve)
+    box = np.stack((np.full(7, -0.2), np.full(7, 0.1)))
+    qd = box_least_squares(np.eye(6, 7), np.ones(6), np.zeros(7), 0.1, box)
+    assert np.array_equal(qd, np.zeros(7))
+
+
+# Bad input.
+
+
+@pytest.mark.parametrize("version", ["3.9.0", "3.10", "new", "2.3.7", "../x"])
+def test_a_version_that_cannot_be_used_is_refused(version: str, tmp_path: Path) -> None:
+    done = cli("run", "push", "--mujoco", version, "--out", tmp_path / "r")
+    assert done.returncode == 2
+    assert "mujoco: value" in done.stderr
+    assert "must be a version from 3.10.0 on" in done.stderr
+    assert not (tmp_path / "r").exists()
+    with pytest.raises(InputError, match="mujoco: value"):
+        Scenario("x", load_scenario("push").table, 1.0, mujoco=version)
+
+
+def test_a_key_that_no_fmu_can_follow_is_refused(arm: Path) -> None:
+    push = with_values(load_scenario("push"), {"mujoco": ENGINE})
+    with pytest.raises(InputError, match="FMUs in Python use the installed version"):
+        prepare(push, Options(kind="python"))
+    (arm / "scenario.toml").write_text("duration = 1.0\nmujoco = '3.11.0'\nsystem = 'a.ssp'\n")
+    with pytest.raises(InputError, match="must be left out with system"):
+        load_scenario(arm)
+
+
+def test_without_a_package_source_one_line_says_so(tmp_path: Path) -> None:
+    command = ("run", "push", "--mujoco", "3.99.0", "--out", tmp_path / "r")
+    done = cli(*command, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
+    assert done.returncode == 1
+    (line,) = (line for line in done.stderr.splitlines() if "cannot be got" in line)
+    assert "MuJoCo 3.99.0" in line
+    assert not (tmp_path / "r" / "recording.parquet").exists()
+
+
+# Sweeps and suites.
+
+
+def test_a_sweep_varies_the_engine(engine: Path, arm: Path, tmp_path: Path) -> None:
+    definition = sweep_of(arm, [f"mujoco={HERE},{ENGINE}"])
+    rows = sweep(definition, tmp_path / "sweep", jobs=1).table.to_pylist()
+    digests = {row["mujoco"]: row["recording_sha256"] for row in rows}
+    for version in (HERE, ENGINE):
+        scenario = with_values(load_scenario(arm), {"mujoco": version})
+        run = run_scenario(scenario, tmp_path / version)
+        assert digests[version] == recording_digest(run.recording)
+    assert len({*digests.values()}) == 2
+
+
+def test_a_folder_with_a_model_is_a_suite_over_engines(
+    engine: Path, arm: Path, tmp_path: Path
+) -> None:
+    suite = ["regress", "--scenarios", arm.parent, "-j", "1"]
+    assert cli(*suite, "--update", "--yes").returncode == 0
+    report = ["--report", tmp_path / "report"]
+    done = cli(*suite, "--mujoco", f"{HERE},{ENGINE}", "--json", *report)
+    assert done.returncode == 0, done.stderr
+    own, here, other = json.loads(done.stdout)["scenarios"]
+    assert [each["name"] for each in (own, here, other)] == ["arm", f"arm-{HERE}", f"arm-{ENGINE}"]
+    assert (own["difference"], here["difference"]) == ("", "equal")
+    assert other["difference"].startswith("rounding, tick ")
+    assert {each["verdict"] for each in (own, here, other)} == {"same"}
+    # The first tick, from the recordings of MuJoCo alone.
+    bits = [python(ALONE, arm / "model.xml", "1.0", path=p).split()[1] for p in (None, engine)]
+    rows = [np.frombuffer(bytes.fromhex(each)).reshape(-1, 2) for each in bits]
+    first = int(np.argmax((rows[0] != rows[1]).any(axis=1)))
+    assert int(other["difference"].split()[-1]) <= first  # outputs beside qpos may differ before
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert page.count("rounding, tick") >= 1
+    assert page.count("PandaView.show") >= 1
+
+    text = cli(*suite, "--mujoco", ENGINE).stdout
+    assert f"MuJoCo of the runs: {ENGINE}, {HERE}; of the references: {HERE}" in text
+    assert other["difference"] in text
+
+
+def test_the_suite_of_the_readme_runs(tmp_path: Path) -> None:
+    gymnasium = pytest.importorskip("gymnasium")
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    section = readme.partition("### Does another MuJoCo break my task?")[2]
+    (tmp_path / "scenario.toml").write_text(re.findall(r"```toml\n(.*?)```", section, re.S)[0])
+    assets = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+    shutil.copy(assets / "hopper.xml", tmp_path / "model.xml")
+    assert cli("regress", tmp_path, "--update").returncode == 0
+    done = cli("regress", tmp_path, "--mujoco", HERE)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"own +" + HERE, done.stdout)
+    assert re.search(r"same +equal", done.stdout)
+
+
+def test_engines_do_not_go_with_update() -> None:
+    done = cli("regress", "push", "--mujoco", ENGINE, "--update")
+    assert done.returncode == 2
+    assert "--mujoco: cannot be combined" in done.stderr
+
+
+# What counts as a change.
+
+
+def test_noise_tells_rounding_from_change(tmp_path: Path) -> None:
+    rows = len(columns()["time"])
+    grown = 1e-13 * np.exp(0.02 * np.arange(rows))  # what noise makes, growing
+    own, noisy, signal = columns(), columns(), "plant.qpos[1]"
+    noisy[signal] = own[signal] + grown
+    recordings = [record(tmp_path / "own", own), record(tmp_path / "noisy", noisy)]
+
+    def told(name: str, start: int, deviation: np.ndarray | float) -> str:
+        values = {each: column.copy() for each, column in columns().items()}
+        values[signal][start:] += np.broadcast_to(deviation, rows)[start:]
+        return difference_of(*recordings, record(tmp_path / name, values), Tolerances())
+
+    assert told("same", 0, 0.0) == "equal"
+    assert told("near", 7, 100 * grown) == "rounding, tick 7"
+    assert told("far", 9, 1e4 * grown + 1e-9) == "changed, tick 9"
+    # The noise grows beyond a thousandth of a constant 1e-9 later: before, that is a change.
+    assert told("early", 30, 1e-9) == "changed, tick 30"
+    late = int(np.argmax(1e3 * np.maximum.accumulate(np.abs(noisy[signal] - own[signal])) > 1e-9))
+    assert told("late", late + 1, 1e-9) == f"rounding, tick {late + 1}"
+    short = {name: column[:-5] for name, column in columns().items()}
+    assert (
+        difference_of(*recordings, record(tmp_path / "short", short), Tolerances())
+        == f"changed, tick {rows - 5}"
+    )
+
+
+def test_a_comparison_names_engines_and_the_first_signal_outside(tmp_path: Path) -> None:
+    versions = {"versions": {"mujoco": "3.12.0"}}
+    made = Reference.of(record(tmp_path / "a", columns(), metadata=versions), SUMMARY, Tolerances())
+    values = columns()
+    values["plant.qpos[1]"][200:] += 1.0  # the worst
+    values["controller.dq[2]"][100:] += 1e-5  # the first
+    run = record(tmp_path / "b", values, metadata={"versions": {"mujoco": "4.1.0"}})
+    comparison = compare_with_reference(run, SUMMARY, made, Tolerances())
+    assert comparison.engines == ("4.1.0", "3.12.0")
+    assert comparison.first is not None
+    assert comparison.first.name == "controller.dq[2]"
+    assert comparison.first.first == pytest.approx(0.1)
+    same = compare_with_reference(record(tmp_path / "c", columns()), SUMMARY, made, Tolerances())
+    assert same.first is None
