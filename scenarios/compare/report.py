@@ -90,9 +90,9 @@ def _section(outcome: Outcome, views: Views) -> Section:
         state="good" if outcome.ok else "warn" if unknown else "bad",
         parts=[*([Part("Success condition", [criteria])] if criteria.rows else []), *compared],
         word="not compared" if unknown else outcome.verdict,
-        purpose=" · ".join(filter(None, (outcome.difference, outcome.scenario.purpose))),
+        purpose=outcome.scenario.purpose,
         problems=comparison.problems if comparison else [outcome.error] if outcome.error else [],
-        reason=outcome.reason,
+        reason="; ".join(filter(None, (outcome.difference, outcome.reason))),
         seconds=outcome.seconds,
         worst=worst.share if worst else None,
     )

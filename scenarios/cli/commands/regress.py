@@ -99,7 +99,7 @@ def command(  # noqa: PLR0913 - one for each option
             "--update: cannot be combined with --set, --exact or --json; references are made of "
             "unchanged scenarios"
         )
-    engines = mujoco.split(",") if mujoco else []
+    engines = list(dict.fromkeys(mujoco.split(","))) if mujoco else []
     if engines and (update or exact):
         raise InputError("--mujoco: cannot be combined with --update or --exact")
     if yes and not update:
