@@ -181,8 +181,8 @@ def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(
     key = '<keyframe><key name="home" qpos=".1 .2"/></keyframe></mujoco>'
     (arm / "arm.xml").write_text(ARM.replace("</mujoco>", key))
     (arm / "model.xml").write_text(
-        '<mujoco><include file="arm.xml"/><worldbody><body pos="1 2 .3"><freejoint/>'
-        '<geom size=".1"/></body></worldbody></mujoco>'
+        '<mujoco><include file="arm.xml"/><size nkey="3"/><worldbody><body pos="1 2 .3">'
+        '<freejoint/><geom size=".1"/></body></worldbody></mujoco>'
     )
     for version in (HERE, ENGINE):
         scenario = with_values(load_scenario(arm), {"mujoco": version, "duration": 0.01})

@@ -191,7 +191,7 @@ def _fill_keyframes(model: Any, path: Path, files: Mapping[str, bytes]) -> None:
     """Fill keyframes that are shorter than qpos with qpos0; before 3.15, MuJoCo takes zeros."""
     if model.nkey and mujoco.mj_version() < 3_015_000 and path.suffix.lower() == ".xml":
         spec = mujoco.MjSpec.from_file(str(path), include=files, assets=files)
-        for key, row in zip(spec.keys, model.key_qpos, strict=True):
+        for key, row in zip(spec.keys, model.key_qpos, strict=False):  # <size nkey> may add some
             row[len(key.qpos) :] = model.qpos0[len(key.qpos) :]
 
 
