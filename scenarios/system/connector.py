@@ -18,8 +18,8 @@ from ...fmus.messages import did_you_mean, excerpt
 from ...plant.parameters import ARM_JOINTS
 from .parts import Part, measures_a_panda
 
-# Inputs of PandaPlant and PandaController that may stay unconnected.
-OPTIONAL: Final = ("push_force", "block_force", "torque", *POSTURE_COMMANDS)
+# Inputs of PandaPlant that may stay unconnected.
+OPTIONAL: Final = ("push_force", "block_force", "torque")
 OUR_UNITS: Final[Units] = {
     name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
     for name, exponents in BASE_UNITS.items()
