@@ -98,19 +98,19 @@ def smallest_margin(criteria: Iterable[Criterion]) -> float | None:
     return min(known) if known and len(known) == len(margins) else None
 
 
-def quantity(value: float | None, unit: str) -> str:
-    """Format a value with its unit; lengths in mm."""
+def quantity(value: float | None, unit: str, *, is_bound: bool = False) -> str:
+    """Format a value with its unit; lengths in mm, measured ones to 0.1 um."""
     if value is None:
         return "not measured"
     if unit == "m":
-        return f"{round(value * 1e3, 4):.4g} mm"
+        value, unit = value * 1e3 if is_bound else round(value * 1e3, 4), "mm"
     return f"{value:.4g} {unit}" if unit not in ("", "1") else f"{value:.4g}"
 
 
 def bound_text(criterion: Criterion) -> str:
     """Format the bound with its direction, such as `<= 0.1 mm`."""
     sign = "<=" if criterion.direction == "below" else ">="
-    return f"{sign} {quantity(criterion.bound, criterion.unit)}"
+    return f"{sign} {quantity(criterion.bound, criterion.unit, is_bound=True)}"
 
 
 def margin_text(criterion: Criterion) -> str:
@@ -128,8 +128,9 @@ def miss_text(criterion: Criterion) -> str:
     """Format a criterion that does not hold, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
     word = "allowed" if criterion.direction == "below" else "required"
     value = quantity(criterion.value, criterion.unit)
+    bound = quantity(criterion.bound, criterion.unit, is_bound=True)
     reason = f" ({criterion.reason})" if criterion.reason else ""
-    return f"{criterion.name} {value}{reason}, {word} {quantity(criterion.bound, criterion.unit)}"
+    return f"{criterion.name} {value}{reason}, {word} {bound}"
 
 
 def line(criterion: Criterion) -> str:
