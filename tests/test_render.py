@@ -157,6 +157,16 @@ def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path: Pa
 
 
 @needs_gl
+@pytest.mark.fmu
+def test_a_run_draws_as_many_frames_a_second_as_it_is_told(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "short")
+    done = command("run", tmp_path / "short", "--fps", 15, "--no-view", "--no-plot",
+                   "--out", tmp_path / "run")  # fmt: skip
+    assert done.returncode in (0, 3), done.stderr
+    assert " 15 fps" in ffmpeg_says(tmp_path / "run" / "video.mp4")
+
+
+@needs_gl
 def test_frames_follow_the_recording(tmp_path: Path) -> None:
     run = made_up_run(0.1)
     with closing(OffscreenRenderer("tabletop", 160, 120)) as renderer:

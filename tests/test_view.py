@@ -185,7 +185,7 @@ def test_a_run_that_diverged_is_described() -> None:
             {"criteria": [{"name": "a", "ok": True, "value": 1.0}]},
             {},
             "good",
-            "success: all 1 criteria hold",
+            "success: 1 of 1 criteria hold",
         ),
         ({"criteria": [{"name": "a", "ok": False, "value": 1.0}]}, {}, "bad", "missed: a"),
         ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "not measured: a"),

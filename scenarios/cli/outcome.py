@@ -261,7 +261,8 @@ def _verdict_line(summary: Summary) -> tuple[str, str]:
         return f"Success condition missed: {missed}", "bold red"
     if not summary.criteria:
         return "Done; the scenario has no success condition", "bold"
-    return f"Success: all {len(summary.criteria)} criteria hold", "bold green"
+    count = len(summary.criteria)
+    return f"Success: {count} of {count} criteria hold", "bold green"
 
 
 def _speed_line(summary: Summary) -> str:

@@ -36,7 +36,8 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
         words = "; ".join(f"{word}: {', '.join(names)}" for word, names in groups.items() if names)
         return {"state": "bad", "words": words}
     if criteria:
-        return {"state": "good", "words": f"success: all {len(criteria)} criteria hold"}
+        count = len(criteria)
+        return {"state": "good", "words": f"success: {count} of {count} criteria hold"}
     return {"state": "plain", "words": "no success condition"}
 
 
