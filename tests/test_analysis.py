@@ -215,8 +215,8 @@ def swing(folder: str) -> tuple[float, float]:
     ("coupling", "delay", "known"),
     [
         *(("gauss-seidel", 0.008, 0.0), ("gauss-seidel", 0.009, 0.0)),
-        *(("jacobi", 0.006, 0.0), ("jacobi", 0.007, 0.0)),
-        *(("gauss-seidel", 0.015, 0.015), ("gauss-seidel", 0.018, 0.018)),
+        *(pytest.param("jacobi", delay, 0.0, marks=pytest.mark.long) for delay in (0.006, 0.007)),
+        *(pytest.param("gauss-seidel", d, d, marks=pytest.mark.long) for d in (0.015, 0.018)),
     ],
 )
 def test_late_readings_are_called_unstable_where_a_simulation_swings_up(
