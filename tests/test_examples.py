@@ -22,12 +22,17 @@ EXAMPLES = Path(__file__).parent.parent / "scenarios" / "examples"
 LIMIT = 500.0  # [s]
 
 
+@pytest.fixture(autouse=True)
+def activated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Find programs as in an activated environment."""
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+
+
 def walk(name: str, folder: Path) -> str:
     """Run a script in a new folder, as its first lines say; returns what it printed."""
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         ["sh", EXAMPLES / f"{name}.sh", folder],
-        env=os.environ | {"PATH": path}, capture_output=True, text=True, timeout=LIMIT, check=False,
+        capture_output=True, text=True, timeout=LIMIT, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
