@@ -18,6 +18,7 @@ from panda_cosim.scenarios.judging.criterion import (
     Criterion,
     margin,
     missed_text,
+    quantity,
     smallest_margin,
 )
 from panda_cosim.scenarios.judging.signals import REDUCE, check_signals, judge_signals
@@ -297,3 +298,14 @@ def test_signals_of_foreign_systems_are_checked_against_their_columns() -> None:
     check_signals([SignalCriterion("ball.h", "min", above=0.0)], units)
     with pytest.raises(InputError, match=r"did you mean 'ball\.h'"):
         check_signals([SignalCriterion("ball.x", "min", above=0.0)], units)
+
+
+@pytest.mark.parametrize(
+    ("value", "is_bound", "text"),
+    [(4.89e-10, False, "0 mm"), (1.2344e-3, False, "1.234 mm"), (2.6e-7, False, "0.0003 mm"),
+     (1e-9, True, "1e-06 mm")],
+)  # fmt: skip
+def test_measured_lengths_are_rounded_and_bounds_are_not(
+    value: float, is_bound: bool, text: str
+) -> None:
+    assert quantity(value, "m", is_bound=is_bound) == text

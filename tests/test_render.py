@@ -163,6 +163,7 @@ def test_a_run_draws_as_many_frames_a_second_as_it_is_told(tmp_path: Path) -> No
     done = command("run", tmp_path / "short", "--fps", 15, "--no-view", "--no-plot",
                    "--out", tmp_path / "run")  # fmt: skip
     assert done.returncode in (0, 3), done.stderr
+    assert "--no-video skips it" in done.stderr
     assert " 15 fps" in ffmpeg_says(tmp_path / "run" / "video.mp4")
 
 
