@@ -31,7 +31,7 @@ class Controller:
 
     The law is chosen by `gains.law`; see `ReferenceLaw` and `TutorialLaw` for the formulas. The
     period between two updates is in s. `update` reads `inputs` and writes `outputs`, by name and in
-    the layouts `INPUTS` and `OUTPUTS`; `input_values` (84,), `output_values` (38,) and
+    the layouts `INPUTS` and `OUTPUTS`; `input_values` (98,), `output_values` (38,) and
     `state_values` are the flat arrays, of which the caller may bring the first two.
     """
 

@@ -61,6 +61,7 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "grip_width": (0.0, OPENING_MAX),
     "grip_stiffness": (1.0, 1e6),
     "reading_delay": (0.0, 0.02),
+    "posture_follow_gain": (0.0, 1e4),
 }
 
 
@@ -102,6 +103,10 @@ class Gains:
     grip_stiffness: float = GRIP_STIFFNESS  # [N/m] of a finger's servo: an opening is a force
     # [s] age of the readings. They are compared with the command and the reference of their time.
     reading_delay: float = 0.0
+    # True: the null space follows the commanded posture, instead of the pulls to `posture` and away
+    # from the joints' ends.
+    follow_posture: bool = False
+    posture_follow_gain: float = 20.0  # [1/s] rate at which an error of that posture goes to zero
 
     @property
     def law(self) -> str:

@@ -22,7 +22,7 @@ from .limits import JointLimits, clamp, pull_from_ends, within
 from .linalg import damped_factor
 from .model import ArmModel
 from .pid import PID_STATE, Pid
-from .signals import Layout, Views
+from .signals import Layout, Vector, Views
 from .singularity import (
     find_weak_direction,
     manipulability,
@@ -37,7 +37,8 @@ class ReferenceLaw:
     With e the pose error, v the hand's twist, T the period, M the mass matrix:
 
         v    = twist_cmd (extrapolated by half a period) + ik_gain e
-        d    = posture_gain (posture - q_ref) + pull_from_ends(q_ref)
+        d    = posture_gain (posture - q_ref) + pull_from_ends(q_ref), or with `follow_posture`
+        d    = posture_vel_cmd + posture_follow_gain (posture_cmd - q_ref)
         qd   = argmin |J qd - v|^2 + damping^2 |qd - N d|^2, within the joint limits
         ctrl = q_ref + servo_lag qd + (bias + M qdd) / servo_stiffness + PID(q_ref - q)
         q_ref <- q_ref + T qd
@@ -72,6 +73,7 @@ class ReferenceLaw:
         """Change the gains; allowed between any two updates."""
         self._gains = gains
         self._posture, self._posture_gain = np.array(gains.posture), np.array(gains.posture_gain)
+        self._follow_gain = np.array(gains.posture_follow_gain)
         self._servo_lag, self._servo_stiffness = (
             np.array(gains.servo_lag),
             np.array(gains.servo_stiffness),
@@ -107,13 +109,13 @@ class ReferenceLaw:
         twist_cmd = np.concatenate((x.vel_cmd, x.omega_cmd))
         twist = 1.5 * twist_cmd - 0.5 * state.twist_before + correcting_twist(error, gains)
 
-        # Damped least squares; in the null space to the posture, and away from the joints' ends.
+        # Damped least squares; in the null space the drift.
         factor = damped_factor(jac, 0.0)
         smallest = smallest_singular_value(factor, state.weak_direction)
         damping = singular_damping(smallest, gains)
         y.manipulability[...] = manipulability(factor)
         y.singular[...] = smallest < gains.singular_value
-        drift = self._posture_gain * (self._posture - q_ref) + pull_from_ends(q_ref)
+        drift = self._drift()
         if damping > 0.0:
             drift = null_space_part(jac, PULL_DAMPING * damping, drift)
             factor = damped_factor(jac, damping)
@@ -140,3 +142,12 @@ class ReferenceLaw:
         y.qpos_ref[...], y.qvel_ref[...] = q_ref, qd
         q_ref += self._period * qd
         qd_before[...], state.qdd_before[...], state.twist_before[...] = qd, qdd, twist_cmd
+
+    def _drift(self) -> Vector:
+        """Joint velocities d (7,) [rad/s], of which the task leaves the null space's part."""
+        x, gains, q_ref = self._inputs, self._gains, self._state.q_ref
+        if gains.follow_posture:
+            drift: Vector = x.posture_vel_cmd + self._follow_gain * (x.posture_cmd - q_ref)
+        else:
+            drift = self._posture_gain * (self._posture - q_ref) + pull_from_ends(q_ref)
+        return drift

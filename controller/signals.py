@@ -23,6 +23,8 @@ INPUTS = np.dtype(
         ("vel_cmd", float, 3),
         ("omega_cmd", float, 3),
         ("grip_cmd", float),
+        ("posture_cmd", float, 7),
+        ("posture_vel_cmd", float, 7),
         ("hand_xpos", float, 3),
         ("hand_xquat", float, 4),
         ("jac", float, (6, 7)),

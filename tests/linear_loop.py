@@ -161,6 +161,7 @@ class _Scene:
         self._rest(np.zeros(18))
         controller.inputs["pos_cmd"] = self._data.xpos[self._hand]
         controller.inputs["quat_cmd"] = self._data.xquat[self._hand]
+        controller.inputs["posture_cmd"] = self._data.qpos[:7]
         self._measure(controller)
         controller.update()  # starts the law
         start, own = controller.get_state(), _own_states(controller)

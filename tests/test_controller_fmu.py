@@ -28,7 +28,7 @@ def it(request: pytest.FixtureRequest) -> Unpacked:
 
 @pytest.fixture(scope="module")
 def inputs() -> Array:
-    """Inputs of a controller in the middle of its task (n, 84)."""
+    """Inputs of a controller in the middle of its task (n, 98)."""
     return inputs_of(run_plain(load_scenario("pick_and_place")))[900 : 900 + ROWS]
 
 

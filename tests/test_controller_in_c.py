@@ -83,11 +83,12 @@ def random_gains(rng: np.random.Generator) -> Gains:
             gains = replace(gains, **{name: tuple(rng.uniform(low, high, 7).tolist())})
         else:
             gains = replace(gains, **{name: float(rng.uniform(low, high))})
-    return replace(gains, use_reference=bool(rng.random() < 0.7))
+    switches = {"use_reference": 0.7, "follow_posture": 0.3}  # and how often each is on
+    return replace(gains, **{name: bool(rng.random() < on) for name, on in switches.items()})
 
 
 def random_inputs(rng: np.random.Generator, size: float) -> Array:
-    """Return inputs of a few updates (n, 84), smooth or wild."""
+    """Return inputs of a few updates (n, 98), smooth or wild."""
     rows = np.empty((SEVERAL, INPUTS.itemsize // 8))
     named = rows.view(INPUTS)[:, 0]
     walk = size * rng.normal(size=rows.shape).cumsum(axis=0)

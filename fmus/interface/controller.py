@@ -8,8 +8,9 @@ from ...controller.gains import RANGES, Gains
 from .plant import CTRL_PARTS, JAC_PARTS, ROBOT
 from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
 
-# The inputs that command the hand's motion; the others are measured.
+# The inputs that command the hand's motion, and those of the posture; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
+POSTURE_COMMANDS = ("posture_cmd", "posture_vel_cmd")
 
 _GAINS = Gains()
 # Upper bounds below those of `controller.gains.RANGES`: the FMU never exceeds the robot's limits.
@@ -39,6 +40,9 @@ CONTROLLER = Interface(
                "frame", 0.0),
         input_("grip_cmd", (), "m", "Commanded opening between the fingertips", OPENING_MAX, 0.0,
                OPENING_MAX),
+        input_("posture_cmd", (7,), "rad", "Commanded joint positions, which the null space "
+               "follows if follow_posture is true", HOME_Q),
+        input_("posture_vel_cmd", (7,), "rad/s", "Rate of posture_cmd", 0.0),
         input_("hand_xpos", (3,), "m", "Measured position of the hand body's origin, world frame",
                HOME_XPOS),
         input_("hand_xquat", (4,), "1", "Measured orientation of the hand body, world frame, "
@@ -95,6 +99,11 @@ CONTROLLER = Interface(
         _gain("grip_stiffness", "N/m", "Stiffness of each finger's servo"),
         _gain("reading_delay", "s", "Age of the measured inputs, to the nearest period; they are "
               "compared with the command and the reference of their own time", "fixed"),
+        Variable("follow_posture", (), "", "parameter", "fixed", "The null space follows "
+                 "posture_cmd, instead of the pulls to posture and away from the joints' ends",
+                 _GAINS.follow_posture, kind="Boolean"),
+        _gain("posture_follow_gain", "1/s", "Rate at which an error of the commanded posture goes "
+              "to zero"),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

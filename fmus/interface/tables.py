@@ -5,12 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from .controller import COMMANDS, CONTROLLER
+from .controller import COMMANDS, CONTROLLER, POSTURE_COMMANDS
 from .plant import PLANT
-from .sensors import SENSORS
+from .sensors import MEASURED, SENSORS
 from .trajectory import TRAJECTORY
 
-__all__ = ["ALL_INTERFACES", "COMMANDS", "CONNECTIONS", "INTERFACES", "Connection"]
+__all__ = [
+    "ALL_INTERFACES",
+    "COMMANDS",
+    "CONNECTIONS",
+    "INTERFACES",
+    "POSTURE_COMMANDS",
+    "Connection",
+]
 
 INTERFACES = MappingProxyType({"plant": PLANT, "controller": CONTROLLER})
 ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY, SENSORS)
@@ -29,11 +36,11 @@ class Connection:
 
 
 def _measured() -> list[Connection]:
-    """Connect the controller's other inputs to the plant's outputs of the same names."""
+    """Connect the controller's measured inputs to the plant's outputs of the same names."""
     return [
         Connection(("plant", name), ("controller", name))
         for variable in CONTROLLER.of("input")
-        if variable.name not in COMMANDS
+        if variable.name in MEASURED
         for name in variable.names()
     ]
 

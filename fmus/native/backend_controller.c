@@ -22,7 +22,8 @@ typedef struct {
     {#name, offsetof(controller, part name), sizeof(((controller *)0)->part name) / sizeof(double)}
 static const field FIELDS[] = {
     FIELD(inputs., pos_cmd), FIELD(inputs., quat_cmd), FIELD(inputs., vel_cmd), FIELD(inputs., omega_cmd),
-    FIELD(inputs., grip_cmd), FIELD(inputs., hand_xpos), FIELD(inputs., hand_xquat), FIELD(inputs., jac),
+    FIELD(inputs., grip_cmd), FIELD(inputs., posture_cmd), FIELD(inputs., posture_vel_cmd),
+    FIELD(inputs., hand_xpos), FIELD(inputs., hand_xquat), FIELD(inputs., jac),
     FIELD(inputs., qpos), FIELD(inputs., qvel), FIELD(inputs., qfrc_bias),
     FIELD(outputs., ctrl), FIELD(outputs., dq), FIELD(outputs., qpos_ref), FIELD(outputs., qvel_ref),
     FIELD(outputs., manipulability), FIELD(outputs., singular), FIELD(outputs., limit),
@@ -35,9 +36,9 @@ static const field FIELDS[] = {
     FIELD(gains., gravity_feedforward), FIELD(gains., inertia_feedforward), FIELD(gains., limit_share),
     FIELD(gains., reference_lead), FIELD(gains., finger_speed),
     FIELD(gains., grip_force), FIELD(gains., grip_width), FIELD(gains., grip_stiffness),
-    FIELD(gains., reading_delay),
+    FIELD(gains., reading_delay), FIELD(gains., follow_posture), FIELD(gains., posture_follow_gain),
     FIELD(, period)};
-enum { INPUTS = 0, OUTPUTS = 11, GAINS = 18, PERIOD = 46, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
+enum { INPUTS = 0, OUTPUTS = 13, GAINS = 20, PERIOD = 50, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
 _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 
 /* ---- an instance ---- */

@@ -115,6 +115,16 @@ static void limit(controller *c, const controller_functions *mj, const double *t
         c->outputs.limit[i] = binding_limit(&limits, i, qd[i], &course, low[i], high[i]);
 }
 
+/* Joint velocity, of which the task leaves the null space's part. */
+static double drift_of(const controller *c, int i)
+{
+    const controller_gains *gains = &c->gains;
+    const double q_ref = c->state.reference.q_ref[i];
+    if (gains->follow_posture != 0.0)
+        return c->inputs.posture_vel_cmd[i] + gains->posture_follow_gain * (c->inputs.posture_cmd[i] - q_ref);
+    return gains->posture_gain[i] * (gains->posture[i] - q_ref) + pull_from_ends(i, q_ref);
+}
+
 static void update_reference_law(controller *c, const controller_mujoco *mujoco)
 {
     const controller_functions *mj = &mujoco->call;
@@ -132,12 +142,11 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
     for (int i = 0; i < TWIST; i++)
         twist[i] = 1.5 * twist_cmd[i] - 0.5 * twist_before[i] + correction[i];
 
-    /* Damped least squares; in the null space to the posture, and away from the joints' ends; limits. */
+    /* Damped least squares; in the null space the drift; limits. */
     double drift[JOINTS], qd[JOINTS], dq[JOINTS], q_due[JOINTS];
     recall(c, c->state.reference.q_refs, q_ref, q_due);
     for (int i = 0; i < JOINTS; i++) {
-        drift[i] =
-            gains->posture_gain[i] * (gains->posture[i] - q_ref[i]) + pull_from_ends(i, q_ref[i]);
+        drift[i] = drift_of(c, i);
         dq[i] = q_due[i] - x->qpos[i];
     }
     const double damping = solve(c, mj, twist, drift, qd);

@@ -16,6 +16,7 @@ enum { KEPT = 20 };                                    /* updates, see controlle
 /* controller/signals.py: INPUTS */
 typedef struct {
     double pos_cmd[3], quat_cmd[4], vel_cmd[3], omega_cmd[3], grip_cmd;
+    double posture_cmd[JOINTS], posture_vel_cmd[JOINTS];
     double hand_xpos[3], hand_xquat[4], jac[TWIST * JOINTS];
     double qpos[JOINTS], qvel[JOINTS], qfrc_bias[JOINTS];
 } controller_inputs;
@@ -36,7 +37,7 @@ typedef struct {
     double gravity_feedforward[JOINTS], inertia_feedforward[JOINTS];
     double limit_share, reference_lead, finger_speed;
     double grip_force, grip_width, grip_stiffness;
-    double reading_delay;
+    double reading_delay, follow_posture, posture_follow_gain; /* follow_posture is 0 or 1 */
 } controller_gains;
 
 typedef struct {

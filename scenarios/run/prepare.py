@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.interface.plant import FORCES
-from ...fmus.interface.tables import COMMANDS, INTERFACES
+from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.types import in_row
 from ...fmus.master.system import OpenSystem, open_system
 from ...fmus.messages import did_you_mean
@@ -136,7 +136,7 @@ class Inputs:
         self._trajectory = None if scenario.is_system else resolve(scenario, self._values)
         self._pushes, self._pushed, self.table = scenario.push, scenario.pushed, scenario.table
         variables = [("plant", FORCES[body]) for body in scenario.pushed]
-        variables += [("controller", command) for command in COMMANDS]
+        variables += [("controller", command) for command in scenario.commands]
         names = [f"{i}.{n}" for i, v in variables for n in INTERFACES[i].variable(v).names()]
         self._from = [i for i, name in enumerate(names) if name in self._columns]
         self._to = [self._columns[names[i]] for i in self._from]

@@ -41,7 +41,11 @@ def start_values(
         if "plant" not in scenario.fmus:
             own["plant"] = {"scene": scenario.scene}
         if "controller" not in scenario.fmus:
-            gains = replace(PRESETS[scenario.gains], reading_delay=scenario.mismatch.known_delay)
+            gains = replace(
+                PRESETS[scenario.gains],
+                reading_delay=scenario.mismatch.known_delay,
+                follow_posture=scenario.table.has_posture,
+            )
             own["controller"] = asdict(gains)
     sections = {"plant": scenario.plant, "controller": scenario.controller}
     mismatch = scenario.mismatch.start_values()

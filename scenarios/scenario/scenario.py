@@ -14,6 +14,7 @@ from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...fmus.build.engines import check_engine
 from ...fmus.errors import InputError
 from ...fmus.interface.plant import FORCE_MAX, FORCES
+from ...fmus.interface.tables import COMMANDS, POSTURE_COMMANDS
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import (
     Choice,
@@ -223,6 +224,11 @@ class Scenario:
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
                 "left out of the table"
             )
+        if self.table.has_posture and (self.gains == "tutorial" or self.timing == "optimal"):
+            raise ValueError(
+                'q1 to q7: do not go with gains = "tutorial" or timing = "optimal"; must be left '
+                "out of the table"
+            )
 
     @property
     def ticks(self) -> int:
@@ -238,6 +244,11 @@ class Scenario:
     def pushed(self) -> tuple[str, ...]:
         """The pushed bodies, "hand" and "block", in the order of the plant's inputs."""
         return tuple(body for body in FORCES if any(push.on == body for push in self.push))
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """The controller's inputs that the table commands."""
+        return (*COMMANDS, *POSTURE_COMMANDS) if self.table.has_posture else COMMANDS
 
     @property
     def has_own_parts(self) -> bool:

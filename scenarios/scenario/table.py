@@ -2,7 +2,8 @@
 
 A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,grip_force,blend,name`. The four q
 columns may be missing, or blank in a row, for the hand's home orientation; so may `grip_force` and
-`blend`, for 0, and `name`, for none. Columns `FMU.INPUT` are read by `input_table`.
+`blend`, for 0, and `name`, for none. The columns `q1` to `q7` may be missing, all of them. Columns
+`FMU.INPUT` are read by `input_table`.
 """
 
 import csv
@@ -14,7 +15,7 @@ from typing import Annotated, Self
 
 from pydantic import PlainValidator
 
-from ...assets.franka import GRIP_FORCE_MAX, GRIP_STIFFNESS, OPENING_MAX
+from ...assets.franka import GRIP_FORCE_MAX, GRIP_STIFFNESS, OPENING_MAX, Q_MAX, Q_MIN
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import Choice, Line, Quantity, Vector, checked
@@ -24,6 +25,7 @@ FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 OPTIONAL_COLUMNS = ("grip_force", "blend")  # 0 where they are missing or blank
 NAME_COLUMN = "name"  # of the waypoint, for pictures
+POSTURE_COLUMNS = tuple(f"q{joint}" for joint in range(1, 8))  # of all rows or of none
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
 
 POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
@@ -35,6 +37,10 @@ _BOUNDS = {
     "grip": Quantity(0.0, OPENING_MAX, "m"),
     "grip_force": Quantity(0.0, GRIP_FORCE_MAX, "N"),
     "blend": Quantity(0.0, 1.0, "m"),
+    **{
+        name: Quantity(low, high, "rad")
+        for name, low, high in zip(POSTURE_COLUMNS, Q_MIN, Q_MAX, strict=True)
+    },
 }
 MIN_GAP = 1e-6  # s between rows; a smaller gap is a mistake, and gives absurd velocities
 MIN_QUATERNION_LENGTH = 1e-6
@@ -64,6 +70,17 @@ UnitQuaternion = Annotated[
 ]  # (w, x, y, z)
 
 
+def _posture(value: object) -> tuple[float, ...]:
+    """Check joint positions against their ranges."""
+    joints = zip(POSTURE_COLUMNS, Vector(7)(value), strict=True)
+    return tuple(_BOUNDS[name].check(name, position) for name, position in joints)
+
+
+Posture = Annotated[
+    tuple[float, float, float, float, float, float, float], PlainValidator(_posture)
+]
+
+
 @checked
 class TableRow:
     """One waypoint of the hand.
@@ -80,6 +97,8 @@ class TableRow:
         blend: How far before and after the row time-optimal timing may round the corner [m];
             0: the hand stops there.
         name: What pictures call it; "": its number.
+        posture: Joint positions (7,) [rad] that the arm takes as far as the hand's pose leaves them
+            open; of all rows of a table or of none.
 
     Raises:
         InputError: A value is out of range.
@@ -93,6 +112,7 @@ class TableRow:
     grip_force: Annotated[float, _BOUNDS["grip_force"]] = 0.0
     blend: Annotated[float, _BOUNDS["blend"]] = 0.0
     name: Annotated[str, Line()] = ""
+    posture: Posture | None = None
 
     def __post_init__(self) -> None:
         most = 0.5 * GRIP_STIFFNESS * self.grip
@@ -113,7 +133,8 @@ class TrajectoryTable:
     """The rows of a trajectory, in the order of time.
 
     Raises:
-        InputError: There are too few or too many rows, or times do not increase.
+        InputError: There are too few or too many rows, times do not increase, or only some rows
+            have a posture.
     """
 
     rows: tuple[TableRow, ...]
@@ -126,6 +147,13 @@ class TrajectoryTable:
                 _check_order(before.time, after.time)
             except InputError as error:
                 raise InputError(f"row {number}, {error}") from None
+            if (after.posture is None) is self.has_posture:
+                raise InputError(f"row {number}: posture; must be given in all rows or in none")
+
+    @property
+    def has_posture(self) -> bool:
+        """Whether its rows have a posture."""
+        return self.rows[0].posture is not None
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
@@ -172,7 +200,7 @@ def _parse(text: str) -> list[TableRow]:
 def _check_header(names: list[str]) -> None:
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
-    valid = (*COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN)
+    valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS, NAME_COLUMN)
     for name in names:
         if name not in valid and "." not in name:
             hint = did_you_mean(name, valid)
@@ -180,9 +208,11 @@ def _check_header(names: list[str]) -> None:
         if names.count(name) > 1:
             raise InputError(f"column {name} occurs {names.count(name)} times; must occur once")
     optional = () if set(QUATERNION_COLUMNS) & set(names) else QUATERNION_COLUMNS
-    missing = [name for name in COLUMNS if name not in names and name not in optional]
+    postures = POSTURE_COLUMNS if set(POSTURE_COLUMNS) & set(names) else ()
+    required = [name for name in (*COLUMNS, *postures) if name not in optional]
+    missing = [name for name in required if name not in names]
     if missing:
-        needed = ", ".join(name for name in COLUMNS if name not in optional)
+        needed = ", ".join(required)
         raise InputError(f"{', '.join(missing)}: missing; must have the columns {needed}")
 
 
@@ -204,6 +234,7 @@ def _parse_row(cells: dict[str, str]) -> TableRow:
         grip=numbers["grip"],
         orientation=tuple(numbers[name] for name in parts) or None,  # type: ignore[arg-type]  # of 4
         name=cells.get(NAME_COLUMN, ""),
+        posture=[numbers[n] for n in POSTURE_COLUMNS if n in numbers] or None,  # type: ignore[arg-type]
         **{name: numbers[name] for name in OPTIONAL_COLUMNS if name in numbers},
     )
 

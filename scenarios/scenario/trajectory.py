@@ -23,6 +23,11 @@ COMMANDS = (
     *(f"omega_cmd[{i}]" for i in (1, 2, 3)),
     "grip_cmd",
 )
+# The further columns, if the rows have a posture.
+POSTURE_COMMANDS = (
+    *(f"posture_cmd[{i}]" for i in range(1, 8)),
+    *(f"posture_vel_cmd[{i}]" for i in range(1, 8)),
+)
 
 TIME_TOLERANCE = 1e-9  # s; k * dt reaches a row's time even if rounding makes it a little less
 UNIT_TOLERANCE = 1e-9  # of a quaternion's length
@@ -57,6 +62,7 @@ class Trajectory:
     `quintic`, which starts and ends each segment at rest. `spline` passes all rows without a stop,
     on polynomials of degree 5 with four continuous derivatives, from rest to rest. Before the
     first row and after the last the hand does not move. A grip applies from its row's time on.
+    Postures go from row to row as positions do.
 
     Attributes:
         times: Shape (n,) [s].
@@ -64,6 +70,7 @@ class Trajectory:
         orientations: Hand to world, (w, x, y, z), shape (n, 4).
         grips: Opening between the fingertips, shape (n,) [m].
         interpolation: One of `INTERPOLATIONS`.
+        postures: Joint positions, shape (n, 7) [rad]; None: the rows have no posture.
 
     Raises:
         ValueError: Shapes do not match, times do not increase, or a quaternion's length is not 1.
@@ -74,11 +81,14 @@ class Trajectory:
     orientations: Array
     grips: Array
     interpolation: str = "quintic"
+    postures: Array | None = None
 
     def __post_init__(self) -> None:
         check_choice("interpolation", self.interpolation, INTERPOLATIONS)
         n = len(self.times)
         shapes = {"times": (n,), "positions": (n, 3), "orientations": (n, 4), "grips": (n,)}
+        if self.postures is not None:
+            shapes["postures"] = (n, 7)
         for name, shape in shapes.items():
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.shape != shape or not np.isfinite(values).all():
@@ -133,6 +143,7 @@ class Trajectory:
             orientations=orientations,
             grips=np.array([row.opening for row in rows]),
             interpolation=interpolation,
+            postures=np.array([row.posture for row in rows]) if table.has_posture else None,
         )
 
     def sample(self, times: ArrayLike) -> Array:
@@ -144,13 +155,14 @@ class Trajectory:
         Returns:
             Shape (m, 14), columns as in `COMMANDS`: hand origin [m], hand to world
             (w, x, y, z), its velocity [m/s] and angular velocity [rad/s], all in world axes,
-            and the opening between the fingertips [m].
+            and the opening between the fingertips [m]. With postures, shape (m, 28): their joint
+            positions [rad] and velocities [rad/s] follow, as in `POSTURE_COMMANDS`.
         """
         t = np.asarray(times, dtype=np.float64).reshape(-1)
         row = np.searchsorted(self.times, t + TIME_TOLERANCE, side="right") - 1
         row = np.clip(row, 0, None)
         if self.interpolation == "spline" and len(self.times) > 1:
-            return np.hstack((self._sample_spline(t), self.grips[row, None]))
+            return self._sample_spline(t, row)
         # The last row gets a segment of zero length that takes 1 s.
         duration = np.append(np.diff(self.times), 1.0)[row]
         u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
@@ -163,23 +175,28 @@ class Trajectory:
         commands[:, 7:10] = rate * shift
         commands[:, 10:13] = rate * turn
         commands[:, 13] = self.grips[row]
-        return commands
+        if self.postures is None:
+            return commands
+        change = np.diff(self.postures, axis=0, append=self.postures[-1:])[row]
+        return np.hstack((commands, self.postures[row] + s * change, rate * change))
 
-    def _sample_spline(self, t: Array) -> Array:
-        """Return pose and velocity on the spline of degree 5 from rest to rest, shape (m, 13)."""
+    def _sample_spline(self, t: Array, row: NDArray[np.intp]) -> Array:
+        """Return the commands on the spline of degree 5 from rest to rest, as `sample` does."""
         from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow, and rarely needed
 
         within = np.clip(t, self.times[0], self.times[-1])
         moving = (t >= self.times[0]) & (t <= self.times[-1])
-        poses = np.hstack((self.positions, self.orientations))
-        at_rest = [(order, np.zeros(7)) for order in (1, 2)]
-        path = make_interp_spline(self.times, poses, k=5, bc_type=(at_rest, at_rest))
+        postures = np.empty((len(self.times), 0)) if self.postures is None else self.postures
+        rows = np.hstack((self.positions, self.orientations, postures))
+        at_rest = [(order, np.zeros(rows.shape[1])) for order in (1, 2)]
+        path = make_interp_spline(self.times, rows, k=5, bc_type=(at_rest, at_rest))
         values, rates = path(within), path(within, 1) * moving[:, None]
         # The parts of the quaternion leave the unit sphere between rows: q = p / |p|.
-        p, p_rate = values[:, 3:], rates[:, 3:]
+        p, p_rate = values[:, 3:7], rates[:, 3:7]
         square = (p * p).sum(axis=1, keepdims=True)
         spin = rotations.multiply(p_rate, rotations.conjugate(p)) / square
-        return np.hstack((values[:, :3], p / np.sqrt(square), rates[:, :3], 2.0 * spin[:, 1:]))
+        pose, twist = (values[:, :3], p / np.sqrt(square)), (rates[:, :3], 2.0 * spin[:, 1:])
+        return np.hstack((*pose, *twist, self.grips[row, None], values[:, 7:], rates[:, 7:]))
 
     def _time_law(self, u: Array, duration: Array) -> tuple[Array, Array]:
         """Return share of the way and its rate [1/s] that is commanded, each of shape (m, 1)."""

@@ -20,8 +20,8 @@ from ...fmus.messages import did_you_mean, excerpt
 from ..files import write_all
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
-from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, TrajectoryTable
-from .trajectory import COMMANDS
+from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, POSTURE_COLUMNS, TrajectoryTable
+from .trajectory import COMMANDS, POSTURE_COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
 INPUTS_FILE: Final = "inputs.csv"
@@ -176,10 +176,10 @@ def table_text(table: TrajectoryTable) -> str:
     more = [name for name in others if any(getattr(row, name) for row in table.rows)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*COLUMNS, *more])
+    writer.writerow([*COLUMNS, *more, *(POSTURE_COLUMNS if table.has_posture else ())])
     for row in table.rows:
         orientation = row.orientation or _BLANK
-        last = (getattr(row, name) for name in more)
+        last = (*(getattr(row, name) for name in more), *(row.posture or ()))
         writer.writerow((row.time, row.frame, *row.position, *orientation, row.grip, *last))
     return text.getvalue()
 
@@ -187,9 +187,9 @@ def table_text(table: TrajectoryTable) -> str:
 def write_input_csv(
     path: Path, times: ArrayLike, commands: ArrayLike, *, overwrite: bool = False
 ) -> None:
-    """Write commands (n, 14) at times (n,) [s] as an input file of `fmpy simulate`."""
+    """Write commands (n, 14 or 28) at times (n,) [s] as an input file of `fmpy simulate`."""
     check_replaceable(path, overwrite=overwrite)
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")  # writes floats exactly, as repr()
-        writer.writerow(("time", *COMMANDS))
+        writer.writerow(("time", *(*COMMANDS, *POSTURE_COMMANDS)[: np.shape(commands)[1]]))
         writer.writerows(np.column_stack([times, commands]).tolist())

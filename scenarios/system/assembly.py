@@ -15,7 +15,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
-from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
+from ...fmus.interface.tables import INTERFACES, POSTURE_COMMANDS, Connection
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
@@ -215,10 +215,12 @@ def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> Non
 def _unfed(
     interfaces: Mapping[str, Interface], connections: Sequence[Connection], external: Sequence[Name]
 ) -> list[Name]:
-    """Inputs that nothing feeds; our plant's torque only acts in another scene."""
+    """Inputs that nothing feeds, but for those of ours that act only in other scenarios."""
     without = {connection.target for connection in connections} | {*external}
-    if interfaces.get("plant") is INTERFACES["plant"]:
-        without |= {("plant", n) for n in INTERFACES["plant"].variable("torque").names()}
+    for instance, inputs in (("plant", ("torque",)), ("controller", POSTURE_COMMANDS)):
+        ours = INTERFACES[instance]
+        if interfaces.get(instance) is ours:
+            without |= {(instance, n) for name in inputs for n in ours.variable(name).names()}
     return [
         (instance, name)
         for instance, interface in interfaces.items()
@@ -232,7 +234,7 @@ def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> l
     """The pushes, in a session those on all bodies, and the commands that the controller takes."""
     bodies = FORCES if from_outside else scenario.pushed
     names = [("plant", FORCES[body]) for body in bodies]
-    names += [("controller", command) for command in COMMANDS]
+    names += [("controller", command) for command in scenario.commands]
     external: list[Name] = []
     for instance, name in names:
         inputs = [v for v in connector.parts[instance].interface.of("input") if v.name == name]

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
 from ...fmus.errors import InputError
-from ...fmus.interface.sensors import SENSORS
-from ...fmus.interface.tables import COMMANDS, INTERFACES
+from ...fmus.interface.sensors import MEASURED, SENSORS
+from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Interface, Variable, joints
 from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.messages import did_you_mean, excerpt
@@ -161,7 +161,7 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     measured = plant is not None and measures_a_panda(plant.interface)
     commanded = name == "controller" and not scenario.is_system
     inputs = (v.name for v in ours.of("input"))
-    known = {n for n in inputs if measured or (commanded and n in COMMANDS)}
+    known = {n for n in inputs if measured or (commanded and n in scenario.commands)}
 
     def signal(name_of_input: str) -> Variable | None:
         source = scenario.connect.get(f"{name}.{name_of_input}", "")
@@ -198,7 +198,7 @@ def _first_ctrl(scenario: Scenario) -> dict[str, Any] | None:
 def measures_a_panda(interface: Interface) -> bool:
     """Whether a plant has all outputs that PandaController measures; its vectors may be longer."""
     shapes = {v.name: v.shape for v in interface.of("output")}
-    measured = [v for v in INTERFACES["controller"].of("input") if v.name not in COMMANDS]
+    measured = [INTERFACES["controller"].variable(name) for name in MEASURED]
     return all(
         len(shapes.get(v.name, ())) == len(v.shape) and shapes[v.name] >= v.shape for v in measured
     )

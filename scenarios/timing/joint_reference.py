@@ -14,7 +14,7 @@ from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q
 from ...controller.gains import RANGES, Gains
 from ...controller.model import ArmModel
-from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST
+from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST, POSTURE_COMMANDS
 from ...fmus.interface.parameters import expand
 from ...fmus.interface.variables import Interface
 from ...fmus.master.system import System, open_system
@@ -24,7 +24,7 @@ from ..scenario.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 LAW = "controller"
-INPUTS = (*COMMANDS, "hand_xpos", "hand_xquat", "jac", "qpos")
+MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos")
 REFERENCE = ("qpos_ref", "qvel_ref")
 OUT_OF_THE_WAY = 100.0  # times the robot's limits
 
@@ -80,7 +80,9 @@ def joint_reference(
     gains = replace(gains, reading_delay=0.0)  # readings are of their instant here
     values = asdict(gains if limited else _without_limits(gains))
     path, interface = _law()
-    inputs = [name for each in INPUTS for name in interface.variable(each).names()]
+    commanded = COMMANDS if trajectory.postures is None else (*COMMANDS, *POSTURE_COMMANDS)
+    signals = (*commanded, *MEASURED)
+    inputs = [name for each in signals for name in interface.variable(each).names()]
     system = System({LAW: path}, (), [(LAW, name) for name in inputs])
     start = {LAW: expand(LAW, interface, values)}
     arm, still, q = ArmModel(), np.zeros(7), np.array(HOME_Q)

@@ -1,0 +1,138 @@
+"""Postures in a table: the arm takes the commanded joint positions, not only the hand's pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from fmu_support import in_process
+from forked import command
+from panda_cosim import Recording, Scenario, Trajectory, load_scenario, run_scenario
+from panda_cosim.assets import asset_files
+from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.writer import write_scenario
+
+END = np.array([1.2, -0.3, 0.9, -1.8, 0.7, 1.9, -0.5])  # rad: the elbow leaves the vertical plane
+DURATION = 2.0  # s
+FOLLOWED = 2e-4  # rad by which the joint reference may miss the posture
+COMMANDED = [f"posture{rate}_cmd[{joint}]" for rate in ("", "_vel") for joint in range(1, 8)]
+
+
+def planned(time: float) -> np.ndarray:
+    """Joint positions (7,) [rad] of a move from `home` that no pose of the hand determines."""
+    u = min(time / DURATION, 1.0)
+    return np.array(HOME_Q) + u**3 * (10.0 - 15.0 * u + 6.0 * u * u) * (END - HOME_Q)
+
+
+def rows() -> tuple[TableRow, ...]:
+    """A row every 20 ms, with the hand's pose from MuJoCo."""
+    files = asset_files()
+    model = mujoco.MjModel.from_xml_string(files["tabletop.xml"].decode(), assets=files)
+    data, hand, made = mujoco.MjData(model), model.body("hand").id, []
+    for time in np.linspace(0.0, DURATION, round(DURATION / 0.02) + 1):
+        data.qpos[:7] = planned(time)
+        mujoco.mj_kinematics(model, data)
+        pose = tuple(data.xpos[hand]), tuple(data.xquat[hand])
+        made.append(
+            TableRow(
+                round(float(time), 3), "world", pose[0], 0.08, pose[1], posture=data.qpos[:7].copy()
+            )
+        )
+    return tuple(made)
+
+
+def scenario(**keys: object) -> Scenario:
+    values = {"duration": DURATION + 0.2, "interpolation": "spline", **keys}
+    return Scenario(name="posture", table=TrajectoryTable(rows()), **values)  # type: ignore[arg-type]
+
+
+def record(folder: str) -> None:
+    write_scenario(scenario(), Path(folder) / "scenario")
+    run_scenario(load_scenario(Path(folder) / "scenario"), f"{folder}/run")
+
+
+@pytest.mark.fmu
+def test_the_arm_takes_the_postures_between_the_rows_too(tmp_path: Path) -> None:
+    in_process(record, str(tmp_path))
+    recording = Recording.open(tmp_path / "run")
+    plan = np.array([planned(time) for time in recording["time"]])
+    assert np.abs(recording["controller.qpos_ref"] - plan).max() < FOLLOWED
+    assert np.abs(plan[-1] - HOME_Q)[2] > 0.5  # rad: far from where the pull to home leads
+    shared = [f"controller.{name}" for name in COMMANDED]
+    assert [name for name in recording.columns if "posture" in name] == shared
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "quintic", "spline"])
+def test_postures_go_from_row_to_row_and_their_rates_are_the_derivative(interpolation: str) -> None:
+    random, step = np.random.default_rng(1), 1e-6  # s
+    postures, times = random.normal(size=(6, 7)), np.arange(6.0)
+    trajectory = Trajectory(
+        times,
+        np.zeros((6, 3)),
+        np.tile([1.0, 0, 0, 0], (6, 1)),
+        np.zeros(6),
+        interpolation,
+        postures,
+    )
+    np.testing.assert_allclose(trajectory.sample(times)[:, 14:21], postures, atol=1e-12)
+    t = np.linspace(-0.3, 5.3, 401)
+    before, now, after = (trajectory.sample(t + shift)[:, 14:] for shift in (-step, 0.0, step))
+    rates = (after - before)[:, :7] / (2.0 * step)
+    expected = 0.0 if interpolation == "linear" else rates  # as of the hand's velocity
+    np.testing.assert_allclose(now[:, 7:], np.broadcast_to(expected, rates.shape), atol=1e-4)
+
+
+def test_a_table_reads_back_as_it_was_written(tmp_path: Path) -> None:
+    write_scenario(scenario(), tmp_path / "new")
+    assert Scenario.read(tmp_path / "new").table == scenario().table
+    command("inputs", tmp_path / "new", tmp_path / "inputs.csv")
+    header, first = (tmp_path / "inputs.csv").read_text().splitlines()[:2]
+    assert header.split(",")[15:] == COMMANDED
+    numbers = [float(text) for text in first.split(",")]
+    np.testing.assert_allclose(numbers[15:], [*HOME_Q, *[0.0] * 7], atol=1e-12)
+
+
+HEAD = "time,frame,x,y,z,grip,q1,q2,q3,q4,q5,q6,q7\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD.replace(",q7", "") + "0,home,0,0,0,0,0,0,0,-1,0,1", "q7: missing"),
+        (HEAD + "0,home,0,0,0,0,0,0,0,-1,0,1,", "line 2: column q7: value ''; must be a number"),
+        (HEAD + "0,home,0,0,0,0,0,0,0,0.5,0,1,0", "line 2: column q4: value 0.5; must be a .*rad"),
+    ],
+)
+def test_columns_that_are_no_posture_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "trajectory.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        TrajectoryTable.read(tmp_path / "trajectory.csv")
+
+
+def test_what_postures_do_not_go_with_is_refused(tmp_path: Path) -> None:
+    first, second, *others = rows()
+    with pytest.raises(InputError, match="row 2: posture; must be given in all rows or in none"):
+        TrajectoryTable((first, replace(second, posture=None), *others))
+    for keys in ({"gains": "tutorial"}, {"timing": "optimal"}):
+        with pytest.raises(InputError, match="q1 to q7: do not go with"):
+            scenario(**keys)
+    write_scenario(scenario(), tmp_path / "new")
+    refused = command("retime", "--out", tmp_path / "fast", tmp_path / "new")
+    assert refused.returncode == 2
+    assert "q1 to q7" in refused.stderr
+    assert not (tmp_path / "fast").exists()
+
+
+def test_slower_rows_keep_their_postures(tmp_path: Path) -> None:
+    write_scenario(scenario(), tmp_path / "new")
+    command(
+        "retime", "--keep-times", "--share", "0.4", "--out", tmp_path / "slow", tmp_path / "new"
+    )
+    slow = Scenario.read(tmp_path / "slow").table
+    assert slow.rows[-1].time > DURATION
+    assert [row.posture for row in slow.rows] == [row.posture for row in scenario().table.rows]
