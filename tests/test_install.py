@@ -131,6 +131,7 @@ LINES = [
     "info",
     "check lift",
     "retime --help",
+    "route --help",
     "plot first",
     "export first all.csv",
     "inputs ./short commands.csv",

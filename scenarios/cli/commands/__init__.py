@@ -19,6 +19,7 @@ COMMANDS = {
     "new": (SCENARIOS, "Make a scenario of your own, ready to run."),
     "check": (SCENARIOS, "Explain what is wrong with a scenario, before it is run."),
     "retime": (SCENARIOS, "Fit a scenario's times to the robot's limits."),
+    "route": (SCENARIOS, "Plan a scenario's motion: any block, any place, past all obstacles."),
     "inputs": (SCENARIOS, "Write a scenario's commands as an FMI input file."),
     "view": (RESULTS, "Show a run in 3D in the browser: one page that needs no network."),
     "render": (RESULTS, "Draw a run's video and contact sheet again."),

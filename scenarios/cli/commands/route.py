@@ -1,0 +1,41 @@
+"""`panda-cosim route`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ...files import as_argument, check_new
+from ...route.route import route
+from ...run.options import with_options
+from ...scenario.scenario import SCENARIO_FILE, TABLE_FILE
+from ...scenario.writer import write_scenario
+from ..console import show, tell
+from ..options import SCENARIO, SETTINGS, assigned, find_scenario, option
+
+
+def command(
+    scenario: str = SCENARIO,
+    out: Path | None = option("--out -o DIR", "New folder. Default: NAME_routed."),
+    assignments: list[str] | None = SETTINGS,
+) -> None:
+    """Plan a scenario's motion: any block, any place, past all obstacles.
+
+    The new scenario grasps the block where it stands, carries it past everything in the scene, and
+    sets it down at `[success] block_position`. Arm, hand and block keep 4 mm from everything else.
+    Its table says which posture the arm takes (`q1` to `q7`), and keeps `timing_share` of the
+    limits. The same input gives the same table. It takes OMPL: pip install 'panda-cosim[route]'.
+
+    ```
+    panda-cosim route pick_and_place --out behind --set plant.block_pos=-0.4,0.3
+    panda-cosim run behind
+    ```
+    """
+    chosen = with_options(*assigned(find_scenario(scenario), assignments))
+    folder = out or Path(f"{chosen.name}_routed")
+    check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
+    tell(f"Planning {chosen.name} ...")
+    routed = route(chosen)
+    write_scenario(routed, folder)
+    rows = routed.table.rows
+    show(f"{chosen.name}: {rows[-1].time:.2f} s, {len(rows)} rows")
+    show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")

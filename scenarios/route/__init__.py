@@ -1,0 +1,1 @@
+"""Routes: collision-free motion for a block anywhere in the workspace."""
