@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from .scene import HIGH, LOW, PLANNED, spacing
+from .scene import HIGH, LOW, spacing
 
 Array = NDArray[np.float64]
 
@@ -18,8 +18,10 @@ ITERATIONS: Final = 3000  # of the planner; most paths take fewer than 100
 SHORTCUTS: Final = 60  # that are tried
 
 
-def find_path(is_free: Callable[[Array], bool], start: Array, goal: Array) -> Array | None:
-    """Return corners (n, 7) [rad] of a free path; None: none within the budget.
+def find_path(
+    is_free: Callable[[Array], bool], start: Array, goal: Array, clearance: float
+) -> Array | None:
+    """Return corners (n, 7) [rad] of a path with a clearance [m]; None: none within the budget.
 
     The seed is fixed and the budget is counted in iterations: the same input gives the same path.
     """
@@ -41,7 +43,7 @@ def find_path(is_free: Callable[[Array], bool], start: Array, goal: Array) -> Ar
     setup = geometric.SimpleSetup(space)
     setup.setStateValidityChecker(lambda state: is_free(_joints(state)))
     information = setup.getSpaceInformation()
-    step = spacing(PLANNED) / space.getMaximumExtent()
+    step = spacing(clearance) / space.getMaximumExtent()
     information.setStateValidityCheckingResolution(step)
     setup.setStartAndGoalStates(_state(space, start), _state(space, goal))
     setup.setPlanner(geometric.RRTConnect(information))

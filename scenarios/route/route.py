@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -32,6 +33,7 @@ OPEN, READY, CLOSED = 0.08, 0.07, 0.035  # [m] between the fingertips
 CLOSING, OPENING = 0.3, 0.35  # [s]
 CARRY: Final = 0.5  # of the share of the limits: faster, the block slips in the fingers
 GRASPS: Final = 4  # that are tried, each with as many postures at the place
+CLEARANCES: Final = (PLANNED, 0.5 * PLANNED, 0.25 * PLANNED)  # [m] less in narrow places
 ROUNDINGS: Final = (1.0, 0.5, 0.25, 0.1)  # of corners, from the fastest to the closest
 TRIED: Final = 0.05  # [m] between places that are tried where a block cannot be grasped
 SETTLING: Final = 0.5  # [s] after the last row
@@ -155,17 +157,16 @@ def _grasps(scene: RouteScene) -> list[tuple[Array, Array]]:
 
 def _way(scene: RouteScene, start: Array, goal: Array, load: Load) -> Array | None:
     """Return knots (n, 7) [rad] of a free way with rounded corners; None: none was found."""
-
-    def is_free(q: Array) -> bool:
-        return scene.is_free(q, load, PLANNED)
-
-    if not (is_free(start) and is_free(goal)):
-        return None
-    corners = find_path(is_free, start, goal)
-    if corners is None:
-        return None
-    ways = (rounded(corners, rounding) for rounding in ROUNDINGS)
-    return next((way for way in ways if scene.are_free(_between(way), load)), None)
+    for clearance in CLEARANCES:
+        is_free = partial(scene.is_free, load=load, clearance=clearance)
+        if not (is_free(start) and is_free(goal)):
+            continue
+        corners = find_path(is_free, start, goal, clearance)
+        ways = [] if corners is None else [rounded(corners, rounding) for rounding in ROUNDINGS]
+        for way in ways:
+            if scene.are_free(_between(way), load):
+                return way
+    return None
 
 
 def _between(knots: Array) -> Array:
