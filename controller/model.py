@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import mujoco
@@ -16,10 +16,12 @@ Vector = NDArray[np.float64]
 FINGERTIPS = (0.0, 0.0, 0.1034)  # [m] their centre in the hand's frame (Franka Control Interface)
 
 
+@lru_cache(maxsize=8)
 def load_arm(load: float = 0.0) -> Any:
     """Compile arm and hand, 9 joints, without geoms, which carry no mass.
 
-    `load` is the mass of a point between the fingertips [kg].
+    `load` is the mass of a point between the fingertips [kg]. Compiling takes 50 ms, and nobody
+    writes to the model: all share it.
     """
     files = asset_files()
     spec = mujoco.MjSpec.from_string(files["panda.xml"].decode(), include=files, assets=files)
@@ -49,17 +51,11 @@ class HandState(NamedTuple):
     bias: Vector  # gravity, Coriolis and centrifugal forces of the joints (7,) [N.m]
 
 
-@cache
-def _arm() -> Any:
-    """The arm without a load. Compiling it takes 50 ms, and nobody writes to it: all share it."""
-    return load_arm()
-
-
 class ArmModel:
     """Inertia of arm and hand, without a load, from assets/panda.xml."""
 
     def __init__(self) -> None:
-        self._model = _arm()
+        self._model = load_arm()
         self._data: Any = mujoco.MjData(self._model)
         self._qpos, self._qvel = self._data.qpos[:7], self._data.qvel[:7]
         self._acceleration, self._force = np.zeros((2, self._model.nv))

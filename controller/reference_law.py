@@ -48,7 +48,7 @@ class ReferenceLaw:
 
     The damping is 0 except near singularities (`singular_damping`) and where limits bind
     (`ik_damping`). N is the identity, except near singularities: there it keeps d out of the
-    task (`null_space_part`).
+    task (`null_space_part`), unless d follows a posture, which moves the hand as the task does.
     """
 
     STATE: ClassVar[Layout] = np.dtype(
@@ -117,8 +117,9 @@ class ReferenceLaw:
         y.singular[...] = smallest < gains.singular_value
         drift = self._drift()
         if damping > 0.0:
-            drift = null_space_part(jac, PULL_DAMPING * damping, drift)
             factor = damped_factor(jac, damping)
+            if not gains.follow_posture:  # whose drift moves the hand as the task does
+                drift = null_space_part(jac, PULL_DAMPING * damping, drift)
         qd = damped_least_squares(jac, factor, twist, drift)
 
         # Limits of the joint reference: where one binds, least squares within its bounds.

@@ -78,7 +78,8 @@ static void inertia_force(const controller_mujoco *mj, const double *q, const do
 }
 
 /* Solves the damped least squares for qd (without limits), and returns the damping. If that is
- * above 0, the drift is projected out of the task. */
+ * above 0, the drift is projected out of the task, unless it follows a posture, which moves the hand
+ * as the task does. */
 static double solve(controller *c, const controller_functions *mj, const double *twist,
                     double drift[JOINTS], double qd[JOINTS])
 {
@@ -89,8 +90,9 @@ static double solve(controller *c, const controller_functions *mj, const double 
     c->outputs.manipulability = manipulability(factor);
     c->outputs.singular = smallest < c->gains.singular_value;
     if (damping > 0.0) {
-        keep_null_space_part(mj, c->inputs.jac, PULL_DAMPING * damping, drift);
         damped_factor(mj, c->inputs.jac, damping, factor);
+        if (c->gains.follow_posture == 0.0)
+            keep_null_space_part(mj, c->inputs.jac, PULL_DAMPING * damping, drift);
     }
     damped_least_squares(mj, c->inputs.jac, factor, twist, drift, qd);
     return damping;

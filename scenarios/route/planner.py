@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,14 +14,17 @@ from .scene import HIGH, LOW, spacing
 Array = NDArray[np.float64]
 
 SEED: Final = 1
-ITERATIONS: Final = 3000  # of the planner; most paths take fewer than 100
 SHORTCUTS: Final = 60  # that are tried
 
 
 def find_path(
-    is_free: Callable[[Array], bool], start: Array, goal: Array, clearance: float
+    is_free: Callable[[Array], bool],
+    start: Array,
+    goals: Sequence[Array],
+    clearance: float,
+    iterations: int,
 ) -> Array | None:
-    """Return corners (n, 7) [rad] of a path with a clearance [m]; None: none within the budget.
+    """Return corners (n, 7) [rad] of a path to one of the goals with a clearance [m]; None: none.
 
     The seed is fixed and the budget is counted in iterations: the same input gives the same path.
     """
@@ -34,8 +37,7 @@ def find_path(
         ) from None
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(SEED)
-    space = base.RealVectorStateSpace(7)
-    bounds = base.RealVectorBounds(7)
+    space, bounds = base.RealVectorStateSpace(7), base.RealVectorBounds(7)
     for joint in range(7):
         bounds.setLow(joint, float(LOW[joint]))
         bounds.setHigh(joint, float(HIGH[joint]))
@@ -45,9 +47,13 @@ def find_path(
     information = setup.getSpaceInformation()
     step = spacing(clearance) / space.getMaximumExtent()
     information.setStateValidityCheckingResolution(step)
-    setup.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    setup.setStartState(_state(space, start))
+    ends = base.GoalStates(information)
+    for goal in goals:
+        ends.addState(_state(space, goal))
+    setup.setGoal(ends)
     setup.setPlanner(geometric.RRTConnect(information))
-    left = iter(range(ITERATIONS))
+    left = iter(range(iterations))
     setup.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
     if not setup.haveExactSolutionPath():
         return None

@@ -14,7 +14,7 @@ from ...plant.parameters import ARM_AND_PALM, BLOCK, FINGERS
 
 Array = NDArray[np.float64]
 
-ENDS: Final = 0.1  # [rad] that every posture keeps from the ends of the joints' ranges
+ENDS: Final = 0.05  # [rad] that every posture keeps from the ends of the joints' ranges
 LOW, HIGH = Q_MIN + ENDS, Q_MAX - ENDS  # [rad]
 CLEARANCE: Final = 0.004  # [m] of everything that moves from everything else, on the finished path
 PLANNED: Final = 0.02  # [m] the same where a path is planned, as its corners are rounded later
@@ -24,43 +24,36 @@ _REACHED: Final = 1e-7  # [m, rad] error of a posture for a pose of the hand
 _ROUNDS: Final = 60
 _STEP: Final = 0.4  # [rad] at most in a round
 _FAR, _FAR_DAMPING, _DAMPING = 0.05, 1e-3, 1e-6  # an error [m, rad], and damping beyond and within
+_SURROUNDINGS, _ARM, _GRIPPER, _BLOCK = range(4)  # kinds of geoms
 
 
 class Load(Enum):
-    """Where the block is, and what may be near it."""
+    """Whether the block is held; whether surroundings, and the gripper, may be near it."""
 
-    STANDS = "the block stands, and nothing may be near it"
-    GRASPED = "the block stands, and the gripper may be near it"
-    SET_DOWN = "the block is held, and may be near what it stands on"
-    HELD = "the block is held, and only the gripper may be near it"
-
-
-_SURROUNDINGS, _ARM, _GRIPPER, _BLOCK = range(4)
-_MAY_BE_NEAR: Final = {
-    Load.STANDS: [(_SURROUNDINGS, _BLOCK)],
-    Load.GRASPED: [(_SURROUNDINGS, _BLOCK), (_GRIPPER, _BLOCK)],
-    Load.SET_DOWN: [(_SURROUNDINGS, _BLOCK), (_GRIPPER, _BLOCK)],
-    Load.HELD: [(_GRIPPER, _BLOCK)],
-}
+    STANDS = (False, True, False)
+    GRASPED = (False, True, True)
+    SET_DOWN = (True, True, True)
+    HELD = (True, False, True)
 
 
 class RouteScene:
     """Kinematics of arm and block, and distances by MuJoCo's own contacts.
 
     `block` is the pose of the standing block, `held` its pose in the hand's frame: position (3,)
-    [m] and quaternion (w, x, y, z), and `opening` that between the fingertips [m].
+    [m] and quaternion (w, x, y, z), and `opening` that between the fingertips [m]. All else is
+    where `qpos` says.
     """
 
-    def __init__(self, model: Any, block: Array) -> None:
+    def __init__(self, model: Any, qpos: Array, block: Array) -> None:
         self._model, self._data = model, mujoco.MjData(model)
+        self._data.qpos[:] = qpos
         self._hand = model.body("hand").id
         self._jac = np.zeros((6, model.nv))
         self._free = int(model.jnt_qposadr[model.body(BLOCK).jntadr[0]])
-        kinds = np.array([_kind(model.body(body).name) for body in model.geom_bodyid])
-        self._kinds = kinds
-        model.geom_margin[kinds != _SURROUNDINGS] = PLANNED
+        self._kinds = np.array([_kind(model.body(body).name) for body in model.geom_bodyid])
+        model.geom_margin[self._kinds != _SURROUNDINGS] = PLANNED
         model.body_margin[:] = PLANNED  # what MuJoCo looks for pairs by
-        self._allowed = {load: _pairs(kinds, near) for load, near in _MAY_BE_NEAR.items()}
+        self._allowed = {load: _pairs(self._kinds, load) for load in Load}
         self.block, self.held, self.opening = block, block, 0.0
 
     def hand(self, q: Array) -> Array:
@@ -82,28 +75,30 @@ class RouteScene:
         mujoco.mju_mulPose(pose[:3], pose[3:], hand[:3], hand[3:], self.held[:3], self.held[3:])
         return pose
 
-    def stands(self) -> bool:
-        """Tell whether the block touches nothing but what it stands on."""
-        data = self._data
-        data.qpos[self._free : self._free + 7] = self.block
-        mujoco.mj_kinematics(self._model, data)
-        mujoco.mj_collision(self._model, data)
-        kinds = self._kinds[data.contact.geom]
+    def can_stand(self, block: Array) -> bool:
+        """Tell whether a block at a pose (7,) touches nothing but what it stands on."""
+        contact = self._contacts(block)
+        kinds = self._kinds[contact.geom]
         is_blocks = (kinds == _BLOCK).any(axis=1) & (kinds == _SURROUNDINGS).any(axis=1)
-        return bool((data.contact.dist[is_blocks] > -INSIDE).all())
+        return bool((contact.dist[is_blocks] > -INSIDE).all())
 
     def is_free(self, q: Array, load: Load, clearance: float = CLEARANCE) -> bool:
         """Tell whether joint positions (7,) [rad] are in range, and keep the clearance [m]."""
         if (q < Q_MIN + 0.9 * ENDS).any() or (q > Q_MAX - 0.9 * ENDS).any():
             return False
+        block = self.held_block(q) if load.value[0] else self.block
+        self._data.qpos[:7], self._data.qpos[7:9] = q, self.opening / 2.0
+        contact = self._contacts(block)
+        near = contact.geom[contact.dist < clearance]
+        return bool(self._allowed[load][near[:, 0], near[:, 1]].all())
+
+    def _contacts(self, block: Array) -> Any:
+        """Contacts with the block at a pose (7,)."""
         data = self._data
-        is_held = load in (Load.HELD, Load.SET_DOWN)
-        data.qpos[self._free : self._free + 7] = self.held_block(q) if is_held else self.block
-        data.qpos[:7], data.qpos[7:9] = q, self.opening / 2.0
+        data.qpos[self._free : self._free + 7] = block
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_collision(self._model, data)
-        near = data.contact.geom[data.contact.dist < clearance]
-        return bool(self._allowed[load][near[:, 0], near[:, 1]].all())
+        return data.contact
 
     def are_free(self, path: Array, load: Load) -> bool:
         """Tell whether a path (n, 7) [rad] is free, with no way between two checks too long."""
@@ -117,13 +112,11 @@ class RouteScene:
         Damped least squares, Ref: Nakamura and Hanafusa, 1986.
         """
         data, error, turn = self._data, np.empty(6), np.empty(3)
-        q = q.copy()
         for _ in range(_ROUNDS):
-            data.qpos[:7] = q
-            mujoco.mj_kinematics(self._model, data)
-            error[:3] = pose[:3] - data.xpos[self._hand]
-            mujoco.mju_subQuat(turn, pose[3:], data.xquat[self._hand])
-            mujoco.mju_rotVecQuat(error[3:], turn, data.xquat[self._hand])
+            hand = self.hand(q)
+            error[:3] = pose[:3] - hand[:3]
+            mujoco.mju_subQuat(turn, pose[3:], hand[3:])
+            mujoco.mju_rotVecQuat(error[3:], turn, hand[3:])
             size = float(np.linalg.norm(error))
             if size < _REACHED:
                 return q
@@ -148,9 +141,10 @@ def _kind(body: str) -> int:
     return _ARM if body in ARM_AND_PALM else _BLOCK if body == BLOCK else _SURROUNDINGS
 
 
-def _pairs(kinds: NDArray[np.int_], near: list[tuple[int, int]]) -> NDArray[np.bool_]:
+def _pairs(kinds: NDArray[np.int_], load: Load) -> NDArray[np.bool_]:
     """Pairs of geoms (n, n) that may be near each other."""
+    _, surroundings, gripper = load.value
     table = np.zeros((4, 4), bool)
-    for one, other in [*near, (_GRIPPER, _GRIPPER), (_SURROUNDINGS, _SURROUNDINGS)]:
-        table[one, other] = table[other, one] = True
-    return table[kinds[:, None], kinds[None, :]]
+    table[_GRIPPER, _GRIPPER] = table[_SURROUNDINGS, _SURROUNDINGS] = True
+    table[_BLOCK, [_SURROUNDINGS, _GRIPPER]] = surroundings, gripper
+    return (table | table.T)[kinds[:, None], kinds[None, :]]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import QD_MAX
+from ...assets.franka import Q_MAX, Q_MIN, QD_MAX
+from ...controller.limits import APPROACH_RATE
 from ...fmus.errors import InputError
 from ..scenario.table import TableRow, TrajectoryTable
 from ..scenario.trajectory import Trajectory
@@ -27,22 +26,18 @@ SPEED: Final = 0.5  # [1] of the joints' velocity limits along a path, before it
 WINDOWS: Final = (0.22, 0.12, 0.06)  # [s] a path's corners are rounded by averages over them
 ROUNDS: Final = 12
 SPARE: Final = 1.01
-_ORDERS: Final = ORDERS | {"hand speed": 1.0, "hand acceleration": 2.0, "hand turn": 1.0}
+_ORDERS: Final = ORDERS | {"joint end": 1.0, "hand speed": 1.0, "hand acceleration": 2.0,
+                           "hand turn": 1.0}  # fmt: skip
+_GRAVITYS: Final = ("torque", "torque rate")  # which a load does not have to be carried slower for
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(NamedTuple):
     """Knots from rest to rest, evenly spaced in time."""
 
+    name: str  # of the place where it begins
     knots: Array  # joint positions (n, 7) [rad]
     grip: float  # opening between the fingertips [m]
-    spacing: float = SPACING  # [s]
-    name: str = ""  # of the place where it begins
-
-    @property
-    def duration(self) -> float:
-        """Time from its first knot to its last [s]."""
-        return self.spacing * (len(self.knots) - 1)
+    share: float = 1.0  # of what may be used of the limits [1]
 
 
 def rounded(corners: Array, rounding: float) -> Array:
@@ -67,79 +62,62 @@ def rounded(corners: Array, rounding: float) -> Array:
 
 
 def timed(
-    scene: RouteScene, motions: Sequence[Motion], load: float, share: float, carry: float
+    scene: RouteScene, motions: Sequence[Motion], load: float, share: float
 ) -> TrajectoryTable:
     """Return the table of motions that use at most a share of each limit [1].
 
-    `load` is what the closed fingers carry [kg], with `carry` of that share.
+    `load` is what the closed fingers carry [kg].
     """
-    poses = [np.array([scene.hand(q) for q in motion.knots]) for motion in motions]
+    motion = np.repeat(np.arange(len(motions)), [len(each.knots) - 1 for each in motions])
+    knots = np.vstack([*(each.knots[:-1] for each in motions), motions[-1].knots[-1:]])
+    poses = np.array([scene.hand(q) for q in knots])
+    grips = np.array([each.grip for each in motions])[np.append(motion, -1)]
     slower = np.ones(len(motions))
     for _ in range(ROUNDS):
-        trajectory, ends = _trajectory(motions, poses, slower)
-        ticks = STEP_SIZE * np.arange(round(ends[-1] / STEP_SIZE) + 1)
-        commands = trajectory.sample(ticks)
-        planned = JointReference(ticks, commands[:, 14:21], commands[:, 21:], np.zeros(len(ticks)))
-        used = demands(trajectory, planned, load)
+        times = np.concatenate(([0.0], np.cumsum(SPACING * slower[motion]))).round(9)
+        trajectory = Trajectory(times, poses[:, :3], _units(poses[:, 3:]), grips, "spline", knots)
+        ticks = STEP_SIZE * np.arange(round(times[-1] / STEP_SIZE) + 1)
+        at = motion[np.clip(np.searchsorted(times, ticks) - 1, 0, len(motion) - 1)]
+        used = _demands(trajectory, ticks, load)
         factors = np.ones(len(motions))
-        for number, (first, last) in enumerate(pairwise(np.searchsorted(ticks, ends))):
-            most = share * (carry if motions[number].grip < _closed(motions) else 1.0)
-            for name, values in used.items():
-                worst = float(np.abs(values[first : last + 1]).max())
-                limit = share if name in ("torque", "torque rate") else most
-                if worst > limit:
-                    factor = SPARE * (worst / limit) ** (1.0 / min(_ORDERS[name], 2.0))
-                    factors[number] = max(factors[number], factor)
+        for number, name in ((n, name) for n in range(len(motions)) for name in used):
+            limit = share * (1.0 if name in _GRAVITYS else motions[number].share)
+            excess = float(used[name][at == number].max(initial=0.0)) / limit
+            if excess > 1.0:
+                factor = SPARE * excess ** (1.0 / min(_ORDERS[name], 2.0))
+                factors[number] = max(factors[number], factor)
         if (factors == 1.0).all():
-            return _table(motions, trajectory)
+            return _table(motions, motion, trajectory)
         slower *= factors
     raise InputError(f"no times within {share:.0%} of the limits were found")
 
 
-def _closed(motions: Sequence[Motion]) -> float:
-    return 0.5 * (min(m.grip for m in motions) + max(m.grip for m in motions))
+def _units(quaternions: Array) -> Array:
+    units: Array = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return units
 
 
-def _trajectory(
-    motions: Sequence[Motion], poses: Sequence[Array], slower: Array
-) -> tuple[Trajectory, Array]:
-    """Join the motions; returns the times [s] between them, too."""
-    times, starts = [], [0.0]
-    for motion, factor in zip(motions, slower, strict=True):
-        spacing = factor * motion.spacing
-        times.append(starts[-1] + spacing * np.arange(len(motion.knots) - 1))
-        starts.append(starts[-1] + spacing * (len(motion.knots) - 1))
-    joined = np.vstack([*(each[:-1] for each in poses), poses[-1][-1:]])
-    knots = np.vstack([*(motion.knots[:-1] for motion in motions), motions[-1].knots[-1:]])
-    grips = np.concatenate([np.full(len(m.knots) - 1, m.grip) for m in motions])
-    orientations = joined[:, 3:] / np.linalg.norm(joined[:, 3:], axis=1, keepdims=True)
-    trajectory = Trajectory(
-        np.append(np.concatenate(times), starts[-1]).round(9),
-        joined[:, :3],
-        orientations,
-        np.append(grips, motions[-1].grip),
-        "spline",
-        knots,
-    )
-    return trajectory, np.array(starts)
+def _demands(trajectory: Trajectory, ticks: Array, load: float) -> dict[str, Array]:
+    """Return the largest share of each limit at each tick (n,)."""
+    commands = trajectory.sample(ticks)
+    q, rate = commands[:, 14:21], commands[:, 21:]
+    room = np.where(rate > 0.0, Q_MAX - q, q - Q_MIN)  # the law brakes a joint before its end
+    used = demands(trajectory, JointReference(ticks, q, rate, np.zeros(len(ticks))), load)
+    used["joint end"] = rate / (APPROACH_RATE * room)
+    return {name: np.abs(values).max(axis=1) for name, values in used.items()}
 
 
-def _table(motions: Sequence[Motion], trajectory: Trajectory) -> TrajectoryTable:
-    counts = [len(motion.knots) - 1 for motion in motions]
-    names = dict(zip(np.cumsum([0, *counts]).tolist(), (m.name for m in motions), strict=False))
-    rows = zip(trajectory.times, trajectory.positions, trajectory.orientations, trajectory.grips,
-               trajectory.postures, strict=True)  # type: ignore[arg-type]  # fmt: skip
+def _table(
+    motions: Sequence[Motion], motion: NDArray[np.intp], trajectory: Trajectory
+) -> TrajectoryTable:
+    begins = np.flatnonzero(np.diff(motion, prepend=-1))
+    names = {int(row): each.name for row, each in zip(begins, motions, strict=True)}
+    columns = (trajectory.times, trajectory.positions, trajectory.orientations, trajectory.grips)
+    rows = zip(*(column.tolist() for column in (*columns, trajectory.postures)), strict=True)  # type: ignore[union-attr]
     return TrajectoryTable(
         tuple(
-            TableRow(
-                time=float(time),
-                frame="world",
-                position=tuple(position.tolist()),
-                grip=float(grip),
-                orientation=tuple(orientation.tolist()),
-                posture=tuple(posture.tolist()),
-                name=names.get(row, ""),
-            )
+            TableRow(time, "world", tuple(position), grip, tuple(orientation),
+                     posture=tuple(posture), name=names.get(row, ""))
             for row, (time, position, orientation, grip, posture) in enumerate(rows)
         )
-    )
+    )  # fmt: skip

@@ -111,8 +111,12 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
 
 def _keep_model(fmu: Path | None, path: Path) -> None:
     """Keep the MuJoCo model of the plant's FMU, if it has one, for pictures."""
-    if fmu is not None:
-        with zipfile.ZipFile(fmu) as archive:
-            models = [name for name in archive.namelist() if name.endswith(".mjb")]
-            if len(models) == 1:
-                path.write_bytes(archive.read(models[0]))
+    if fmu is not None and (model := model_in(fmu)):
+        path.write_bytes(model)
+
+
+def model_in(fmu: Path) -> bytes:
+    """Return the MuJoCo model in an FMU; nothing, unless it has one."""
+    with zipfile.ZipFile(fmu) as archive:
+        models = [name for name in archive.namelist() if name.endswith(".mjb")]
+        return archive.read(models[0]) if len(models) == 1 else b""

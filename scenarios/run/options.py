@@ -36,6 +36,7 @@ TOP: Final = (
     "interpolation",
     "timing",
     "timing_share",
+    "route",
     "align",
     "mujoco",
     "input_scale",

@@ -96,6 +96,10 @@ def prepare(
     values = start_values(scenario, assembly=assembly)
     assembly.recorded()  # refuses columns of the same name
     prepared = Prepared(scenario, options, assembly, values)
+    if scenario.route:
+        from .routing import routed  # noqa: PLC0415 - few scenarios need it
+
+        return prepare(routed(prepared), options, interactive=interactive, run_code=run_code)
     prepared.inputs()  # refuses a table that cannot be resolved
     return prepared
 

@@ -37,6 +37,7 @@ from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
 GAINS = ("default", "tutorial")
 TIMINGS = ("table", "feasible", "optimal")
+ROUTES = ("", "auto")
 Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
 COUPLINGS = get_args(Coupling)
 Expectation = Literal["success", "failure"]
@@ -128,6 +129,8 @@ class Scenario:
     # anew, as short as a share of the limits allows.
     timing: Annotated[str, Choice(TIMINGS)] = "table"
     timing_share: Annotated[float, Quantity(0.1, 1.0, "1")] = 0.9
+    # "auto": table and duration are planned for the block, its place and what stands in the way.
+    route: Annotated[str, Choice(ROUTES)] = ""
     align: Annotated[bool, Switch()] = True  # rows relative to the target turn with the block
     plant: Mapping[str, Parameter] = field(default_factory=dict)  # FMU start values by name
     controller: Mapping[str, Parameter] = field(default_factory=dict)
@@ -224,6 +227,16 @@ class Scenario:
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
                 "left out of the table"
             )
+        if self.route and (self.system or "controller" in self.fmus):
+            raise ValueError(
+                f"route: value {self.route!r}; must be left out with a system or a controller of "
+                "its own, which may not follow postures"
+            )
+        if self.route and self.success.block_position is None:
+            raise ValueError(
+                f"route: value {self.route!r}; must come with [success] block_position, where the "
+                "block is set down"
+            )
         if self.table.has_posture and (self.gains == "tutorial" or self.timing == "optimal"):
             raise ValueError(
                 'q1 to q7: do not go with gains = "tutorial" or timing = "optimal"; must be left '
@@ -238,7 +251,7 @@ class Scenario:
     @property
     def is_system(self) -> bool:
         """Whether it is a system of FMUs without a commanded hand."""
-        return bool(self.system or self.fmus) and self.table == NO_TABLE
+        return bool(self.system or self.fmus) and self.table == NO_TABLE and not self.route
 
     @property
     def pushed(self) -> tuple[str, ...]:
@@ -276,8 +289,8 @@ class Scenario:
         folder = Path(folder)
         path = folder / SCENARIO_FILE
         keys = _parse_toml(path)
-        is_system = keys.get("system") or keys.get("fmus")
-        has_table, driven = not is_system or (folder / TABLE_FILE).exists(), InputTable()
+        needs_none = keys.get("system") or keys.get("fmus") or keys.get("route")
+        has_table, driven = not needs_none or (folder / TABLE_FILE).exists(), InputTable()
         if has_table:
             driven, has_table = InputTable.of_trajectory(folder / TABLE_FILE)
         table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else NO_TABLE

@@ -69,12 +69,12 @@ def joint_demands(
     `load` is the mass of what the closed fingers carry [kg].
     """
     rates = reference.derivatives()
-    closed = (trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH)[:, None]
+    closed = trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH
     # The block's weight is taken up gradually, so the switch of loads is not a torque rate.
-    empty = _torques(reference, rates["acceleration"], 0.0)
-    full = _torques(reference, rates["acceleration"], load) if load > 0.0 else empty
-    torque = np.where(closed, full, empty)
-    torque_rate = np.where(closed, _rates(full), _rates(empty))
+    empty = _torques(reference, rates["acceleration"], 0.0, ~closed)
+    full = _torques(reference, rates["acceleration"], load, closed)
+    torque = np.where(closed[:, None], full, empty)
+    torque_rate = np.where(closed[:, None], _rates(full), _rates(empty))
     used = {**rates, "torque": torque, "torque rate": torque_rate}
     return {quantity: shares(quantity, values) for quantity, values in used.items()}
 
@@ -102,11 +102,17 @@ def _rates(values: Array) -> Array:
     return np.diff(values, axis=0, prepend=values[:1]) / STEP_SIZE
 
 
-def _torques(reference: JointReference, acceleration: Array, load: float) -> Array:
-    """Return the torques (n, 7) [N.m] that a joint reference needs, at accelerations (n, 7)."""
-    arm = ArmDynamics(load)
-    rows = zip(reference.position, reference.velocity, acceleration, strict=True)
-    return np.array([arm.torque(*row) for row in rows])
+def _torques(
+    reference: JointReference, acceleration: Array, load: float, asked: NDArray[np.bool_]
+) -> Array:
+    """Return the torques (n, 7) [N.m] that a joint reference needs, at accelerations (n, 7).
+
+    They are computed for the instants (n,) that are asked for and those before them.
+    """
+    arm, torques = ArmDynamics(load), np.zeros_like(acceleration)
+    for i in np.flatnonzero(asked | np.append(asked[1:], False)):
+        torques[i] = arm.torque(reference.position[i], reference.velocity[i], acceleration[i])
+    return torques
 
 
 def largest(demanded: dict[str, Array]) -> Shares:

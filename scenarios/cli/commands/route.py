@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from ...files import as_argument, check_new
-from ...route.route import route
+from ...files import as_argument
+from ...run.folder import keep_scenario, refuse_existing
 from ...run.options import with_options
-from ...scenario.scenario import SCENARIO_FILE, TABLE_FILE
-from ...scenario.writer import write_scenario
+from ...run.prepare import prepare
 from ..console import show, tell
 from ..options import SCENARIO, SETTINGS, assigned, find_scenario, option
 
@@ -32,10 +32,10 @@ def command(
     """
     chosen = with_options(*assigned(find_scenario(scenario), assignments))
     folder = out or Path(f"{chosen.name}_routed")
-    check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
+    refuse_existing(folder)
     tell(f"Planning {chosen.name} ...")
-    routed = route(chosen)
-    write_scenario(routed, folder)
-    rows = routed.table.rows
+    prepared = prepare(replace(chosen, route="auto"))
+    keep_scenario(prepared.scenario, prepared.assembly, folder)
+    rows = prepared.scenario.table.rows
     show(f"{chosen.name}: {rows[-1].time:.2f} s, {len(rows)} rows")
     show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")
