@@ -28,7 +28,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.scenario.limits import shares, torque_rates
-from panda_cosim.scenarios.scenario.trajectory import COMMANDS, Trajectory
+from panda_cosim.scenarios.scenario.trajectory import Trajectory
 from panda_cosim.scenarios.timing.stretch import stretched
 from random_tasks import connect
 
@@ -138,7 +138,7 @@ def run_move(
     for tick, command in enumerate(commands):
         if tick:
             plant.step()
-        controller.input_values[: len(COMMANDS)] = command
+        controller.input_values[: len(command)] = command
         connect(plant, controller)
         begun = time.thread_time()
         controller.update()

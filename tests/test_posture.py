@@ -12,30 +12,35 @@ from fmu_support import in_process
 from forked import command
 from panda_cosim import Recording, Scenario, Trajectory, load_scenario, run_scenario
 from panda_cosim.assets import asset_files
-from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT
+from panda_cosim.controller.gains import Gains
+from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.trajectory import StartPose
 from panda_cosim.scenarios.scenario.writer import write_scenario
+from panda_cosim.scenarios.timing.joint_reference import joint_reference
 
 END = np.array([1.2, -0.3, 0.9, -1.8, 0.7, 1.9, -0.5])  # rad: the elbow leaves the vertical plane
 DURATION = 2.0  # s
 FOLLOWED = 2e-4  # rad by which the joint reference may miss the posture
+THROUGH = 2e-3  # rad, the same where hand and posture ask for the same in a singularity
 COMMANDED = [f"posture{rate}_cmd[{joint}]" for rate in ("", "_vel") for joint in range(1, 8)]
 
 
-def planned(time: float) -> np.ndarray:
+def planned(time: float, end: np.ndarray = END) -> np.ndarray:
     """Joint positions (7,) [rad] of a move from `home` that no pose of the hand determines."""
     u = min(time / DURATION, 1.0)
-    return np.array(HOME_Q) + u**3 * (10.0 - 15.0 * u + 6.0 * u * u) * (END - HOME_Q)
+    return np.array(HOME_Q) + u**3 * (10.0 - 15.0 * u + 6.0 * u * u) * (end - HOME_Q)
 
 
-def rows() -> tuple[TableRow, ...]:
+def rows(end: np.ndarray = END) -> tuple[TableRow, ...]:
     """A row every 20 ms, with the hand's pose from MuJoCo."""
     files = asset_files()
     model = mujoco.MjModel.from_xml_string(files["tabletop.xml"].decode(), assets=files)
     data, hand, made = mujoco.MjData(model), model.body("hand").id, []
     for time in np.linspace(0.0, DURATION, round(DURATION / 0.02) + 1):
-        data.qpos[:7] = planned(time)
+        data.qpos[:7] = planned(time, end)
         mujoco.mj_kinematics(model, data)
         pose = tuple(data.xpos[hand]), tuple(data.xquat[hand])
         made.append(
@@ -65,6 +70,25 @@ def test_the_arm_takes_the_postures_between_the_rows_too(tmp_path: Path) -> None
     assert np.abs(plan[-1] - HOME_Q)[2] > 0.5  # rad: far from where the pull to home leads
     shared = [f"controller.{name}" for name in COMMANDED]
     assert [name for name in recording.columns if "posture" in name] == shared
+
+
+@pytest.mark.parametrize("joints", [{4: -0.1}, {2: 0.5, 4: -0.12, 6: 0.2}])
+def test_a_followed_posture_leads_through_singularities(joints: dict[int, float]) -> None:
+    """The hand's command alone is damped there; what the posture asks for moves it, too."""
+    end = np.array([joints.get(joint + 1, q) for joint, q in enumerate(HOME_Q)])
+    postures = np.array([row.posture for row in rows(end)])
+    jacobian = min(np.linalg.svd(jac(q), compute_uv=False)[-1] for q in postures)
+    assert jacobian < Gains().singular_value
+    table, start = TrajectoryTable(rows(end)), StartPose(HOME_XPOS, HOME_XQUAT, HOME_XPOS)
+    trajectory = Trajectory.from_table(table, start, interpolation="spline")
+    ticks = 0.001 * np.arange(int(DURATION / 0.001))
+    reference = joint_reference(trajectory, ticks, Gains(follow_posture=True), limited=True)
+    plan = np.array([planned(time, end) for time in ticks])
+    assert np.abs(reference.position - plan).max() < THROUGH
+
+
+def jac(q: np.ndarray) -> np.ndarray:
+    return ArmModel().hand(q, np.zeros(7)).jacobian.copy()
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "quintic", "spline"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -10,11 +11,15 @@ import numpy as np
 import pytest
 from fmu_support import in_process
 from forked import command
-from panda_cosim import Recording, load_scenario, run_scenario
+from panda_cosim import Recording, Scenario, load_scenario, run_scenario
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.route.scene import Load, RouteScene
+from panda_cosim.scenarios.run.options import with_values
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.sweep.definition import load_sweep
 
 pytest.importorskip("ompl")
 
@@ -53,23 +58,96 @@ def test_the_same_input_gives_the_same_bytes(routed: Path, tmp_path: Path) -> No
         assert (tmp_path / "again" / file).read_bytes() == (routed / file).read_bytes()
 
 
-def test_a_block_out_of_reach_is_refused_with_a_place_that_works(tmp_path: Path) -> None:
+OUT_OF_REACH = [
+    ("plant.block_pos=0.9,0.4", "no posture of the arm grasps and lifts the block"),
+    ("success.block_position=-0.7,0.5,0.05", "no posture of the arm sets the block down"),
+]
+
+
+@pytest.mark.parametrize(("setting", "reason"), OUT_OF_REACH)
+def test_what_is_out_of_reach_is_refused_with_what_works(
+    tmp_path: Path, setting: str, reason: str
+) -> None:
     words = ("route", "pick_and_place", "--out", tmp_path / "a", "--set")
-    far = command(*words, "plant.block_pos=0.9,0.4")
+    far = command(*words, setting)
     assert far.returncode == 2
     assert not (tmp_path / "a").exists()
-    assert "no posture of the arm grasps and lifts the block" in far.stderr
-    nearest = re.search(r"plant\.block_pos=[-\d.,]+", far.stderr)
+    assert reason in far.stderr
+    nearest = re.search(rf"{setting.partition('=')[0]}=[-\d.,]+", far.stderr)
     assert nearest
     near = command(*words, nearest.group())
     assert near.returncode == 0, near.stderr
+
+
+def behind_wall(**values: float) -> Scenario:
+    """The shipped sweep's scenario, whose table is planned."""
+    return with_values(load_scenario(Path(str(load_sweep("behind_wall").scenario[0]))), values)
+
+
+def passes(out: str) -> tuple[bool | None, list[str]]:
+    run = run_scenario(behind_wall(), out)
+    kept = Scenario.read(Path(out) / "scenario")
+    return run.summary.success, [row.name for row in kept.table.rows if row.name]
+
+
+@pytest.mark.fmu
+def test_a_wall_in_a_scene_of_its_own_is_not_touched(tmp_path: Path) -> None:
+    """The wall stands free: `max_shift` of the scenario would notice a touch of 1 N."""
+    success, names = in_process(passes, str(tmp_path / "run"))
+    assert success
+    assert names[0] == "home"  # what was planned is kept with the run, as an ordinary table
+    recording = Recording.open(tmp_path / "run")
+    shift = np.ptp(recording["plant.wall_xpos"][:, :2], axis=0)
+    assert shift.max() < 1e-5  # m
+    assert recording["plant.unwanted_contact_force"].max() == 0.0
+
+
+@pytest.mark.parametrize("design", ["anywhere", "behind_wall"])
+def test_the_shipped_sweeps_of_routes_have_their_blocks_where_they_say(design: str) -> None:
+    sweep = load_sweep(design)
+    values = np.genfromtxt(sweep.file, delimiter=",", names=True)
+    names = ("plantblock_pos1", "plantblock_pos2")
+    radius = np.hypot(*(values[name] for name in names))
+    assert len(values) == {"anywhere": 200, "behind_wall": 20}[design]
+    assert (radius > 0.25).all()
+    assert (radius < 0.90).all()
+    if design == "behind_wall":  # the wall, 0.3 m wide, crosses the line from block to place
+        block, wall = (
+            np.stack([values[f"plant{what}_pos{i}"] for i in (1, 2)], 1)
+            for what in ("block", "wall")
+        )
+        way = np.array(behind_wall().success.block_position[:2]) - block
+        yaw = values["plantwall_yaw"]
+        normal = np.stack((np.cos(yaw), np.sin(yaw)), 1)
+        share = ((wall - block) * normal).sum(1) / (way * normal).sum(1)
+        crossing = block + share[:, None] * way
+        assert ((share > 0.0) & (share < 1.0)).all()
+        assert (np.linalg.norm(crossing - wall, axis=1) < 0.15).all()
+
+
+def test_what_does_not_follow_a_route_is_refused(tmp_path: Path) -> None:
+    scenario = load_scenario("pick_and_place")
+    with pytest.raises(InputError, match=r"must come with \[success\] block_position"):
+        Scenario(name="a", table=scenario.table, duration=1.0, route="auto")
+    with pytest.raises(InputError, match="the project's own controller"):
+        replace(scenario, route="auto", fmus={"controller": "law.py:Law"})
+    with pytest.raises(InputError, match="do not go with gains"):
+        prepare(replace(scenario, route="auto", gains="tutorial"))
+    (tmp_path / "scenario.toml").write_text(
+        'duration = 1.0\nroute = "auto"\n[success]\nblock_position = [0.6, 0.35, 0.25]\n'
+        'position_tolerance = 0.002\n[fmus]\nplant = "bare.xml"\n'
+    )
+    (tmp_path / "bare.xml").write_text('<mujoco><include file="tabletop.xml"/></mujoco>')
+    with pytest.raises(InputError, match="must be a MuJoCo model that extends PandaPlant"):
+        prepare(Scenario.read(tmp_path))
 
 
 def test_what_may_be_near_depends_on_where_the_block_is() -> None:
     """The fingers 1 mm from the block's sides, and the block 1 mm above the table."""
     model = load_scene(PlantParameters())
     data = mujoco.MjData(model)
-    scene = RouteScene(model, np.array([0.6, 0.3, 0.251, 1.0, 0.0, 0.0, 0.0]))
+    block = np.array([0.6, 0.3, 0.251, 1.0, 0.0, 0.0, 0.0])
+    scene = RouteScene(model, model.key("home").qpos, block)
     scene.opening = 0.062  # m; the block is 60 mm wide
     above = np.array([0.6, 0.3, 0.251 + 0.135, 0.0, 0.5**0.5, 0.5**0.5, 0.0])
     q = scene.posture(np.array([0.4, 0.3, 0.0, -2.0, 0.0, 2.3, -0.3]), above)
@@ -78,6 +156,7 @@ def test_what_may_be_near_depends_on_where_the_block_is() -> None:
     mujoco.mj_kinematics(model, data)
     np.testing.assert_allclose(data.body("hand").xpos, above[:3], atol=1e-6)
     scene.grasp(q)
-    np.testing.assert_allclose(scene.held_block(q), scene.block, atol=1e-9)
+    scene.release(q)
+    np.testing.assert_allclose(scene.block, block, atol=1e-9)
     free = {load.name for load in Load if scene.is_free(q, load)}
     assert free == {"GRASPED", "SET_DOWN"}

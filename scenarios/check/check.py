@@ -238,9 +238,11 @@ def _limits(prepared: Prepared) -> Iterator[str]:
     texts = [f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN]]
     if len(violations) > SHOWN:
         texts.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded")
+    name = scenario.name if is_shipped(scenario) else as_argument(Path(str(scenario.folder)))
     if any(violation.quantity != "reach" for violation in violations):
-        name = scenario.name if is_shipped(scenario) else as_argument(Path(str(scenario.folder)))
         texts[-1] += f"; `panda-cosim retime {name} --keep-times` gives such rows more time"
+    elif texts and scenario.success.block_position:
+        texts[-1] += f"; `panda-cosim route {name}` leads elsewhere"
     yield from texts
 
 

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import HOME_Q
 from ...fmus.errors import InputError
 from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
 from ..scenario.scenario import Scenario
-from .grasp import Lines, lines
-from .planner import find_path
-from .scene import PLANNED, Load, RouteScene
+from .scene import HIGH, HOME, LOW, PLANNED, SEED, Lines, Load, RouteScene, spacing
 from .times import SPACING, Motion, rounded, timed
 
 Array = NDArray[np.float64]
@@ -28,23 +25,22 @@ GRASP: Final = BLOCK_HALF_HEIGHT + 0.085  # [m] of the hand over the block, wher
 LIFT, RETREAT = 0.13, 0.06  # [m] straight up with the block, and without it
 LOWER: Final = GRASP - 0.012  # [m] a deeper grasp, with which the arm reaches a little further
 # Random postures for each side of the block, the hand over the block and the lift, in turn.
-TRIES: Final = ((8, GRASP, LIFT), (32, GRASP, LIFT), (32, LOWER, LIFT), (32, GRASP, LIFT / 2),
-                (32, LOWER, LIFT / 2))  # fmt: skip
+TRIES: Final = ((8, GRASP, LIFT), (32, GRASP, LIFT), (32, LOWER, LIFT), (32, LOWER, LIFT / 2))
 CHOICE: Final = 4  # of grasps, and of postures at the place
 DROP: Final = 0.0005  # [m] above the place where the block is let go
 OPEN, READY, CLOSED = 0.08, 0.07, 0.035  # [m] between the fingertips
 CLOSING, OPENING = 0.3, 0.35  # [s]
-CARRY: Final = 0.5  # of the share of the limits: faster, the block slips in the fingers
+CARRY: Final = 0.4  # of the share of the limits: faster, the block slips in the fingers
 CLEARANCES: Final = (PLANNED, 0.5 * PLANNED, 0.25 * PLANNED)  # [m] less in narrow places
 ITERATIONS: Final = (300, 3000)  # of the planner: to the best goal, then to any
+SHORTCUTS: Final = 60  # of a path, that are tried
 ROUNDINGS: Final = (1.0, 0.5, 0.25, 0.1)  # of corners, from the fastest to the closest
 RINGS: Final = 0.05 * np.arange(1, 9)  # [m] distances at which other places are tried
-ANGLES: Final = np.arange(0.0, 2.0 * math.pi, math.pi / 6.0)
+ANGLES: Final = np.arange(0.0, 2.0 * math.pi, math.pi / 4.0)
 SETTLING: Final = 0.5  # [s] after the last row
-_HOME: Final = np.array(HOME_Q)
 
 
-class NoRouteError(Exception):
+class NoRouteError(InputError):
     """Nothing leads to the block; the message says why."""
 
 
@@ -61,14 +57,9 @@ def route(scenario: Scenario, scene: RouteScene, load: float) -> Scenario:
         raise InputError(f"{scenario.name}: {error}{_nearest(scene, place, error)}") from None
     table = timed(scene, motions, load, scenario.timing_share)
     ticks = math.ceil((table.rows[-1].time + SETTLING) / STEP_SIZE)
-    return replace(
-        scenario,
-        route="",
-        table=table,
-        timing="table",
-        interpolation="spline",
-        duration=round(ticks * STEP_SIZE, 9),
-    )
+    duration = round(ticks * STEP_SIZE, 9)
+    return replace(scenario, route="", table=table, timing="table", interpolation="spline",
+                   duration=duration)  # fmt: skip
 
 
 def _motions(
@@ -78,10 +69,12 @@ def _motions(
     block, reason = scene.block, NoRouteError("no posture of the arm grasps and lifts the block")
     for starts, height, rise in tries:
         scene.block, scene.opening = block, READY
-        picks = list(islice(_picks(scene, starts, height, rise), CHOICE))
+        above, loads = block[:3] + np.array([0.0, 0.0, height]), (Load.GRASPED, Load.SET_DOWN)
+        yaw = 2.0 * math.atan2(block[6], block[3])
+        picks = [*islice(scene.lines(above, yaw, rise, loads, scene.grasp, starts), CHOICE)]
         while picks:
             scene.block, scene.opening = block, OPEN
-            to_block = _way(scene, _HOME, [down[0] for down, _ in picks], Load.STANDS)
+            to_block = _way(scene, HOME, [down[0] for down, _ in picks], Load.STANDS)
             if to_block is None:
                 reason = NoRouteError("no way leads to the block")
                 break
@@ -103,12 +96,6 @@ def _motions(
     raise reason
 
 
-def _picks(scene: RouteScene, starts: int, height: float, rise: float) -> Iterator[Lines]:
-    yaw = 2.0 * math.atan2(scene.block[6], scene.block[3])
-    above, loads = scene.block[:3] + np.array([0.0, 0.0, height]), (Load.GRASPED, Load.SET_DOWN)
-    return lines(scene, above, yaw, rise, loads, scene.grasp, starts)
-
-
 def _carried(  # noqa: PLR0913 - all that the rest depends on
     scene: RouteScene, place: Array, starts: int, height: float, down: Array, lift: Array
 ) -> list[Motion]:
@@ -116,11 +103,8 @@ def _carried(  # noqa: PLR0913 - all that the rest depends on
     scene.grasp(down[-1])
     scene.opening = READY
 
-    def release(q: Array) -> None:
-        scene.block = scene.held_block(q)
-
     above, loads = place + np.array([0.0, 0.0, height + DROP]), (Load.SET_DOWN, Load.GRASPED)
-    places = list(islice(lines(scene, above, 0.0, RETREAT, loads, release, starts), CHOICE))
+    places = [*islice(scene.lines(above, 0.0, RETREAT, loads, scene.release, starts), CHOICE)]
     reason = "no posture of the arm sets the block down at its place"
     while places:
         scene.opening = READY
@@ -128,9 +112,9 @@ def _carried(  # noqa: PLR0913 - all that the rest depends on
         if carry is None:
             raise NoPlaceError("no way leads to the place")
         lower, retreat = places.pop(_reached(carry, places))
-        release(lower[-1])
+        scene.release(lower[-1])
         scene.opening = OPEN
-        back = _way(scene, retreat[-1], [_HOME], Load.STANDS)
+        back = _way(scene, retreat[-1], [HOME], Load.STANDS)
         if back is not None:
             return [
                 Motion("carry", carry, CLOSED, CARRY),
@@ -156,23 +140,66 @@ def _way(scene: RouteScene, start: Array, goals: Sequence[Array], load: Load) ->
         if not (ends and is_free(start)):
             continue
         for nearest, iterations in zip((ends[:1], ends), ITERATIONS, strict=True):
-            corners = find_path(is_free, start, nearest, clearance, iterations)
-            ways = [] if corners is None else [rounded(corners, part) for part in ROUNDINGS]
-            for way in ways:
-                if scene.are_free(_between(way), load):
-                    return way
+            corners = _path(is_free, start, nearest, clearance, iterations)
+            for rounding in ROUNDINGS if corners is not None else ():
+                path, knots = rounded(corners, rounding)
+                if scene.are_free(path, load):
+                    return knots
     return None
 
 
-def _between(knots: Array) -> Array:
-    """Return the spline through knots, ten points for each."""
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow, and rarely needed
+def _path(
+    is_free: Callable[[Array], bool], start: Array, goals: Sequence[Array], clearance: float,
+    iterations: int,
+) -> Array | None:  # fmt: skip
+    """Return corners (n, 7) [rad] of a path to one of the goals with a clearance [m]; None: none.
 
-    at_rest = [(order, np.zeros(7)) for order in (1, 2)]
-    at = np.arange(float(len(knots)))
-    spline = make_interp_spline(at, knots, k=5, bc_type=(at_rest, at_rest))
-    between: Array = spline(np.linspace(0.0, at[-1], 10 * len(knots)))
-    return between
+    The seed is fixed and the budget is counted in iterations: the same input gives the same path.
+    """
+    try:
+        from ompl import base, geometric, util  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise InputError(
+            "route takes ompl, which is not installed; pip install 'panda-cosim[route]'"
+        ) from None
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(SEED)
+    space, bounds = base.RealVectorStateSpace(7), base.RealVectorBounds(7)
+
+    def state_of(q: Array) -> Any:
+        state = space.allocState()
+        for joint in range(7):
+            state[joint] = float(q[joint])
+        return state
+
+    for joint in range(7):
+        bounds.setLow(joint, float(LOW[joint]))
+        bounds.setHigh(joint, float(HIGH[joint]))
+    space.setBounds(bounds)
+    setup = geometric.SimpleSetup(space)
+    setup.setStateValidityChecker(lambda state: is_free(_joints(state)))
+    information = setup.getSpaceInformation()
+    step = spacing(clearance) / space.getMaximumExtent()
+    information.setStateValidityCheckingResolution(step)
+    setup.setStartState(state_of(start))
+    ends = base.GoalStates(information)
+    for goal in goals:
+        ends.addState(state_of(goal))
+    setup.setGoal(ends)
+    setup.setPlanner(geometric.RRTConnect(information))
+    left = iter(range(iterations))
+    setup.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
+    if not setup.haveExactSolutionPath():
+        return None
+    path, simplifier = setup.getSolutionPath(), geometric.PathSimplifier(information)
+    simplifier.reduceVertices(path)
+    simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS)
+    simplifier.reduceVertices(path)
+    return np.array([_joints(state) for state in path.getStates()])
+
+
+def _joints(state: Any) -> Array:
+    return np.array([state[joint] for joint in range(7)])
 
 
 def _dwell(q: Array, duration: float) -> Array:

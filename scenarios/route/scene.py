@@ -1,7 +1,9 @@
-"""The scene that a route leads through: where hand and block are, and what the arm may be near."""
+"""The scene that a route leads through: postures of the arm, and what it may be near."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import Any, Final
 
@@ -9,17 +11,25 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets.franka import Q_MAX, Q_MIN
+from ...assets.franka import HOME_Q, HOME_XQUAT, Q_MAX, Q_MIN
 from ...plant.parameters import ARM_AND_PALM, BLOCK, FINGERS
+from .. import rotations
 
 Array = NDArray[np.float64]
+Lines = tuple[Array, Array]  # down and up, (n, 7) each [rad]
 
+HOME: Final = np.array(HOME_Q)
+SEED: Final = 1
 ENDS: Final = 0.05  # [rad] that every posture keeps from the ends of the joints' ranges
 LOW, HIGH = Q_MIN + ENDS, Q_MAX - ENDS  # [rad]
+ROOM, FEW = 0.35, 0.1  # [rad] to the ends: more is no better, less the last choice
 CLEARANCE: Final = 0.004  # [m] of everything that moves from everything else, on the finished path
 PLANNED: Final = 0.02  # [m] the same where a path is planned, as its corners are rounded later
 REACH: Final = 0.9  # [m] no point of the arm is further from a joint's axis
 INSIDE: Final = 1e-4  # [m] deeper contact is none of rest
+ABOVE: Final = 0.06  # [m] over a place, where the hand comes from
+KNOTS: Final = 25  # of a straight line
+SAME_BRANCH: Final = 0.2  # [rad] between two of them
 _REACHED: Final = 1e-7  # [m, rad] error of a posture for a pose of the hand
 _ROUNDS: Final = 60
 _STEP: Final = 0.4  # [rad] at most in a round
@@ -47,13 +57,11 @@ class RouteScene:
     def __init__(self, model: Any, qpos: Array, block: Array) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._data.qpos[:] = qpos
-        self._hand = model.body("hand").id
-        self._jac = np.zeros((6, model.nv))
+        self._hand, self._jac = model.body("hand").id, np.zeros((6, model.nv))
         self._free = int(model.jnt_qposadr[model.body(BLOCK).jntadr[0]])
         self._kinds = np.array([_kind(model.body(body).name) for body in model.geom_bodyid])
         model.geom_margin[self._kinds != _SURROUNDINGS] = PLANNED
         model.body_margin[:] = PLANNED  # what MuJoCo looks for pairs by
-        self._allowed = {load: _pairs(self._kinds, load) for load in Load}
         self.block, self.held, self.opening = block, block, 0.0
 
     def hand(self, q: Array) -> Array:
@@ -64,41 +72,40 @@ class RouteScene:
 
     def grasp(self, q: Array) -> None:
         """Take the block, where it stands, into the hand at joint positions (7,) [rad]."""
-        hand, back, held, block = self.hand(q), np.empty(7), np.empty(7), self.block
+        hand, back = self.hand(q), np.empty(7)
         mujoco.mju_negPose(back[:3], back[3:], hand[:3], hand[3:])
-        mujoco.mju_mulPose(held[:3], held[3:], back[:3], back[3:], block[:3], block[3:])
-        self.held = held
+        self.held = _product(back, self.block)
 
-    def held_block(self, q: Array) -> Array:
-        """Return the pose (7,) of the held block at joint positions (7,) [rad]."""
-        hand, pose = self.hand(q), np.empty(7)
-        mujoco.mju_mulPose(pose[:3], pose[3:], hand[:3], hand[3:], self.held[:3], self.held[3:])
-        return pose
+    def release(self, q: Array) -> None:
+        """Let the held block stand where it is at joint positions (7,) [rad]."""
+        self.block = _product(self.hand(q), self.held)
 
     def can_stand(self, block: Array) -> bool:
         """Tell whether a block at a pose (7,) touches nothing but what it stands on."""
         contact = self._contacts(block)
-        kinds = self._kinds[contact.geom]
-        is_blocks = (kinds == _BLOCK).any(axis=1) & (kinds == _SURROUNDINGS).any(axis=1)
-        return bool((contact.dist[is_blocks] > -INSIDE).all())
+        pairs = np.sort(self._kinds[contact.geom], axis=1)
+        return bool((contact.dist[(pairs == [_SURROUNDINGS, _BLOCK]).all(axis=1)] > -INSIDE).all())
 
     def is_free(self, q: Array, load: Load, clearance: float = CLEARANCE) -> bool:
         """Tell whether joint positions (7,) [rad] are in range, and keep the clearance [m]."""
-        if (q < Q_MIN + 0.9 * ENDS).any() or (q > Q_MAX - 0.9 * ENDS).any():
+        if (q < LOW - 1e-3).any() or (q > HIGH + 1e-3).any():
             return False
-        block = self.held_block(q) if load.value[0] else self.block
+        is_held, surroundings, gripper = load.value
+        block = _product(self.hand(q), self.held) if is_held else self.block
         self._data.qpos[:7], self._data.qpos[7:9] = q, self.opening / 2.0
         contact = self._contacts(block)
-        near = contact.geom[contact.dist < clearance]
-        return bool(self._allowed[load][near[:, 0], near[:, 1]].all())
+        one, other = np.sort(self._kinds[contact.geom[contact.dist < clearance]], axis=1).T
+        allowed = (one == other) & ((one == _GRIPPER) | (one == _SURROUNDINGS))
+        allowed |= (other == _BLOCK) & (one == _SURROUNDINGS) & surroundings
+        allowed |= (other == _BLOCK) & (one == _GRIPPER) & gripper
+        return bool(allowed.all())
 
     def _contacts(self, block: Array) -> Any:
         """Contacts with the block at a pose (7,)."""
-        data = self._data
-        data.qpos[self._free : self._free + 7] = block
-        mujoco.mj_kinematics(self._model, data)
-        mujoco.mj_collision(self._model, data)
-        return data.contact
+        self._data.qpos[self._free : self._free + 7] = block
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+        return self._data.contact
 
     def are_free(self, path: Array, load: Load) -> bool:
         """Tell whether a path (n, 7) [rad] is free, with no way between two checks too long."""
@@ -106,27 +113,73 @@ class RouteScene:
         checked = np.unique(np.searchsorted(way, np.arange(0.0, way[-1], spacing(CLEARANCE))))
         return all(self.is_free(path[i], load) for i in (*checked, len(path) - 1))
 
+    def lines(  # noqa: PLR0913 - all that they depend on
+        self, place: Array, yaw: float, rise: float, loads: tuple[Load, Load],
+        between: Callable[[Array], None], starts: int,
+    ) -> Iterator[Lines]:  # fmt: skip
+        """Yield the lines down to the hand's place (3,) [m] and up again by `rise` [m], best first.
+
+        `loads` are those of both lines, and `between` is called with the posture where they meet.
+        """
+        for above in self._postures(place + np.array([0.0, 0.0, ABOVE]), yaw, starts):
+            down = self._line(above, -ABOVE, loads[0])
+            if down is not None:
+                between(down[-1])
+                up = self._line(down[-1], rise, loads[1])
+                if up is not None:
+                    yield down, up
+
+    def _postures(self, place: Array, yaw: float, starts: int) -> list[Array]:
+        """Return postures (7,) [rad] with the hand at a place (3,) [m], pointing down, best first.
+
+        The block has four sides. A number of random postures is tried for each, besides `home`
+        turned to the place. Those far from the joints' ends and close to `home` are best.
+        """
+        random, rated = np.random.default_rng(SEED), []
+        near = np.clip([math.atan2(place[1], place[0]), *HOME[1:]], LOW, HIGH)
+        for side in range(4):
+            turn = rotations.about_z(math.remainder(yaw + side * math.pi / 2, 2 * math.pi))
+            pose = np.concatenate((place, rotations.multiply(turn, np.array(HOME_XQUAT))))
+            for start in (near, *random.uniform(LOW, HIGH, (starts, 7))):
+                q = self.posture(start, pose)
+                if q is not None:
+                    room = float(np.minimum(q - Q_MIN, Q_MAX - q).min())
+                    effort = 0.05 * float(np.abs(q - HOME).sum())
+                    rated.append((effort - min(room, ROOM) + (room < FEW), tuple(q)))
+        return [np.array(q) for _, q in sorted(rated)]
+
+    def _line(self, q: Array, rise: float, load: Load) -> Array | None:
+        """Return postures (n, 7) [rad] as the hand rises from q [m], from rest to rest; None: none.
+
+        It sinks where `rise` is negative.
+        """
+        pose, u, path = self.hand(q), np.linspace(0.0, 1.0, KNOTS + 1), [q]
+        for height in rise * (u**3 * (10.0 + u * (6.0 * u - 15.0)))[1:]:
+            following = self.posture(path[-1], pose + np.array([0, 0, height, 0, 0, 0, 0]))
+            if following is None or np.abs(following - path[-1]).max() > SAME_BRANCH:
+                return None
+            path.append(following)
+        return np.array(path) if self.are_free(np.array(path), load) else None
+
     def posture(self, q: Array, pose: Array) -> Array | None:
         """Return joint positions (7,) [rad] for a pose of the hand (7,), near q; None: not found.
 
         Damped least squares, Ref: Nakamura and Hanafusa, 1986.
         """
-        data, error, turn = self._data, np.empty(6), np.empty(3)
+        error, turn, jac = np.empty(6), np.empty(3), self._jac
         for _ in range(_ROUNDS):
             hand = self.hand(q)
-            error[:3] = pose[:3] - hand[:3]
             mujoco.mju_subQuat(turn, pose[3:], hand[3:])
             mujoco.mju_rotVecQuat(error[3:], turn, hand[3:])
+            error[:3] = pose[:3] - hand[:3]
             size = float(np.linalg.norm(error))
             if size < _REACHED:
                 return q
-            mujoco.mj_comPos(self._model, data)
-            mujoco.mj_jacBody(self._model, data, self._jac[:3], self._jac[3:], self._hand)
-            jac = self._jac[:, :7]
-            damping = _FAR_DAMPING if size > _FAR else _DAMPING
-            change = jac.T @ np.linalg.solve(jac @ jac.T + damping * np.eye(6), error)
-            change *= min(1.0, _STEP / max(float(np.abs(change).max()), 1e-12))
-            q = np.clip(q + change, LOW, HIGH)
+            mujoco.mj_comPos(self._model, self._data)
+            mujoco.mj_jacBody(self._model, self._data, jac[:3], jac[3:], self._hand)
+            arm, damping = jac[:, :7], _FAR_DAMPING if size > _FAR else _DAMPING
+            change = arm.T @ np.linalg.solve(arm @ arm.T + damping * np.eye(6), error)
+            q = np.clip(q + change * min(1.0, _STEP / float(np.abs(change).max())), LOW, HIGH)
         return None
 
 
@@ -135,16 +188,14 @@ def spacing(clearance: float) -> float:
     return 2.0 * clearance / REACH
 
 
+def _product(one: Array, other: Array) -> Array:
+    """Return the pose (7,) of what is at the pose `other` in the frame of the pose `one`."""
+    pose = np.empty(7)
+    mujoco.mju_mulPose(pose[:3], pose[3:], one[:3], one[3:], other[:3], other[3:])
+    return pose
+
+
 def _kind(body: str) -> int:
     if body in (*FINGERS, "hand"):
         return _GRIPPER
     return _ARM if body in ARM_AND_PALM else _BLOCK if body == BLOCK else _SURROUNDINGS
-
-
-def _pairs(kinds: NDArray[np.int_], load: Load) -> NDArray[np.bool_]:
-    """Pairs of geoms (n, n) that may be near each other."""
-    _, surroundings, gripper = load.value
-    table = np.zeros((4, 4), bool)
-    table[_GRIPPER, _GRIPPER] = table[_SURROUNDINGS, _SURROUNDINGS] = True
-    table[_BLOCK, [_SURROUNDINGS, _GRIPPER]] = surroundings, gripper
-    return (table | table.T)[kinds[:, None], kinds[None, :]]

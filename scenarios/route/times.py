@@ -26,9 +26,6 @@ SPEED: Final = 0.5  # [1] of the joints' velocity limits along a path, before it
 WINDOWS: Final = (0.22, 0.12, 0.06)  # [s] a path's corners are rounded by averages over them
 ROUNDS: Final = 12
 SPARE: Final = 1.01
-_ORDERS: Final = ORDERS | {"joint end": 1.0, "hand speed": 1.0, "hand acceleration": 2.0,
-                           "hand turn": 1.0}  # fmt: skip
-_GRAVITYS: Final = ("torque", "torque rate")  # which a load does not have to be carried slower for
 
 
 class Motion(NamedTuple):
@@ -37,13 +34,14 @@ class Motion(NamedTuple):
     name: str  # of the place where it begins
     knots: Array  # joint positions (n, 7) [rad]
     grip: float  # opening between the fingertips [m]
-    share: float = 1.0  # of what may be used of the limits [1]
+    share: float = 1.0  # of what may be used of the limits, but those of the torques [1]
 
 
-def rounded(corners: Array, rounding: float) -> Array:
-    """Return knots (m, 7) [rad] along corners (n, 7): a constant speed, averaged three times.
+def rounded(corners: Array, rounding: float) -> tuple[Array, Array]:
+    """Return a path (m, 7) [rad] along corners (n, 7), one point each ms, and knots along it.
 
-    That rounds the corners, and begins and ends at rest. `rounding` scales the averages [1].
+    A constant speed is averaged three times, which rounds the corners, and begins and ends at rest.
+    `rounding` scales the averages [1].
     """
     spans = np.maximum(np.abs(np.diff(corners, axis=0) / QD_MAX).max(axis=1) / SPEED, STEP_SIZE)
     ends = np.concatenate(([0.0], np.cumsum(spans)))
@@ -51,14 +49,11 @@ def rounded(corners: Array, rounding: float) -> Array:
     path = np.column_stack([np.interp(ticks, ends, joint) for joint in corners.T])
     for window in WINDOWS:
         count = max(round(rounding * window / STEP_SIZE), 1)
-        padded = np.pad(path, ((count - 1, count - 1), (0, 0)), mode="edge")
-        sums = np.cumsum(np.vstack((np.zeros((1, 7)), padded)), axis=0)
-        path = (sums[count:] - sums[:-count]) / count
-    path = np.vstack((corners[:1], path[1:-1], corners[-1:]))
-    every = round(rounding * SPACING / STEP_SIZE)
-    at = np.linspace(0, len(path) - 1, max(-(-(len(path) - 1) // every), 5) + 1).round().astype(int)
-    knots: Array = path[at]
-    return knots
+        padded = np.pad(path, ((count, count - 1), (0, 0)), mode="edge")
+        sums = np.cumsum(padded - path[0], axis=0)
+        path = path[0] + (sums[count:] - sums[:-count]) / count
+    knots = max(int(len(path) * STEP_SIZE / (rounding * SPACING)), 5)
+    return path, path[np.linspace(0, len(path) - 1, knots + 1).round().astype(int)]
 
 
 def timed(
@@ -75,49 +70,43 @@ def timed(
     slower = np.ones(len(motions))
     for _ in range(ROUNDS):
         times = np.concatenate(([0.0], np.cumsum(SPACING * slower[motion]))).round(9)
-        trajectory = Trajectory(times, poses[:, :3], _units(poses[:, 3:]), grips, "spline", knots)
+        trajectory = Trajectory(times, poses[:, :3], poses[:, 3:], grips, "spline", knots)
         ticks = STEP_SIZE * np.arange(round(times[-1] / STEP_SIZE) + 1)
         at = motion[np.clip(np.searchsorted(times, ticks) - 1, 0, len(motion) - 1)]
-        used = _demands(trajectory, ticks, load)
-        factors = np.ones(len(motions))
-        for number, name in ((n, name) for n in range(len(motions)) for name in used):
-            limit = share * (1.0 if name in _GRAVITYS else motions[number].share)
-            excess = float(used[name][at == number].max(initial=0.0)) / limit
-            if excess > 1.0:
-                factor = SPARE * excess ** (1.0 / min(_ORDERS[name], 2.0))
-                factors[number] = max(factors[number], factor)
-        if (factors == 1.0).all():
+        before = slower.copy()
+        for name, used in _demands(trajectory, ticks, load).items():
+            for number, each in enumerate(motions):
+                limit = share * (1.0 if "torque" in name else each.share)
+                excess = float(used[at == number].max(initial=0.0)) / limit
+                if excess > 1.0:
+                    factor = SPARE * excess ** (1.0 / min(ORDERS.get(name, 1.0), 2.0))
+                    slower[number] = max(slower[number], before[number] * factor)
+        if (slower == before).all():
             return _table(motions, motion, trajectory)
-        slower *= factors
     raise InputError(f"no times within {share:.0%} of the limits were found")
-
-
-def _units(quaternions: Array) -> Array:
-    units: Array = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return units
 
 
 def _demands(trajectory: Trajectory, ticks: Array, load: float) -> dict[str, Array]:
     """Return the largest share of each limit at each tick (n,)."""
-    commands = trajectory.sample(ticks)
-    q, rate = commands[:, 14:21], commands[:, 21:]
-    room = np.where(rate > 0.0, Q_MAX - q, q - Q_MIN)  # the law brakes a joint before its end
+    q, rate = np.split(trajectory.sample(ticks)[:, 14:], 2, axis=1)
     used = demands(trajectory, JointReference(ticks, q, rate, np.zeros(len(ticks))), load)
+    room = np.where(rate > 0.0, Q_MAX - q, q - Q_MIN)  # the law brakes a joint before its end
     used["joint end"] = rate / (APPROACH_RATE * room)
-    return {name: np.abs(values).max(axis=1) for name, values in used.items()}
+    return {name: np.abs(shares).max(axis=1) for name, shares in used.items()}
 
 
 def _table(
     motions: Sequence[Motion], motion: NDArray[np.intp], trajectory: Trajectory
 ) -> TrajectoryTable:
-    begins = np.flatnonzero(np.diff(motion, prepend=-1))
-    names = {int(row): each.name for row, each in zip(begins, motions, strict=True)}
-    columns = (trajectory.times, trajectory.positions, trajectory.orientations, trajectory.grips)
-    rows = zip(*(column.tolist() for column in (*columns, trajectory.postures)), strict=True)  # type: ignore[union-attr]
+    begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
+    names = {row: each.name for row, each in zip(begins, motions, strict=True)}
+    t = trajectory
+    columns = np.column_stack((t.times, t.positions, t.orientations, t.grips, t.postures))
     return TrajectoryTable(
         tuple(
-            TableRow(time, "world", tuple(position), grip, tuple(orientation),
-                     posture=tuple(posture), name=names.get(row, ""))
-            for row, (time, position, orientation, grip, posture) in enumerate(rows)
+            TableRow(
+                row[0], "world", row[1:4], row[8], row[4:8], name=names.get(i, ""), posture=row[9:]
+            )
+            for i, row in enumerate(columns.tolist())
         )
-    )  # fmt: skip
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -23,27 +23,22 @@ if TYPE_CHECKING:
 
 def routed(prepared: Prepared) -> Scenario:
     """Return the scenario with its table, for the block where the camera sees it."""
-    scenario, values = prepared.scenario, prepared.values
-    start = start_pose(values["plant"], values.get("sensors"))
+    scenario, plant = prepared.scenario, prepared.values["plant"]
+    mass = float(plant.get("block_mass", 0.0))
+    start = start_pose(plant, prepared.values.get("sensors"))
     centre = np.array(start.target_position) - np.array([0.0, 0.0, BLOCK_HALF_HEIGHT])
     block = np.concatenate((centre, rotations.about_z(start.block_yaw)))
-    model, qpos = _scene(prepared)
-    mass = float(values["plant"].get("block_mass", 0.0))
-    return route(scenario, RouteScene(model, qpos, block), mass)
-
-
-def _scene(prepared: Prepared) -> tuple[Any, Any]:
-    """Return the plant's model, and where everything in it is at the start, qpos."""
-    if "plant" not in prepared.scenario.fmus:
-        model = load_scene(PlantParameters())  # the scenes differ in what no route depends on
-        return model, model.key("home").qpos
-    plant = prepared.assembly.interfaces["plant"]
+    if "plant" not in scenario.fmus:
+        model = load_scene(PlantParameters())  # no route depends on what the scenes differ in
+        return route(scenario, RouteScene(model, model.key("home").qpos, block), mass)
+    outputs = prepared.assembly.interfaces["plant"]
     content = model_in(prepared.assembly.system.fmus["plant"])
-    if not content or not any(v.name == "block_pos" for v in plant.variables):
+    if not content or "block_mass" not in plant:
         raise InputError(
-            f"[fmus] plant: value {prepared.scenario.fmus['plant']!r}; must be a MuJoCo model that "
-            "extends PandaPlant, for a route to be planned in it"
+            f"[fmus] plant: value {scenario.fmus['plant']!r}; must be a MuJoCo model that extends "
+            "PandaPlant, for a route to be planned in it"
         )
     with prepared.open([]) as system:
-        qpos = system.slaves["plant"].get_real(plant.variable("qpos").names())
-    return mujoco.MjModel.from_binary_path("plant.mjb", {"plant.mjb": content}), qpos
+        qpos = system.slaves["plant"].get_real(outputs.variable("qpos").names())
+    model = mujoco.MjModel.from_binary_path("plant.mjb", {"plant.mjb": content})
+    return route(scenario, RouteScene(model, qpos, block), mass)

@@ -227,15 +227,11 @@ class Scenario:
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
                 "left out of the table"
             )
-        if self.route and (self.system or "controller" in self.fmus):
+        is_followed = not self.system and "controller" not in self.fmus
+        if self.route and not (is_followed and self.success.block_position):
             raise ValueError(
-                f"route: value {self.route!r}; must be left out with a system or a controller of "
-                "its own, which may not follow postures"
-            )
-        if self.route and self.success.block_position is None:
-            raise ValueError(
-                f"route: value {self.route!r}; must come with [success] block_position, where the "
-                "block is set down"
+                f"route: value {self.route!r}; must come with [success] block_position, and with "
+                "the project's own controller"
             )
         if self.table.has_posture and (self.gains == "tutorial" or self.timing == "optimal"):
             raise ValueError(

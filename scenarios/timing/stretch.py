@@ -136,7 +136,7 @@ def end_reached(q: Array) -> str:
         return ""
     return (
         f"joint {room.argmin() + 1} reaches the end of its range, however slowly it moves; must "
-        "turn the hand another way or lead elsewhere"
+        "turn the hand another way or lead elsewhere, as `panda-cosim route` does"
     )
 
 
