@@ -5,19 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from .controller import COMMANDS, CONTROLLER, POSTURE_COMMANDS
+from .controller import COMMANDS, CONTROLLER
 from .plant import PLANT
 from .sensors import MEASURED, SENSORS
 from .trajectory import TRAJECTORY
 
-__all__ = [
-    "ALL_INTERFACES",
-    "COMMANDS",
-    "CONNECTIONS",
-    "INTERFACES",
-    "POSTURE_COMMANDS",
-    "Connection",
-]
+__all__ = ["ALL_INTERFACES", "COMMANDS", "CONNECTIONS", "INTERFACES", "Connection"]
 
 INTERFACES = MappingProxyType({"plant": PLANT, "controller": CONTROLLER})
 ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY, SENSORS)

@@ -140,8 +140,9 @@ def _way(scene: RouteScene, start: Array, goals: Sequence[Array], load: Load) ->
             continue
         for nearest, iterations in zip((ends[:1], ends), ITERATIONS, strict=True):
             corners = _path(is_free, start, nearest, clearance, iterations)
-            for rounding in ROUNDINGS if corners is not None else ():
-                path, knots = rounded(corners, rounding)
+            if corners is None:
+                continue
+            for path, knots in (rounded(corners, rounding) for rounding in ROUNDINGS):
                 if scene.are_free(path, load):
                     return knots
     return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,11 @@ def timed(
                     factor = SPARE * excess ** (1.0 / min(ORDERS.get(name, 1.0), 2.0))
                     slower[number] = max(slower[number], before[number] * factor)
         if (slower == before).all():
-            return _table(motions, motion, trajectory)
+            columns = np.column_stack((times, poses, grips, knots))
+            begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
+            names = {row: each.name for row, each in zip(begins, motions, strict=True)}
+            rows = enumerate(columns.tolist())
+            return TrajectoryTable(tuple(_row(row, names.get(i, "")) for i, row in rows))
     raise InputError(f"no times within {share:.0%} of the limits were found")
 
 
@@ -95,18 +99,7 @@ def _demands(trajectory: Trajectory, ticks: Array, load: float) -> dict[str, Arr
     return {name: np.abs(shares).max(axis=1) for name, shares in used.items()}
 
 
-def _table(
-    motions: Sequence[Motion], motion: NDArray[np.intp], trajectory: Trajectory
-) -> TrajectoryTable:
-    begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
-    names = {row: each.name for row, each in zip(begins, motions, strict=True)}
-    t = trajectory
-    columns = np.column_stack((t.times, t.positions, t.orientations, t.grips, t.postures))
-    return TrajectoryTable(
-        tuple(
-            TableRow(
-                row[0], "world", row[1:4], row[8], row[4:8], name=names.get(i, ""), posture=row[9:]
-            )
-            for i, row in enumerate(columns.tolist())
-        )
-    )
+def _row(numbers: Any, name: str) -> TableRow:
+    """Return the row of a time, a pose of the hand, an opening and joint positions."""
+    time, position, orientation, grip = numbers[0], numbers[1:4], numbers[4:8], numbers[8]
+    return TableRow(time, "world", position, grip, orientation, name=name, posture=numbers[9:])

@@ -13,8 +13,8 @@ from pydantic import BeforeValidator, PlainValidator
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...fmus.build.engines import check_engine
 from ...fmus.errors import InputError
+from ...fmus.interface.controller import COMMANDS, POSTURE_COMMANDS
 from ...fmus.interface.plant import FORCE_MAX, FORCES
-from ...fmus.interface.tables import COMMANDS, POSTURE_COMMANDS
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import (
     Choice,

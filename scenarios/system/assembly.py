@@ -12,10 +12,11 @@ from typing import cast
 import numpy as np
 
 from ...fmus.errors import InputError
+from ...fmus.interface.controller import POSTURE_COMMANDS
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
-from ...fmus.interface.tables import INTERFACES, POSTURE_COMMANDS, Connection
+from ...fmus.interface.tables import INTERFACES, Connection
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu

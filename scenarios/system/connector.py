@@ -9,7 +9,8 @@ from typing import Final
 
 from ...fmus.build.description import BASE_UNITS
 from ...fmus.errors import InputError
-from ...fmus.interface.tables import POSTURE_COMMANDS, Connection
+from ...fmus.interface.controller import POSTURE_COMMANDS
+from ...fmus.interface.tables import Connection
 from ...fmus.interface.types import can_convert, is_lossless, type_of
 from ...fmus.interface.units import BASES, Unit, Units, conversion
 from ...fmus.interface.variables import Variable
