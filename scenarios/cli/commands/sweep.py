@@ -42,8 +42,8 @@ ROW = argument(
 def command(  # noqa: PLR0913 - one for each option
     sweep: str = argument(
         "SWEEP.toml",
-        "A sweep's TOML file, or the name of a shipped one: calibrated or random_box. With "
-        "--vary, a scenario.",
+        "A sweep's TOML file, or the name of a shipped one: anywhere, behind_wall, calibrated or "
+        "random_box. With --vary, a scenario.",
         show_default=False,
     ),
     out: Path | None = option(
