@@ -14,6 +14,7 @@ from forked import command
 from panda_cosim import Recording, Scenario, load_scenario, run_scenario
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.route.scene import Load, RouteScene
@@ -125,7 +126,7 @@ def test_the_shipped_sweeps_of_routes_have_their_blocks_where_they_say(design: s
         assert (np.linalg.norm(crossing - wall, axis=1) < 0.15).all()
 
 
-def test_what_does_not_follow_a_route_is_refused(tmp_path: Path) -> None:
+def test_what_does_not_follow_a_route_is_refused() -> None:
     scenario = load_scenario("pick_and_place")
     with pytest.raises(InputError, match=r"must come with \[success\] block_position"):
         Scenario(name="a", table=scenario.table, duration=1.0, route="auto")
@@ -133,13 +134,9 @@ def test_what_does_not_follow_a_route_is_refused(tmp_path: Path) -> None:
         replace(scenario, route="auto", fmus={"controller": "law.py:Law"})
     with pytest.raises(InputError, match="do not go with gains"):
         prepare(replace(scenario, route="auto", gains="tutorial"))
-    (tmp_path / "scenario.toml").write_text(
-        'duration = 1.0\nroute = "auto"\n[success]\nblock_position = [0.6, 0.35, 0.25]\n'
-        'position_tolerance = 0.002\n[fmus]\nplant = "bare.xml"\n'
-    )
-    (tmp_path / "bare.xml").write_text('<mujoco><include file="tabletop.xml"/></mujoco>')
+    plant = str(build(["plant"])["plant"])  # it holds a model for each scene
     with pytest.raises(InputError, match="must be a MuJoCo model that extends PandaPlant"):
-        prepare(Scenario.read(tmp_path))
+        prepare(replace(scenario, route="auto", fmus={"plant": plant}))
 
 
 def test_what_may_be_near_depends_on_where_the_block_is() -> None:
