@@ -15,16 +15,16 @@ Array = NDArray[np.float64]
 
 INTERPOLATIONS = ("linear", "quintic", "spline")
 
-# The controller's command inputs, the columns that `Trajectory.sample` returns: the first 14, or
-# all if the rows have a posture.
+# The controller's command inputs, the columns that `Trajectory.sample` returns.
 COMMANDS = (
     *(f"pos_cmd[{i}]" for i in (1, 2, 3)),
     *(f"quat_cmd[{i}]" for i in (1, 2, 3, 4)),
     *(f"vel_cmd[{i}]" for i in (1, 2, 3)),
     *(f"omega_cmd[{i}]" for i in (1, 2, 3)),
     "grip_cmd",
-    *(f"posture_{kind}[{i}]" for kind in ("cmd", "vel_cmd") for i in range(1, 8)),
 )
+# The further columns, if the rows have a posture.
+POSTURE_COMMANDS = tuple(f"posture_{k}[{i}]" for k in ("cmd", "vel_cmd") for i in range(1, 8))
 
 TIME_TOLERANCE = 1e-9  # s; k * dt reaches a row's time even if rounding makes it a little less
 UNIT_TOLERANCE = 1e-9  # of a quaternion's length
@@ -153,7 +153,7 @@ class Trajectory:
             Shape (m, 14), columns as in `COMMANDS`: hand origin [m], hand to world
             (w, x, y, z), its velocity [m/s] and angular velocity [rad/s], all in world axes,
             and the opening between the fingertips [m]. With postures, shape (m, 28): their joint
-            positions [rad] and velocities [rad/s] follow.
+            positions [rad] and velocities [rad/s] follow, as in `POSTURE_COMMANDS`.
         """
         t = np.asarray(times, dtype=np.float64).reshape(-1)
         row = np.searchsorted(self.times, t + TIME_TOLERANCE, side="right") - 1
@@ -166,7 +166,7 @@ class Trajectory:
         s, rate = self._time_law(u, duration)
         shift = np.diff(self.positions, axis=0, append=self.positions[-1:])[row]
         turn = _turns(self.orientations)[row]
-        commands = np.empty((len(t), 14))
+        commands = np.empty((len(t), len(COMMANDS)))
         commands[:, 0:3] = self.positions[row] + s * shift
         commands[:, 3:7] = rotations.multiply(rotations.exp(s * turn), self.orientations[row])
         commands[:, 7:10] = rate * shift

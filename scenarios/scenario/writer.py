@@ -21,7 +21,7 @@ from ..files import write_all
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
 from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, POSTURE_COLUMNS, TrajectoryTable
-from .trajectory import COMMANDS
+from .trajectory import COMMANDS, POSTURE_COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
 INPUTS_FILE: Final = "inputs.csv"
@@ -191,5 +191,5 @@ def write_input_csv(
     check_replaceable(path, overwrite=overwrite)
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")  # writes floats exactly, as repr()
-        writer.writerow(("time", *COMMANDS[: np.shape(commands)[1]]))
+        writer.writerow(("time", *(*COMMANDS, *POSTURE_COMMANDS)[: np.shape(commands)[1]]))
         writer.writerows(np.column_stack([times, commands]).tolist())
