@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
-from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
+from ...plant.parameters import BLOCK_HALF_HEIGHT, block_start_height
 from ..scenario.scenario import Scenario
 from .scene import HIGH, HOME, LOW, PLANNED, SEED, Lines, Load, RouteScene, spacing
 from .times import SPACING, Motion, rounded, timed

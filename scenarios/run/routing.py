@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from ...fmus.errors import InputError
-from ...plant.parameters import PlantParameters
-from ...plant.scene import BLOCK_HALF_HEIGHT, load_scene
+from ...plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters
+from ...plant.scene import load_scene
 from .. import rotations
 from ..route.route import route
 from ..route.scene import RouteScene
