@@ -38,7 +38,9 @@ def routed(prepared: Prepared) -> Scenario:
             f"[fmus] plant: value {scenario.fmus['plant']!r}; must be a MuJoCo model that extends "
             "PandaPlant, for a route to be planned in it"
         )
+    names = outputs.variable("qpos").names()
+    qpos = np.empty((1, len(names)))
     with prepared.open([]) as system:
-        qpos = system.slaves["plant"].get_real(outputs.variable("qpos").names())
+        system.slaves["plant"].bind_get(names, qpos)(0)
     model = mujoco.MjModel.from_binary_path("plant.mjb", {"plant.mjb": content})
-    return route(scenario, RouteScene(model, qpos, block), mass)
+    return route(scenario, RouteScene(model, qpos[0], block), mass)
