@@ -10,6 +10,7 @@ from ..assets import SCENES
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 ARM_AND_PALM = (*(f"link{i}" for i in range(8)), "hand")  # bodies that should touch nothing
+MOVING_LINKS = ARM_AND_PALM[1:-1]
 FINGERS = ("left_finger", "right_finger")
 BLOCK, TABLE = "obj", "work_space"
 TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contacts import ON_TABLE, SUPPORT, UNWANTED, contacts_of, kinds_of
-from .parameters import BLOCK, PlantParameters
+from .parameters import BLOCK, MOVING_LINKS, PlantParameters
 from .scene import load_scene, place_block
 
 __all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
@@ -26,6 +26,7 @@ INPUTS = np.dtype(
         ("push_force", float, 3),
         ("block_force", float, 3),
         ("torque", float, 7),
+        *((f"{link}_force", float, 3) for link in MOVING_LINKS),
     ]
 )
 OUTPUTS = np.dtype(
@@ -71,6 +72,7 @@ class Plant:
         block_force (3,): force on the block's centre, world frame [N].
         torque (7,): torques of the arm's motors, in the scene `motors`; there, ctrl moves
             the gripper alone [N.m].
+        link1_force (3,) to link7_force (3,): force on a link's centre of mass, world frame [N].
 
     Outputs (`outputs`), all at the instant of qpos:
         qpos (16,), qvel (15,): 7 arm joints [rad], 2 fingers [m], then the block:
@@ -93,7 +95,7 @@ class Plant:
         table_force (): normal force of the fingers on the table during the last step [N].
         mass_matrix (7, 7): joint-space inertia of the arm with its rotors [kg.m2].
 
-    The caller may bring the flat buffers of inputs (21,) and outputs (160,). A ValueError refuses
+    The caller may bring the flat buffers of inputs (42,) and outputs (160,). A ValueError refuses
     a block that would start inside something.
     """
 
@@ -127,10 +129,13 @@ class Plant:
             record[name] for name in ("unwanted_contact_force", "support_force", "table_force")
         )
         forces = self.data.xfrc_applied[:, :3]
+        first_link = self.model.body(MOVING_LINKS[0]).id  # the others follow it
+        links = slice(first_link, first_link + len(MOVING_LINKS))
         self._passed_on = [
             (self.data.ctrl, self.inputs["ctrl"]),
             (forces[self._hand], self.inputs["push_force"]),
             (forces[self._block], self.inputs["block_force"]),
+            (forces[links], self.input_values[-3 * len(MOVING_LINKS) :].reshape(-1, 3)),
         ]
         if self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE:  # motors
             self._passed_on.append((self.data.ctrl[:7], self.inputs["torque"]))

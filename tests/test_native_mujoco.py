@@ -74,10 +74,12 @@ def test_all_outputs_have_the_bits_of_the_plant_in_python(seed: int) -> None:
         ctrl = np.clip(ctrl + source.normal(0, 0.003, 8) * [*[1] * 7, 400], CTRL_MIN, CTRL_MAX)
         push = source.normal(0, 5, 3)
         plant.inputs["ctrl"], plant.inputs["push_force"] = ctrl, push
+        plant.inputs["link4_force"] = -push
         plant.step()
         for it in both:
             it.set("ctrl", *ctrl)
             it.set("push_force", *push)
+            it.set("link4_force", *-push)
             assert it.step(i * STEP) == OK, it.messages()
         unwanted = max(unwanted, plant.outputs["unwanted_contact_force"])
         if i % 40 == 0 or i == 599 or unwanted:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets import SCENES, TORQUE_DRIVEN
-from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT
+from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT, SERVO_DAMPING
 from panda_cosim.plant.plant import DivergenceError, Plant, PlantParameters
 
 Array = NDArray[np.float64]
@@ -176,6 +176,21 @@ def test_the_blocks_force_lifts_the_block_and_leaves_the_arm_alone() -> None:
     moved = pushed.outputs["qpos"] - free.outputs["qpos"]
     assert moved[11] == pytest.approx(9.81 * 0.1**2 / 2, rel=0.05)  # m
     np.testing.assert_allclose(moved[:9], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("link", range(1, 8))
+def test_a_links_force_acts_at_its_centre_of_mass(link: int) -> None:
+    free, pushed = Plant(), Plant()
+    pushed.inputs[f"link{link}_force"] = force = np.array([30.0, -20.0, 10.0])  # N
+    model, data, jac = free.model, free.data, np.zeros((3, free.model.nv))
+    mujoco.mj_jacBodyCom(model, data, jac, None, model.body(f"link{link}").id)
+    damping = np.array(SERVO_DAMPING) + model.dof_damping[:7]
+    inertia = free.outputs["mass_matrix"] + 1e-3 * np.diag(damping)  # implicit in the velocities
+    change = np.linalg.solve(inertia, 1e-3 * jac[:, :7].T @ force)  # [rad/s]
+    free.step()
+    pushed.step()
+    faster = pushed.outputs["qvel"] - free.outputs["qvel"]
+    np.testing.assert_allclose(faster[:7], change, rtol=1e-3, atol=1e-6)
 
 
 def test_a_push_ends_with_its_force() -> None:

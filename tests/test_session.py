@@ -27,6 +27,7 @@ from panda_cosim import (
     replay,
     run_scenario,
 )
+from panda_cosim.fmus.interface.plant import FORCES
 from panda_cosim.scenarios.run.journal import Journal
 from parts_jobs import session_of_other_parts
 from toy_fmu import toy_fmu
@@ -44,7 +45,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def bits(folder: Path, rows: int | None = None) -> bytes:
     """The first rows of a recording, push forces left out, which plain runs need not have."""
     recording = Recording.open(folder)
-    forces = ("plant.push_force", "plant.block_force")
+    forces = tuple(f"plant.{name}" for name in FORCES.values())
     names = [n for n in recording.columns if not n.startswith(forces)]
     return np.vstack([recording[name][:rows] for name in names]).tobytes()
 
@@ -131,12 +132,15 @@ def test_a_session_of_pushes_start_values_and_waypoints_is_a_scenario(tmp_path: 
         session.set("plant.block_force[2]", 1.5)
         session.step(50)
         session.release("plant.block_force")
+        session.set("plant.link4_force", (-9.0, 3.0, 1.0))
+        session.step(50)
+        session.release("plant.link4_force")
         session.move_waypoint(len(session.table.rows) - 1, frame="world", position=(0.4, 0.1, 0.5))
         session.step(500)
         session.keep(tmp_path / "kept")
     run = run_scenario(tmp_path / "kept", tmp_path / "run")
     assert bits(run.folder) == bits(tmp_path / "session")
-    for name in ("plant.push_force", "plant.block_force"):
+    for name in ("plant.push_force", "plant.block_force", "plant.link4_force"):
         forces = Recording.open(tmp_path / "session")[name]
         assert (run.recording[name][:-1] == forces[:-1]).all()
 

@@ -13,6 +13,7 @@ from ...plant.parameters import (
     JOINT_FRICTION_RANGE,
     JOINT_VISCOUS_RANGE,
     MASS_RANGE,
+    MOVING_LINKS,
     PAYLOAD_RANGE,
     POSITION_RANGE,
     SCALE_RANGE,
@@ -21,7 +22,8 @@ from ...plant.parameters import (
 )
 from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
 
-FORCES = {"hand": "push_force", "block": "block_force"}  # input by pushed body
+# Input by pushed body.
+FORCES = {"hand": "push_force", "block": "block_force"} | {n: f"{n}_force" for n in MOVING_LINKS}
 FORCE_MAX = 1000.0  # [N] far above any realistic push
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
 CTRL_MIN = (*Q_MIN.tolist(), 0.0)
@@ -54,7 +56,7 @@ _JAC = "of the Jacobian of the hand body's origin by the arm's joints, world axe
 JAC_PARTS = (("jac", 3, f"Linear rows {_JAC}"), ("jac_angular", 3, f"Angular rows {_JAC}"))
 _BLOCK = PlantParameters()
 _TOUCHING = " ".join((BLOCK, *FINGERS, *ARM_AND_PALM))
-_LINKS = " ".join(f"link{i}" for i in range(1, 8))
+_LINKS = " ".join(MOVING_LINKS)
 _SERVOS = " ".join(f"actuator{i}" for i in range(1, 8))
 
 
@@ -80,6 +82,9 @@ PLANT = Interface(
         input_("torque", (7,), "N.m", "Torques of the arm's motors, in the scene `motors`, where "
                "ctrl moves the gripper alone", 0.0, tuple((-TORQUE_MAX).tolist()),
                tuple(TORQUE_MAX.tolist()), source="motors"),
+        *(input_(FORCES[link], (3,), "N", f"Force that pushes {link} at its centre of mass, world "
+                 "frame", 0.0, -FORCE_MAX, FORCE_MAX, source=f"body {link} force")
+          for link in MOVING_LINKS),
         output("qpos", (16,), joints("rad", *"mmmmm1111"), "MuJoCo positions: 7 arm joints, 2 "
                 "fingers, block centre in the world frame, block quaternion (w, x, y, z)",
                 source="qpos", parts=_QPOS_PARTS),

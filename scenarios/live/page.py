@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...fmus.errors import InputError
-from ...fmus.interface.plant import FORCE_MAX
+from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.master.step import SWITCHED
 from ...fmus.messages import one_line
 from ...plant.parameters import PlantParameters
@@ -83,7 +83,7 @@ def page_of(session: Session) -> str:
 
 
 def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
-    """Yield the bodies that can be dragged: hand, block, and all with an input `NAME_force`.
+    """Yield the bodies that can be dragged: arm, block, and all with an input `NAME_force`.
 
     Free bodies hang on a spring and a damper that suit their mass.
     """
@@ -93,7 +93,9 @@ def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
         name = model.body(body).name
         force = BLOCK.get(name, re.sub(r"\W+", "_", name) + "_force")
         signal = f"plant.{force}"
-        if name and _is_given(session, signal):
+        if name in FORCES and _is_given(session, signal):
+            yield {**HAND, "signal": signal, "bodies": [name]}
+        elif name and _is_given(session, signal):
             mass = float(model.body_subtreemass[body])
             yield {
                 "signal": signal,

@@ -91,13 +91,13 @@ def _multiple(value: object) -> int:
 
 @checked
 class Push:
-    """A constant force on the hand or the block for some time.
+    """A constant force on a body for some time.
 
     Attributes:
         start: Start time [s].
         duration: Duration [s].
         force: Force at the centre of mass, world axes [N].
-        on: The body, "hand" or "block".
+        on: The body: "hand", "block", or "link1" to "link7".
 
     Raises:
         InputError: A value is out of range.
@@ -251,7 +251,7 @@ class Scenario:
 
     @property
     def pushed(self) -> tuple[str, ...]:
-        """The pushed bodies, "hand" and "block", in the order of the plant's inputs."""
+        """The pushed bodies, in the order of the plant's inputs."""
         return tuple(body for body in FORCES if any(push.on == body for push in self.push))
 
     @property

@@ -10,6 +10,7 @@ from typing import Final
 from ...fmus.build.description import BASE_UNITS
 from ...fmus.errors import InputError
 from ...fmus.interface.controller import POSTURE_COMMANDS
+from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import Connection
 from ...fmus.interface.types import can_convert, is_lossless, type_of
 from ...fmus.interface.units import BASES, Unit, Units, conversion
@@ -20,7 +21,7 @@ from ...plant.parameters import ARM_JOINTS
 from .parts import Part, measures_a_panda
 
 # Inputs of PandaPlant and PandaController that may stay unconnected.
-OPTIONAL: Final = ("push_force", "block_force", "torque", *POSTURE_COMMANDS)
+OPTIONAL: Final = (*FORCES.values(), "torque", *POSTURE_COMMANDS)
 OUR_UNITS: Final[Units] = {
     name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
     for name, exponents in BASE_UNITS.items()
