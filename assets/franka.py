@@ -47,4 +47,5 @@ CTRL_OPEN: Final = 255.0  # [1] gripper servo target at OPENING_MAX
 # (servo damping + joint damping) / stiffness.
 SERVO_STIFFNESS: Final[Seven] = (4500.0, 4500.0, 3500.0, 3500.0, 2000.0, 2000.0, 2000.0)
 SERVO_DAMPING: Final[Seven] = (450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0)  # [N.m.s/rad]
+JOINT_DAMPING: Final = 1.0  # [N.m.s/rad] of each joint
 SERVO_LAG = cast(Seven, tuple(0.1 + 1.0 / k for k in SERVO_STIFFNESS))

@@ -11,6 +11,7 @@ from ..assets.franka import CTRL_OPEN, OPENING_MAX
 from .gains import DEFAULT, Gains
 from .reference_law import ReferenceLaw
 from .signals import INPUTS, OUTPUTS, Buffer, Law
+from .touch import Touch
 from .tutorial_law import TutorialLaw
 
 Vector = NDArray[np.float64]
@@ -22,6 +23,7 @@ STATE: Final = np.dtype(
         ("law", float),  # place of the active one in `LAWS`, from 1; 0: none has started
         ("opening", float),  # [m] commanded now between the fingertips
         *((name, law.STATE) for name, law in LAWS.items()),
+        ("touch", Touch.STATE),
     ]
 )
 
@@ -31,7 +33,7 @@ class Controller:
 
     The law is chosen by `gains.law`; see `ReferenceLaw` and `TutorialLaw` for the formulas. The
     period between two updates is in s. `update` reads `inputs` and writes `outputs`, by name and in
-    the layouts `INPUTS` and `OUTPUTS`; `input_values` (98,), `output_values` (38,) and
+    the layouts `INPUTS` and `OUTPUTS`; `input_values` (106,), `output_values` (58,) and
     `state_values` are the flat arrays, of which the caller may bring the first two.
     """
 
@@ -52,6 +54,7 @@ class Controller:
             name: law(self._x, self._y, getattr(self._state, name), period)
             for name, law in LAWS.items()
         }
+        self._touch = Touch(self._x, self._y, self._state.touch, period)
         self.gains = gains
         self.reset()
 
@@ -65,6 +68,7 @@ class Controller:
         self._gains = gains
         self._law, self._law_number = self._laws[gains.law], 1 + list(LAWS).index(gains.law)
         self._law.set_gains(gains)
+        self._touch.set_gains(gains)
 
     def reset(self) -> None:
         """Forget everything but the gains; inputs and outputs become 0, the gripper opens."""
@@ -74,7 +78,9 @@ class Controller:
 
     def update(self) -> None:
         """Compute the outputs of one period from the inputs."""
-        if self._state.law != self._law_number:
+        if self._touch.takes_over():
+            return
+        if self._state.law != self._law_number or self._state.touch.reacts:
             self._start()
         self._move_gripper()
         self._law.update()
@@ -92,7 +98,7 @@ class Controller:
         """Start the chosen law, and the gripper if no law has run before."""
         if self._state.law == 0.0:
             self._state.opening[...] = self._grip_cmd()
-        self._state.law[...] = self._law_number
+        self._state.law[...], self._state.touch.reacts[...] = self._law_number, 0.0
         self._law.start()
 
     def _grip_cmd(self) -> float:

@@ -31,6 +31,7 @@ INPUTS = np.dtype(
         ("qpos", float, 7),
         ("qvel", float, 7),
         ("qfrc_bias", float, 7),
+        ("actuator_force", float, 8),
     ]
 )
 OUTPUTS = np.dtype(
@@ -42,6 +43,9 @@ OUTPUTS = np.dtype(
         ("manipulability", float),
         ("singular", float),
         ("limit", float, 7),
+        ("external_torque", float, 7),
+        ("external_force", float, 6),
+        ("joint_contact", float, 7),
     ]
 )
 

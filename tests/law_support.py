@@ -13,7 +13,7 @@ import numpy as np
 from fmu_instance import mujoco_library
 from numpy.typing import NDArray
 from panda_cosim.controller.controller import STATE, Controller
-from panda_cosim.controller.gains import Gains
+from panda_cosim.controller.gains import REACTIONS, Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.build.libraries import CONTROLLER_LAW, FLAGS, SOURCES
@@ -94,7 +94,8 @@ class LawInC:
     def gains(self, gains: Gains) -> None:
         self._set_gains = gains
         for name in GAINS.names or ():
-            self._gains[name] = getattr(gains, name)
+            value = getattr(gains, name)
+            self._gains[name] = 1 + REACTIONS.index(value) if name == "reaction" else value
 
     def update(self) -> None:
         """Compute the outputs of one period from the inputs."""
@@ -116,7 +117,7 @@ def inputs_of(course: Course) -> Array:
     rows = np.empty((len(course.time), INPUTS.itemsize // 8))
     named = rows.view(INPUTS)[:, 0]
     rows[:, : course.commands.shape[1]] = course.commands
-    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias"):
+    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias", "actuator_force"):
         named[name] = course.plant[name]
     for name in ("qpos", "qvel"):
         named[name] = course.plant[name][:, :7]

@@ -129,7 +129,7 @@ def run_plain(scenario: Scenario, overrides: Overrides | None = None) -> Course:
 
 def connect(plant: Plant, controller: Controller) -> None:
     """Copy the plant's outputs to the controller's inputs."""
-    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias"):
+    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias", "actuator_force"):
         controller.inputs[name] = plant.outputs[name]
     for name in ("qpos", "qvel"):
         controller.inputs[name] = plant.outputs[name][:7]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets import franka
 from panda_cosim.controller.controller import Controller
-from panda_cosim.controller.gains import RANGES, Gains, preset
+from panda_cosim.controller.gains import RANGES, REACTIONS, Gains, preset
 from panda_cosim.controller.signals import OUTPUTS
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
@@ -83,8 +83,10 @@ def random_gains(rng: np.random.Generator) -> Gains:
             gains = replace(gains, **{name: tuple(rng.uniform(low, high, 7).tolist())})
         else:
             gains = replace(gains, **{name: float(rng.uniform(low, high))})
-    switches = {"use_reference": 0.7, "follow_posture": 0.3}  # and how often each is on
-    return replace(gains, **{name: bool(rng.random() < on) for name, on in switches.items()})
+    # Switches, and how often each is on.
+    switches = {"use_reference": 0.7, "follow_posture": 0.3, "observer": 0.5}
+    chosen = {name: bool(rng.random() < on) for name, on in switches.items()}
+    return replace(gains, reaction=str(rng.choice(REACTIONS, p=[0.8, 0.1, 0.1])), **chosen)
 
 
 def random_inputs(rng: np.random.Generator, size: float) -> Array:
@@ -116,6 +118,7 @@ def test_random_gains_and_inputs_have_the_same_bits(library: Path, seed: int, si
 
 
 def test_the_robots_limits_are_those_of_the_assets(library: Path) -> None:
-    robot = (ctypes.c_double * 37).in_dll(ctypes.CDLL(str(library)), "CONTROLLER_ROBOT")
+    robot = (ctypes.c_double * 45).in_dll(ctypes.CDLL(str(library)), "CONTROLLER_ROBOT")
     expected = [*franka.Q_MIN, *franka.Q_MAX, *franka.QD_MAX, *franka.QDD_MAX, *franka.QDDD_MAX]
-    assert list(robot) == [*expected, franka.OPENING_MAX, franka.CTRL_OPEN]
+    expected += [franka.OPENING_MAX, franka.CTRL_OPEN, *franka.SERVO_DAMPING, franka.JOINT_DAMPING]
+    assert list(robot) == expected

@@ -91,6 +91,7 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
     block, (w, x, y, z) = qpos[:, 9:12], qpos[:, 12:16].T
     force, hand = run["plant.contact_force"], run["plant.hand_xpos"]
     holds = [hold_again(run, *span) for span in spans_of(time, (force > 0.5).tolist())]
+    joints = run["controller.joint_contact"] if "controller.joint_contact" in run else 0 * qpos
     ended = [hold for hold in holds if hold["end"] <= last]
     released: Mapping[str, Any] = ended[-1] if ended else {}
     placed = None
@@ -139,6 +140,9 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
         "events.command_end": instant(moving[-1]) if moving else None,
         "events.at_rest": instant(rest) if rest < last else None,
         "events.end": time[-1],
+        "events.collision": next(
+            (float(time[row]) for row in range(len(time)) if 2.0 in joints[row]), None
+        ),
         "tracking.rms_mm": np.sqrt(np.mean(error**2)),
         "tracking.max_mm": max(error),
         "tracking.moving_rms_mm": np.sqrt(np.mean(error[moving] ** 2)) if moving else None,

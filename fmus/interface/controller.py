@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
-from ...controller.gains import RANGES, Gains
+from ...controller.gains import RANGES, REACTIONS, Gains
 from .plant import CTRL_PARTS, JAC_PARTS, ROBOT
 from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
 
 # The inputs that command the hand's motion, and those of the posture; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
 POSTURE_COMMANDS = ("posture_cmd", "posture_vel_cmd")
+
+# Outputs of the observer.
+OBSERVED = ("external_torque", "external_force", "joint_contact")
 
 _GAINS = Gains()
 # Upper bounds below those of `controller.gains.RANGES`: the FMU never exceeds the robot's limits.
@@ -53,6 +56,8 @@ CONTROLLER = Interface(
         input_("qvel", (7,), "rad/s", "Measured joint velocities", 0.0),
         input_("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
                0.0),
+        input_("actuator_force", (8,), joints("N.m", "N"), "Torques of the servos during the last "
+               "step, then the force of the gripper's tendon; only the observer reads it", 0.0),
         held("ctrl", (8,), joints("rad", "1"), "Servo targets: seven joint angles, then the "
              "gripper, 0 (closed) to 255 (open)", parts=CTRL_PARTS),
         held("dq", (7,), "rad", "Joint error that the PIDs act on"),
@@ -62,6 +67,12 @@ CONTROLLER = Interface(
         held("singular", (), "1", "1 while damping is raised near a singularity, else 0"),
         held("limit", (7,), "1", "Limit that binds each joint's reference: 0 none, 1 position, "
               "2 velocity, 3 acceleration, 4 jerk"),
+        held("external_torque", (7,), "N.m", "Torques of others on the joints, by a momentum "
+             "observer; 0 without observer and reaction", on_request=True),
+        held("external_force", (6,), (*["N"] * 3, *["N.m"] * 3), "Force and torque at the hand "
+             "body's origin, world frame, that would exert external_torque", on_request=True),
+        held("joint_contact", (7,), "1", "Of each joint: 0 free, 1 contact, external_torque above "
+             "the lower threshold, 2 collision, it has been above the upper one", on_request=True),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
                  "held in between", STEP_SIZE, STEP_SIZE, 1.0, multiple_of=STEP_SIZE),
         Variable("use_reference", (), "", "parameter", "tunable", "Integrate a joint reference; "
@@ -104,6 +115,16 @@ CONTROLLER = Interface(
                  _GAINS.follow_posture, kind="Boolean"),
         _gain("posture_follow_gain", "1/s", "Rate at which an error of the commanded posture goes "
               "to zero"),
+        Variable("observer", (), "", "parameter", "tunable", "Compute external_torque, "
+                 "external_force and joint_contact, also without a reaction", _GAINS.observer,
+                 kind="Boolean"),
+        _gain("observer_gain", "1/s", "Inverse of the observer's time constant"),
+        _gain("lower_torque_threshold", "N.m", "External torque above which a joint is in contact"),
+        _gain("upper_torque_threshold", "N.m", "External torque above which a joint collides"),
+        Variable("reaction", (), "", "parameter", "tunable", "What the arm does once a joint has "
+                 "collided, until it is none: none; stop (hold the joints where they are); yield "
+                 "(give way, held up against gravity alone)", _GAINS.reaction,
+                 kind="Enumeration", choices=REACTIONS),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

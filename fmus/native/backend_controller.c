@@ -24,9 +24,10 @@ static const field FIELDS[] = {
     FIELD(inputs., pos_cmd), FIELD(inputs., quat_cmd), FIELD(inputs., vel_cmd), FIELD(inputs., omega_cmd),
     FIELD(inputs., grip_cmd), FIELD(inputs., posture_cmd), FIELD(inputs., posture_vel_cmd),
     FIELD(inputs., hand_xpos), FIELD(inputs., hand_xquat), FIELD(inputs., jac),
-    FIELD(inputs., qpos), FIELD(inputs., qvel), FIELD(inputs., qfrc_bias),
+    FIELD(inputs., qpos), FIELD(inputs., qvel), FIELD(inputs., qfrc_bias), FIELD(inputs., actuator_force),
     FIELD(outputs., ctrl), FIELD(outputs., dq), FIELD(outputs., qpos_ref), FIELD(outputs., qvel_ref),
     FIELD(outputs., manipulability), FIELD(outputs., singular), FIELD(outputs., limit),
+    FIELD(outputs., external_torque), FIELD(outputs., external_force), FIELD(outputs., joint_contact),
     FIELD(gains., use_reference), FIELD(gains., kp), FIELD(gains., ki), FIELD(gains., kd),
     FIELD(gains., derivative_filter), FIELD(gains., integral_limit), FIELD(gains., base_ctrl),
     FIELD(gains., ik_gain), FIELD(gains., ik_damping), FIELD(gains., singular_damping),
@@ -37,8 +38,10 @@ static const field FIELDS[] = {
     FIELD(gains., reference_lead), FIELD(gains., finger_speed),
     FIELD(gains., grip_force), FIELD(gains., grip_width), FIELD(gains., grip_stiffness),
     FIELD(gains., reading_delay), FIELD(gains., follow_posture), FIELD(gains., posture_follow_gain),
+    FIELD(gains., observer), FIELD(gains., observer_gain), FIELD(gains., lower_torque_threshold),
+    FIELD(gains., upper_torque_threshold), FIELD(gains., reaction),
     FIELD(, period)};
-enum { INPUTS = 0, OUTPUTS = 13, GAINS = 20, PERIOD = 50, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
+enum { INPUTS = 0, OUTPUTS = 14, GAINS = 24, PERIOD = 59, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
 _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 
 /* ---- an instance ---- */

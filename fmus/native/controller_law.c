@@ -65,7 +65,7 @@ static void start_reference_law(controller *c, const controller_functions *mj)
 }
 
 /* Inertia force M(q) qdd of the arm, with the fingers at rest. */
-static void inertia_force(const controller_mujoco *mj, const double *q, const double *qdd, double force[JOINTS])
+void inertia_force(const controller_mujoco *mj, const double *q, const double *qdd, double force[JOINTS])
 {
     double acceleration[ARM_DOFS] = {0}, all[ARM_DOFS];
     memcpy(mj->data->qpos, q, JOINTS * sizeof *q);
@@ -234,6 +234,7 @@ static void start(controller *c, const controller_functions *mj, double law)
 {
     if (c->state.law == 0.0) c->state.opening = grip_cmd(c);
     c->state.law = law;
+    c->state.touch.reacts = 0.0;
     if (law == REFERENCE_LAW) start_reference_law(c, mj);
     else start_tutorial_law(c);
 }
@@ -250,7 +251,8 @@ void controller_reset(controller *c)
 void controller_update(controller *c, const controller_mujoco *mj)
 {
     const double law = c->gains.use_reference != 0.0 ? REFERENCE_LAW : TUTORIAL_LAW;
-    if (c->state.law != law) start(c, &mj->call, law);
+    if (touch_takes_over(c, mj)) return;
+    if (c->state.law != law || c->state.touch.reacts != 0.0) start(c, &mj->call, law);
     move_gripper(c);
     if (law == REFERENCE_LAW) update_reference_law(c, mj);
     else update_tutorial_law(c, &mj->call);

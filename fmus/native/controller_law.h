@@ -19,15 +19,17 @@ typedef struct {
     double posture_cmd[JOINTS], posture_vel_cmd[JOINTS];
     double hand_xpos[3], hand_xquat[4], jac[TWIST * JOINTS];
     double qpos[JOINTS], qvel[JOINTS], qfrc_bias[JOINTS];
+    double actuator_force[JOINTS + 1];
 } controller_inputs;
 
 /* controller/signals.py: OUTPUTS */
 typedef struct {
     double ctrl[JOINTS + 1], dq[JOINTS], qpos_ref[JOINTS], qvel_ref[JOINTS];
     double manipulability, singular, limit[JOINTS];
+    double external_torque[JOINTS], external_force[TWIST], joint_contact[JOINTS];
 } controller_outputs;
 
-/* controller/gains.py: Gains, in its order; use_reference is 0 or 1. */
+/* controller/gains.py: Gains, in its order; use_reference and observer are 0 or 1, reaction counts from 1. */
 typedef struct {
     double use_reference;
     double kp[JOINTS], ki[JOINTS], kd[JOINTS], derivative_filter, integral_limit[JOINTS], base_ctrl[JOINTS];
@@ -38,6 +40,7 @@ typedef struct {
     double limit_share, reference_lead, finger_speed;
     double grip_force, grip_width, grip_stiffness;
     double reading_delay, follow_posture, posture_follow_gain; /* follow_posture is 0 or 1 */
+    double observer, observer_gain, lower_torque_threshold[JOINTS], upper_torque_threshold[JOINTS], reaction;
 } controller_gains;
 
 typedef struct {
@@ -59,6 +62,9 @@ typedef struct {
         controller_pid_state pid;
         double poses[KEPT][POSE];
     } tutorial;
+    struct {
+        double observes, reacts, qd_before[JOINTS], q_stop[JOINTS];
+    } touch;
 } controller_state;
 
 typedef struct {
@@ -92,6 +98,7 @@ typedef struct {
 typedef struct {
     double q_min[JOINTS], q_max[JOINTS], qd_max[JOINTS], qdd_max[JOINTS], qddd_max[JOINTS];
     double opening_max, ctrl_open;
+    double servo_damping[JOINTS], joint_damping;
 } controller_robot;
 
 extern const controller_robot CONTROLLER_ROBOT;

@@ -11,6 +11,8 @@ const controller_robot CONTROLLER_ROBOT = {
     .qddd_max = {7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0},
     .opening_max = 0.08,
     .ctrl_open = 255.0,
+    .servo_damping = {450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0},
+    .joint_damping = 1.0,
 };
 
 static const double POSITION = 1.0, VELOCITY = 2.0, ACCELERATION = 3.0, JERK = 4.0;

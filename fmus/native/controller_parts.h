@@ -55,4 +55,10 @@ void pid_reset(controller_pid_state *pid);
 void pid_update(controller_pid_state *pid, const controller_gains *gains, double period,
                 const double error[JOINTS], double correction[JOINTS]);
 
+/* controller_law.c */
+void inertia_force(const controller_mujoco *mj, const double *q, const double *qdd, double force[JOINTS]);
+
+/* controller_touch.c: controller/touch.py */
+bool touch_takes_over(controller *c, const controller_mujoco *mujoco);
+
 #endif

@@ -82,6 +82,8 @@ _ROWS: Final = (
     D("events.at_rest", "from here to the end the hand is slower than 5 mm/s", POSITION[:1],
       unit="s", unmeasured="the hand moves at the end"),
     D("events.end", "the last row", (), unit="s"),
+    D("events.collision", "a joint first collides, as an observer in the controller finds",
+      ("controller.joint_contact",), unit="s", unmeasured="no joint does"),
     # Tracking
     D("tracking.rms_mm", "distance between hand and command, root mean square", POSITION, unit="mm",
       better="lower"),

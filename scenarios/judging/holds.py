@@ -25,6 +25,8 @@ SETTLING: Final = 0.5  # [s] from release to the measurement of the block's posi
 RESTING: Final = 0.005  # [m/s] speed of the hand below which it rests
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
 HAND: Final = "plant.hand_xpos"
+CONTACT: Final = tuple(f"controller.joint_contact[{i}]" for i in range(1, 8))
+COLLISION: Final = 2.0  # of joint_contact
 SHORT: Final = 0.05 - 1e-9  # [s] a shorter gap belongs to a hold, a shorter span is none
 
 
@@ -126,11 +128,20 @@ def events(recording: Recording, holds: Sequence[Hold]) -> Events:
         "command_end": int(moving[-1]) if len(moving) else None,
         "at_rest": _rest(recording, len(time)) if HAND in recording else None,
         "end": len(time) - 1,
+        "collision": first_collision(recording),
     }
     return {
         name: float(time[row]) if row is not None and len(time) else None
         for name, row in rows.items()
     }
+
+
+def first_collision(recording: Rows) -> int | None:
+    """Return the row at which a joint first collides; None: none does, or it is not recorded."""
+    if CONTACT[0] not in recording.columns:
+        return None
+    collided = np.max([recording[name] for name in CONTACT], axis=0) == COLLISION
+    return int(np.argmax(collided)) if collided.any() else None
 
 
 def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError
 from .. import rotations
 from ..files import model_file
-from ..judging.holds import Hold, find_holds
+from ..judging.holds import Hold, find_holds, first_collision
 from ..recording.reader import shapes_of
 
 FloatArray = NDArray[np.float64]
@@ -172,6 +172,9 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     labelled = [Moment(begin, "start"), Moment(end, "end")]
     for hold in find_holds(recording):
         labelled += _hold_moments(time, hold)
+    collision = first_collision(recording)
+    if collision is not None:
+        labelled.append(Moment(float(time[collision]), "collision"))
     moments: list[Moment] = []
     for moment in sorted(labelled, key=lambda moment: moment.time):
         inside = begin <= moment.time <= end

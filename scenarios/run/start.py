@@ -20,7 +20,7 @@ from ...plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters, block_start_
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
 from ..recording.storage import TEXTS
-from ..scenario.scenario import SCENARIO_FILE, Scenario
+from ..scenario.scenario import SCENARIO_FILE, TOUCH, Scenario
 from ..scenario.table import TrajectoryTable
 from ..scenario.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from ..system.assembly import Assembly, assemble
@@ -45,6 +45,7 @@ def start_values(
                 PRESETS[scenario.gains],
                 reading_delay=scenario.mismatch.known_delay,
                 follow_posture=scenario.table.has_posture,
+                observer=not TOUCH.isdisjoint(scenario.asked),
             )
             own["controller"] = asdict(gains)
     sections = {"plant": scenario.plant, "controller": scenario.controller}

@@ -37,7 +37,7 @@ ALWAYS: Final = "so that it can never fail"
 SLACK: Final = 1e-9  # [s] rounding of k * dt
 EVENTS: Final = (
     "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
-    "end",
+    "end", "collision",
 )  # fmt: skip
 # Keys that only some reductions take, and need, but for a target.
 _TAKES: Final = {

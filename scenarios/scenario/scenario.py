@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, PlainValidator
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...fmus.build.engines import check_engine
 from ...fmus.errors import InputError
-from ...fmus.interface.controller import COMMANDS, POSTURE_COMMANDS
+from ...fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
 from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import (
@@ -56,6 +56,8 @@ _MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 
 DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
 SYSTEM_DURATION = Quantity(0.0, 1e12, "s")
+# Outputs of PandaController that are computed only if one of them is asked for.
+TOUCH = frozenset(f"controller.{name}" for name in OBSERVED)
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
 # Keys that a system, which has no table, cannot use.
 _WITH_TABLE = ("scene", "gains", "interpolation", "timing", "timing_share", "align", "push")
@@ -271,9 +273,11 @@ class Scenario:
 
     @property
     def asked(self) -> frozenset[str]:
-        """Signals that criteria are about, which are recorded then."""
+        """Signals that criteria are about, and touch if it is observed, which are recorded then."""
         names = (name for criterion in self.success.signal for name in criterion.names)
-        return frozenset(name.partition("[")[0] for name in names)
+        asked = frozenset(name.partition("[")[0] for name in names)
+        reacts = self.controller.get("reaction", "none") != "none"
+        return asked | TOUCH if reacts or self.controller.get("observer") else asked
 
     @classmethod
     def read(cls, folder: str | Path) -> Self:
