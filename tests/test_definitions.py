@@ -35,7 +35,7 @@ SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi"
            "push_block", "calibrated", "stack_blocks")  # fmt: skip
 REFERENCE = Path(__file__).parent.parent / "REFERENCE.md"
 RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expect", "expect_reason",
-       "as_expected", "first_limit")  # fmt: skip
+       "as_expected", "row_ends", "first_limit")  # fmt: skip
 
 
 # --- the numbers once more

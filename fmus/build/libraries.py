@@ -37,7 +37,7 @@ STEPPER: Final = "stepper"  # no FMU's library, but the master's
 BACKENDS: Final = MappingProxyType({
     "mujoco": ("backend_mujoco.c", "mujoco_sources.c", "mujoco_start.c", "mujoco_fields.c",
                "mujoco_library.c", "library.c"),
-    "player": ("backend_player.c",),
+    "player": ("backend_player.c", "player_guard.c"),
     "python": ("backend_python.c", "python_library.c", "library.c"),
     "controller": ("backend_controller.c", *CONTROLLER_LAW, "mujoco_library.c", "library.c"),
     STEPPER: ("stepper.c",),

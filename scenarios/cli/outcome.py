@@ -237,6 +237,13 @@ def outcome_lines(
     """Yield the lines below the table, each with its style; `ours`: it has our controller."""
     yield _verdict_line(summary)
     yield _speed_line(summary), ""
+    for end in summary.row_ends:
+        name, at = f"Row {end['row']} ({end['until']})", end["ended_s"]
+        yield (
+            (f"{name} never ended early", "yellow")
+            if at is None
+            else (f"{name} ended early, at t = {at:.3f} s", "")
+        )
     for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
         yield line, "yellow"
     if realtime:

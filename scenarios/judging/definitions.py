@@ -66,6 +66,8 @@ _ROWS: Final = (
     D("expect_reason", "why it expects a failure, or empty"),
     D("as_expected", "whether it is complete, every criterion was measured, and the verdict is as "
       "expected"),
+    D("row_ends", "of each row of the table with `until` its `row`, `until` and `ended_s`, the "
+      "instant at which it has ended early [s]; null: it never did"),
     # Events
     D("events.start", "the first row", (), unit="s"),
     D("events.grasp", "the first hold begins", FORCE, unit="s", unmeasured=NOT_HELD),

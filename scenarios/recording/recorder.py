@@ -65,6 +65,7 @@ class Recorder(_Context):
             place, *storage.read_schema(self._parquet, self._schema)
         )
         self._buffer = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
+        self.late: dict[str, Any] = {}  # metadata that is known only at the end, `storage.LATE`
         self._filled = 0
         self._saved = 0
         self._size = 0  # of the stream's whole messages [bytes]
@@ -160,8 +161,9 @@ class Recorder(_Context):
 
     def _mark_end(self, complete: bool, reason: str | None) -> None:
         if self._memory is not None:
+            self._memory.late = self.late
             self._memory.close(complete=complete, reason=reason)
-        state = {"complete": complete, "reason": reason}
+        state = {"complete": complete, "reason": reason, **self.late}
         self._error = None
         self._write(storage.serialize_end(self._schema, state))
 
@@ -201,6 +203,7 @@ class MemoryRecorder(_Context):
         self._columns = storage.distinct(columns)
         self._metadata = {**metadata, "format": storage.FORMAT}
         self._values = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
+        self.late: dict[str, Any] = {}
         self.rows = 0  # number of rows appended
         self._closed = False
 
@@ -221,7 +224,7 @@ class MemoryRecorder(_Context):
         """End the recording; a second call does nothing."""
         if not self._closed:
             self._closed = True
-            self._metadata |= {"complete": complete, "reason": reason}
+            self._metadata |= {"complete": complete, "reason": reason, **self.late}
         return self._path.parent
 
     def recording(self) -> Recording:

@@ -187,7 +187,7 @@ def open_stream(path: Path) -> Source:
                 break
             if custom and METADATA_KEY in custom:
                 end = json.loads(custom[METADATA_KEY])
-                state |= {key: end[key] for key in state if key in end}
+                state |= {key: end[key] for key in (*state, *LATE) if key in end}
                 break
             batches, rows = batches + 1, rows + batch.num_rows
     return Source(columns, metadata | state, rows, partial(_stream_blocks, path, batches))
@@ -328,6 +328,8 @@ def _is_of(kind: Any, inner: Any = object) -> Callable[[Any], bool]:
     return fits
 
 
+LATE: Final = ("row_times", "row_ends")  # metadata that a run's end may change
+
 # What is read of a recording's metadata: what it must be, and a check.
 _METADATA: Final[dict[str, tuple[str, Callable[[Any], bool]]]] = {
     **dict.fromkeys(("scenario", "purpose", "scene", "system"), ("a text", _is_of(str))),
@@ -335,6 +337,7 @@ _METADATA: Final[dict[str, tuple[str, Callable[[Any], bool]]]] = {
     "versions": ("texts by package", _is_of(dict, str)),
     "step_size": ("a number", _is_of((int, float))),
     "row_times": ("a list of numbers", _is_of(list, (int, float))),
+    "row_ends": ("a list of mappings", _is_of(list, dict)),
     "row_names": ("a list of texts", _is_of(list, str)),
 }
 

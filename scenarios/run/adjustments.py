@@ -90,7 +90,9 @@ class Adjustments:
     def _move_waypoint(self, action: Action, /, row: int, **changes: Any) -> None:
         if self._scenario.is_system:
             raise InputError("move_waypoint: the scenario is a system without a trajectory")
-        rows, now = list(self.inputs.table.rows), action.tick * self._scenario.step
+        guarded, rows = self.inputs.guarded, list(self.inputs.table.rows)
+        ahead = guarded.ahead(action.tick) if guarded else 0
+        now = (action.tick + ahead) * self._scenario.step
         if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
             last = len(rows) - 1
             raise InputError(f"move_waypoint: row {row!r}; must be a whole number from 0 to {last}")

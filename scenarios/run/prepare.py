@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,8 @@ from ...fmus.interface.types import in_row
 from ...fmus.master.system import OpenSystem, open_system
 from ...fmus.messages import did_you_mean
 from ..scenario.scenario import Scenario
-from ..scenario.trajectory import Trajectory
 from ..system.assembly import Assembly, assemble
+from .guarded import GuardedCommands
 from .options import Options, with_options
 from .start import StartValues, check_criteria, resolve, start_values
 
@@ -104,15 +105,6 @@ def prepare(
     return prepared
 
 
-def _instants(first: int, count: int) -> Array:
-    return STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
-
-
-@lru_cache(maxsize=4)  # rows of a sweep often have one trajectory
-def _sampled(trajectory: Trajectory, first: int, count: int) -> Array:
-    return trajectory.sample(_instants(first, count))
-
-
 class Inputs:
     """External inputs of a run, row by row: commands and pushes, and values held instead.
 
@@ -130,6 +122,7 @@ class Inputs:
         self._scale = scenario.input_scale
         self._from_time, self._step = assembly.start_time, scenario.step
         self._held: dict[int, float] = {}
+        self.guarded: GuardedCommands | None = None
         self.shape = (scenario.ticks + 1, len(self._columns))  # instants, inputs
         self.use(scenario)
 
@@ -137,7 +130,12 @@ class Inputs:
 
     def use(self, scenario: Scenario) -> None:
         """Take commands and pushes from a scenario."""
-        self._trajectory = None if scenario.is_system else resolve(scenario, self._values)
+        if not scenario.is_system:
+            self.guarded = GuardedCommands(resolve(scenario, self._values), self.guarded)
+            outputs = {f"{i}.{n.partition('[')[0]}" for i, names in self._assembly.outputs.items()
+                       for n in names}  # fmt: skip
+            for signal in self.guarded.signals - outputs:
+                raise InputError(f"column until: needs {signal}, which is no output of an FMU")
         self._pushes, self._pushed, self.table = scenario.push, scenario.pushed, scenario.table
         variables = [("plant", FORCES[body]) for body in scenario.pushed]
         variables += [("controller", command) for command in scenario.commands]
@@ -166,14 +164,28 @@ class Inputs:
         for name, driven in self._assembly.driven.items():
             times = self._from_time + self._step * np.arange(first, first + count, dtype=np.float64)
             rows[:, self._columns[".".join(name)]] = driven.sample(times)
-        if self._trajectory is not None:
-            times = _instants(first, count)
-            commands = _sampled(self._trajectory, first, count)
+        if self.guarded is not None:
+            times = STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
+            commands = self.guarded.commands(first, count)
             scenario = np.hstack((self._forces(times), commands))
             rows[:, self._to] = scenario[:, self._from]
         if self._scale != 1.0:
             rows[:, self._of_plant] *= self._scale
         return rows
+
+    def look(self, tick: int, value: Callable[[str], Array]) -> None:
+        """Let rows of the table end by the measured values of a tick, before it is stepped."""
+        if self.guarded is not None and self.guarded.ends_now(tick, value):
+            self._first = -CHUNK
+
+    @property
+    def happened(self) -> dict[str, Any]:
+        """Metadata on rows that may end early."""
+        return self.guarded.happened() if self.guarded else {}
+
+    def unwatched(self, tick: int, last: int) -> int:
+        """Number of ticks up to the next one that needs a `look`, or to a last one."""
+        return self.guarded.unwatched(tick, last) if self.guarded else last - tick
 
     def _forces(self, times: Array) -> Array:
         forces = np.zeros((len(times), len(self._pushed), 3))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.master.master import Master, RealtimePacer
@@ -95,6 +96,7 @@ class Execution:
         self.actions: list[Action] = []
         self.warnings: list[str] = list(self.prepared.assembly.notes)
         self.failure = ""
+        self._columns: dict[str, list[int]] = {}  # of the master's rows, by signal
 
     def open(self) -> Self:
         """Open the FMUs and the run's folder, at t = 0.
@@ -149,7 +151,12 @@ class Execution:
         self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
         finished = self.tick == self.ticks
         reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
-        self._begun.recorder.close(complete=finished, reason=reason)
+        self._close_recording(reason, complete=finished)
+
+    def _close_recording(self, reason: str | None, *, complete: bool) -> None:
+        recorder = self._begun.recorder
+        recorder.late |= self._adjustments.inputs.happened
+        recorder.close(complete=complete, reason=reason)
 
     def __enter__(self) -> Self:
         """Open it."""
@@ -182,10 +189,20 @@ class Execution:
         stop.watch(master, options.time_limit)
         with self._guarded():
             inputs = self._adjustments.inputs
-            master.step(last - self.tick, inputs, pace=pace, progress=look)
+            while self.tick < last and not master.stop_requested:
+                inputs.look(self.tick, self._value)
+                count = inputs.unwatched(self.tick, last)
+                master.step(count, inputs, pace=pace, progress=look)
             master.flush()
         if progress is not None:
             progress(self.tick, self.ticks)
+
+    def _value(self, signal: str) -> NDArray[np.float64]:
+        """Present value of a signal of several elements, row by row (n,)."""
+        if not self._columns:
+            for column, name in enumerate(self._begun.signals):
+                self._columns.setdefault(name.partition("[")[0], []).append(column)
+        return np.asarray(self._master.latest()[self._columns[signal]], float)
 
     @property
     def tick(self) -> int:
@@ -229,7 +246,9 @@ class Execution:
             self.failure = str(error)
             with suppress(CosimError):  # the failure itself says more
                 reason = f"{type(error).__name__}: {error}"
-                self._begun.recorder.close(complete=False, reason=reason)
+                self._begun.recorder.close(
+                    complete=False, reason=reason, more=self._adjustments.inputs.happened
+                )
                 self._summary = self._begun.judge()
             raise
 

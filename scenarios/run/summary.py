@@ -48,6 +48,7 @@ class Summary:
     as_expected: bool  # complete, all criteria measured, and a success or a failure as expected
     margin: float | None  # smallest of the criteria; None: one was not measured, or there are none
     criteria: tuple[Criterion, ...]
+    row_ends: tuple[Metrics, ...]  # of rows with `until`: whether and when each has ended early
     events: Events  # instants of grasp, release and so on [s]; None: did not happen
     tracking: Metrics
     orientation: Metrics
@@ -111,6 +112,7 @@ def summarize(
         as_expected=judged and holds == (scenario.expect == "success"),
         margin=smallest_margin(criteria),
         criteria=criteria,
+        row_ends=tuple(recording.metadata.get("row_ends", ())),
         events=happened,
         first_limit=first_limit(recording),
         **measured,

@@ -14,7 +14,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.tables import Connection
 from ...fmus.interface.trajectory import TABLE_FILE, TRAJECTORY
 from ...fmus.interface.types import type_of
-from ...fmus.interface.variables import Interface, output
+from ...fmus.interface.variables import Interface, Variable, output
 from ...fmus.master.fmu_file import read_fmu
 from ...fmus.master.wiring import Name
 from ...fmus.sources.targets import Target, build_fmu, build_trajectory
@@ -49,6 +49,9 @@ def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
         outputs = [name if counts[name] == 1 else f"{i}.{name}" for i, name in played]
         ends = zip(outputs, played, strict=True)
         connections += [Connection((player, name), end) for name, end in ends]
+        for signal, felt in _felt(prepared).items():
+            source = signal.partition(".")[0]
+            connections += [Connection((source, n), (player, n)) for n in felt.names()]
         makers[player] = lambda target: _build_player(prepared, played, outputs, target)
     files = {name: make(target) for name, make in makers.items()}
     counts = Counter(file.name for file in {*files.values()})  # two files may have one name
@@ -83,7 +86,8 @@ def _build_player(
     assembly, scenario = prepared.assembly, prepared.scenario
     columns = [assembly.external.index(name) for name in played]
     rows = prepared.inputs()[: scenario.ticks + 1][:, columns]
-    if outputs == [name for v in TRAJECTORY.of("output") for name in v.names()]:
+    felt = _felt(prepared)
+    if not felt and outputs == [name for v in TRAJECTORY.of("output") for name in v.names()]:
         return build_trajectory(rows, target=target)
     scalars = [assembly.scalars[name] for name in played]
     for scalar in scalars:
@@ -96,7 +100,26 @@ def _build_player(
         output(name, (), scalar.unit, scalar.variable.description)
         for name, scalar in zip(outputs, scalars, strict=True)
     )
-    interface = Interface(TRAJECTORY.model, "Plays a scenario's inputs", variables)
+    interface = Interface(
+        TRAJECTORY.model, "Plays a scenario's inputs", (*felt.values(), *variables)
+    )
     resources, options = {TABLE_FILE: rows.astype("<f8").tobytes()}, (("table", TABLE_FILE),)
+    guarded = prepared.inputs().guarded
+    if felt and guarded is not None:
+        resources |= {name: content.astype("<f8").tobytes()
+                      for name, content in guarded.packed(len(rows)).items()}  # fmt: skip
+        options += tuple((name, name) for name in guarded.packed(len(rows)))
     player = NativeFmu(interface, "player", LAW, resources, options, step_size=scenario.step)
     return build_fmu(player, target=target)
+
+
+def _felt(prepared: Prepared) -> dict[str, Variable]:
+    """Inputs of the player by which rows of the table end early, by FMU and output."""
+    guarded = prepared.inputs().guarded
+    return {
+        signal: replace(
+            prepared.assembly.interfaces[signal.partition(".")[0]].variable(signal.partition(".")[2]),
+            causality="input", variability="continuous", start=0.0, on_request=False, source="",
+        )
+        for signal in sorted(guarded.signals if guarded else ())
+    }  # fmt: skip

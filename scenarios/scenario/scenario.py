@@ -211,6 +211,11 @@ class Scenario:
                 'coupling: value "iterated"; must be another one with [steps], or with a '
                 f"{TABLE_FILE}"
             )
+        if (self.interpolation == "spline" or self.timing != "table") and self.untils:
+            raise ValueError(
+                'until: is in the table; must have interpolation "quintic" or "linear", and timing '
+                '"table"'
+            )
         if self.mismatch.values and (self.is_system or "plant" in self.fmus):
             raise ValueError("mismatch: only valid with the project's own plant")
         for section, key in _TOP_LEVEL.items():
@@ -262,6 +267,11 @@ class Scenario:
         return (*COMMANDS, *POSTURE_COMMANDS) if self.table.has_posture else COMMANDS
 
     @property
+    def untils(self) -> tuple[str, ...]:
+        """What ends rows of the table early."""
+        return tuple(row.until for row in self.table.rows if row.until)
+
+    @property
     def has_own_parts(self) -> bool:
         """Whether it brings FMUs, connections or parameters of its own."""
         return bool(self.connect or self.parameters or self.fmus) or self.is_system
@@ -277,7 +287,8 @@ class Scenario:
         names = (name for criterion in self.success.signal for name in criterion.names)
         asked = frozenset(name.partition("[")[0] for name in names)
         reacts = self.controller.get("reaction", "none") != "none"
-        return asked | TOUCH if reacts or self.controller.get("observer") else asked
+        observed = reacts or self.controller.get("observer") or "external" in "".join(self.untils)
+        return asked | TOUCH if observed else asked
 
     @classmethod
     def read(cls, folder: str | Path) -> Self:

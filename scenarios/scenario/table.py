@@ -1,9 +1,9 @@
 """The trajectory table: the path of the hand, one row per waypoint.
 
-A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,grip_force,blend,name`. The four q
-columns may be missing, or blank in a row, for the hand's home orientation; so may `grip_force` and
-`blend`, for 0, and `name`, for none. The columns `q1` to `q7` may be missing, all of them. Columns
-`FMU.INPUT` are read by `input_table`.
+A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,grip_force,blend,name,until`. The
+four q columns may be missing, or blank in a row, for the hand's home orientation; so may
+`grip_force` and `blend`, for 0, and `name` and `until`, for none. The columns `q1` to `q7` may be
+missing, all of them. Columns `FMU.INPUT` are read by `input_table`.
 """
 
 import csv
@@ -26,6 +26,7 @@ QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 OPTIONAL_COLUMNS = ("grip_force", "blend")  # 0 where they are missing or blank
 NAME_COLUMN = "name"  # of the waypoint, for pictures
 POSTURE_COLUMNS = tuple(f"q{joint}" for joint in range(1, 8))  # of all rows or of none
+UNTIL_COLUMN = "until"  # what ends the row early
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
 
 POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
@@ -48,6 +49,7 @@ UNIT_TOLERANCE = 1e-15  # of a length that is 1 but for rounding
 MAX_ROWS = 100_000
 _MAX_BYTES = 64 * 1024 * 1024  # 100 000 rows of 10 long numbers take 25 MB
 
+_UNTIL = re.compile(r"(contact|external_force(?:\[([1-6])\])?)\s*>\s*(\d+\.?\d*|\.\d+)", re.A)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.I | re.A)
 
 
@@ -81,6 +83,24 @@ Posture = Annotated[
 ]
 
 
+def split_until(text: str) -> tuple[int, float]:
+    """Return what ends a row early: 0 contact, 1 to 6 an element, 7 the force; and its bound."""
+    match = _UNTIL.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(
+            f"{excerpt(text)}; must be blank, or such as contact > 3 (N, along the way), "
+            "external_force > 5 (N, its length) or external_force[3] > 5 (N or N.m, its magnitude)"
+        )
+    return 0 if match[1] == "contact" else int(match[2] or 7), float(match[3])
+
+
+def _until(value: object) -> str:
+    text = Line()(value)
+    if text:
+        split_until(text)
+    return text
+
+
 @checked
 class TableRow:
     """One waypoint of the hand.
@@ -99,6 +119,9 @@ class TableRow:
         name: What pictures call it; "": its number.
         posture: Joint positions (7,) [rad] that the arm takes as far as the hand's pose leaves them
             open; of all rows of a table or of none.
+        until: What ends the row early: `contact > 3`, the force [N] along the way that the servos
+            exert more than at the row's start; `external_force > 5` [N], its length, or
+            `external_force[3] > 5`, the magnitude of an element. Later rows then move forward.
 
     Raises:
         InputError: A value is out of range.
@@ -113,6 +136,7 @@ class TableRow:
     blend: Annotated[float, _BOUNDS["blend"]] = 0.0
     name: Annotated[str, Line()] = ""
     posture: Posture | None = None
+    until: Annotated[str, PlainValidator(_until)] = ""
 
     def __post_init__(self) -> None:
         most = 0.5 * GRIP_STIFFNESS * self.grip
@@ -200,7 +224,7 @@ def _parse(text: str) -> list[TableRow]:
 def _check_header(names: list[str]) -> None:
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
-    valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS, NAME_COLUMN)
+    valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
     for name in names:
         if name not in valid and "." not in name:
             hint = did_you_mean(name, valid)
@@ -235,6 +259,7 @@ def _parse_row(cells: dict[str, str]) -> TableRow:
         orientation=tuple(numbers[name] for name in parts) or None,  # type: ignore[arg-type]  # of 4
         name=cells.get(NAME_COLUMN, ""),
         posture=[numbers[n] for n in POSTURE_COLUMNS if n in numbers] or None,  # type: ignore[arg-type]
+        until=cells.get(UNTIL_COLUMN, ""),
         **{name: numbers[name] for name in OPTIONAL_COLUMNS if name in numbers},
     )
 

@@ -68,6 +68,8 @@ class Trajectory:
         grips: Opening between the fingertips, shape (n,) [m].
         interpolation: One of `INTERPOLATIONS`.
         postures: Joint positions, shape (n, 7) [rad]; None: the rows have no posture.
+        untils: What ends each row early, see `TableRow`; may be empty if nothing does. `sample`
+            does not know of it.
 
     Raises:
         ValueError: Shapes do not match, times do not increase, or a quaternion's length is not 1.
@@ -79,6 +81,7 @@ class Trajectory:
     grips: Array
     interpolation: str = "quintic"
     postures: Array | None = None
+    untils: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_choice("interpolation", self.interpolation, INTERPOLATIONS)
@@ -141,6 +144,7 @@ class Trajectory:
             grips=np.array([row.opening for row in rows]),
             interpolation=interpolation,
             postures=np.array([row.posture for row in rows]) if table.has_posture else None,
+            untils=tuple(row.until for row in rows),
         )
 
     def sample(self, times: ArrayLike) -> Array:
@@ -163,7 +167,7 @@ class Trajectory:
         # The last row gets a segment of zero length that takes 1 s.
         duration = np.append(np.diff(self.times), 1.0)[row]
         u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
-        s, rate = self._time_law(u, duration)
+        s, rate = self.time_law(u, duration)
         shift = np.diff(self.positions, axis=0, append=self.positions[-1:])[row]
         turn = _turns(self.orientations)[row]
         commands = np.empty((len(t), len(COMMANDS)))
@@ -195,7 +199,7 @@ class Trajectory:
         pose, twist = (values[:, :3], p / np.sqrt(square)), (rates[:, :3], 2.0 * spin[:, 1:])
         return np.hstack((*pose, *twist, self.grips[row, None], values[:, 7:], rates[:, 7:]))
 
-    def _time_law(self, u: Array, duration: Array) -> tuple[Array, Array]:
+    def time_law(self, u: Array, duration: Array) -> tuple[Array, Array]:
         """Return share of the way and its rate [1/s] that is commanded, each of shape (m, 1)."""
         if self.interpolation == "linear":
             return u[:, None], np.zeros((len(u), 1))

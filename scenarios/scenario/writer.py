@@ -20,7 +20,14 @@ from ...fmus.messages import did_you_mean, excerpt
 from ..files import write_all
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
-from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, POSTURE_COLUMNS, TrajectoryTable
+from .table import (
+    COLUMNS,
+    NAME_COLUMN,
+    OPTIONAL_COLUMNS,
+    POSTURE_COLUMNS,
+    UNTIL_COLUMN,
+    TrajectoryTable,
+)
 from .trajectory import COMMANDS, POSTURE_COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
@@ -172,7 +179,7 @@ def _literal(value: Any) -> str:
 
 def table_text(table: TrajectoryTable) -> str:
     """Return the text of trajectory.csv; columns that are blank or 0 in all rows are left out."""
-    others = (*OPTIONAL_COLUMNS, NAME_COLUMN)
+    others = (*OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
     more = [name for name in others if any(getattr(row, name) for row in table.rows)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

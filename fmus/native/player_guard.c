@@ -1,0 +1,108 @@
+/* Rows that end early: what is measured, and what follows. */
+#include "player_guard.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+fmu_status guarded_create(fmu *f, guarded *g)
+{
+    const char *guards = fmu_get_option(f->table, "guards", 0), *left = fmu_get_option(f->table, "left", 0);
+    size_t size, left_size;
+    if (!guards || !left) return FMU_OK;
+    g->guards = (player_guard *)(void *)fmu_read_resource(f, guards, &size);
+    g->left = (double *)(void *)fmu_read_resource(f, left, &left_size);
+    if (!g->guards || !g->left) return FMU_ERROR;
+    g->count = size / sizeof *g->guards;
+    if (size % sizeof *g->guards || left_size != 2 * g->row_count * sizeof(double))
+        return fmu_error(f, "%s and %s do not fit the table", guards, left);
+    for (size_t i = 0; i < g->count; i++)
+        if (!(g->guards[i].first >= 0.0 && g->guards[i].last < (double)g->row_count))
+            return fmu_error(f, "%s: row %zu is not in the table", guards, i);
+    for (int i = 0; i < 2; i++)
+        if (!fmu_find(f->table, i ? "pos_cmd[1]" : "vel_cmd[1]")) return fmu_error(f, "the table has no hand");
+    return FMU_OK;
+}
+
+void guarded_free(guarded *g)
+{
+    free(g->guards);
+    free(g->left);
+}
+
+size_t guarded_place(const guarded *g, int64_t tick)
+{
+    return (size_t)fmin(fmax((double)(tick + g->state.ahead), 0.0), (double)(g->row_count - 1));
+}
+
+/* Values of an input; NULL: there is none. */
+static const double *input(const fmu *f, const char *name)
+{
+    const fmu_variable *v = fmu_find(f->table, name);
+    return v ? f->values + v->reference : NULL;
+}
+
+/* Force along the way that explains the servos' torques best [N]. */
+static double force_along(const fmu *f, const double way[3])
+{
+    const double *jac = input(f, "jac"), *torque = input(f, "actuator_force"), *bias = input(f, "qfrc_bias");
+    double work = 0.0, square = 0.0;
+    for (int joint = 0; joint < 7 && jac && torque && bias; joint++) {
+        const double lever = jac[joint] * way[0] + jac[7 + joint] * way[1] + jac[14 + joint] * way[2];
+        work += lever * (torque[joint] - bias[joint]);
+        square += lever * lever;
+    }
+    return square > 0.0 ? work / square : 0.0;
+}
+
+static double contact(const fmu *f, const player_guard *guard, guard_state *s, int64_t since)
+{
+    const double force = force_along(f, guard->way);
+    double sum = 0.0;
+    if (since == 0) s->base = 0.0;
+    if (since >= BASE_FROM && since < BASE_TO) s->base += force;
+    s->felt[since % AVERAGED] = force;
+    if (since < BASE_TO) return 0.0;
+    for (int i = 0; i < AVERAGED; i++) sum += s->felt[i];
+    return sum / AVERAGED - s->base / (BASE_TO - BASE_FROM);
+}
+
+static double measured(const fmu *f, const player_guard *guard, guard_state *s, int64_t place)
+{
+    const int element = (int)guard->element;
+    const double *force = input(f, "external_force");
+    if (element == 0) return contact(f, guard, s, place - (int64_t)guard->first - 1);
+    if (!force) return 0.0;
+    if (element < 7) return fabs(force[element - 1]);
+    return sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2]);
+}
+
+void guarded_look(const fmu *f, guarded *g, int64_t tick)
+{
+    const size_t hand = fmu_find(f->table, "pos_cmd[1]")->reference - g->first;
+    guard_state *s = &g->state;
+    for (size_t i = 0; i < g->count; i++) {
+        const player_guard *guard = &g->guards[i];
+        const int64_t place = tick + s->ahead, last = (int64_t)guard->last;
+        if (place == last) memset(s->offset, 0, sizeof s->offset); /* it has not ended early */
+        if (place <= (int64_t)guard->first || place >= last) continue;
+        if (!(measured(f, guard, s, place) > guard->bound)) return;
+        for (size_t axis = 0; axis < 3; axis++) {
+            const double now = g->rows[(size_t)place * g->width + hand + axis] +
+                               g->left[2 * place] * s->offset[axis];
+            s->offset[axis] = now - g->rows[(size_t)last * g->width + hand + axis];
+        }
+        s->ahead = last - tick;
+        return;
+    }
+}
+
+void guarded_shift(const fmu *f, const guarded *g, size_t place)
+{
+    double *position = f->values + fmu_find(f->table, "pos_cmd[1]")->reference;
+    double *velocity = f->values + fmu_find(f->table, "vel_cmd[1]")->reference;
+    for (int axis = 0; axis < 3; axis++) {
+        position[axis] += g->left[2 * place] * g->state.offset[axis];
+        velocity[axis] += g->left[2 * place + 1] * g->state.offset[axis];
+    }
+}

@@ -1,0 +1,47 @@
+/* Rows of a player's table that end early; scenarios/run/guarded.py explains them. */
+#ifndef PLAYER_GUARD_H
+#define PLAYER_GUARD_H
+
+#include "backend.h"
+
+enum { BASE_FROM = 60, BASE_TO = 160, AVERAGED = 10 }; /* ticks, as in guarded.py */
+
+/* A row that may end early, as the resource `guards` holds it. */
+typedef struct {
+    double first, last; /* ticks at which the hand leaves the row before, and of the row's time */
+    double element;     /* 0: contact; 1 to 6: of the external force; 7: its length */
+    double bound, way[3];
+} player_guard;
+
+/* What the next step depends on. */
+typedef struct {
+    int64_t ahead;         /* ticks by which the table is ahead */
+    double offset[3];      /* of the hand since the last early end [m] */
+    double base;           /* sum of the forces that contact is measured against [N] */
+    double felt[AVERAGED]; /* the last ones */
+} guard_state;
+
+typedef struct {
+    player_guard *guards; /* NULL: none */
+    double *left;         /* of each row of the table: share of the offset that is left, and its rate [1/s] */
+    size_t count;         /* of guards */
+    const double *rows;   /* of the table */
+    size_t row_count, width;
+    unsigned first; /* reference of the first output */
+    guard_state state;
+} guarded;
+
+/* Reads the resources that the options `guards` and `left` name, if the table has them. */
+fmu_status guarded_create(fmu *f, guarded *g);
+void guarded_free(guarded *g);
+
+/* Looks at the inputs at a tick, at which a row may end. */
+void guarded_look(const fmu *f, guarded *g, int64_t tick);
+
+/* Place in the table at a tick. */
+size_t guarded_place(const guarded *g, int64_t tick);
+
+/* Adds the offset to the hand's commands at a place. */
+void guarded_shift(const fmu *f, const guarded *g, size_t place);
+
+#endif

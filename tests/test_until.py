@@ -1,0 +1,169 @@
+"""Rows of a table that end early: when, what follows, and in all ways that a table is played."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forked import command
+from numpy.typing import NDArray
+from panda_cosim import InputError, Recording, Scenario, Session, load_scenario, run_scenario
+from panda_cosim.scenarios.cli.outcome import outcome_lines
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.scenario.scenario import Push
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from random_tasks import run_in_memory
+
+Array = NDArray[np.float64]
+BEGIN, DOWN, REST, END = 1.0, 2.0, 2.3, 3.0  # s
+DEPTH, ABOVE = 0.305, 0.325  # m; closed fingers touch the table at 0.312
+LEAST_GAP = 1e-12
+
+
+def rows(until: str, *, down: float = DOWN) -> TrajectoryTable:
+    """The hand goes down to the table, rests there, and goes elsewhere."""
+    places = ((BEGIN, 0.6, ABOVE), (down, 0.6, DEPTH), (down + REST - DOWN, 0.6, DEPTH),
+              (down + END - DOWN, 0.5, 0.45))  # fmt: skip
+    return TrajectoryTable((
+        TableRow(time=0.0, frame="home", position=(0.0, 0.0, 0.0), grip=0.0),
+        *(TableRow(time=time, frame="world", position=(x, 0.35, z), grip=0.0,
+                   until=until if row == 1 else "")
+          for row, (time, x, z) in enumerate(places)),
+    ))  # fmt: skip
+
+
+def scenario(until: str, **changes: float) -> Scenario:
+    return Scenario(name="guarded", table=rows(until, **changes), duration=3.2)
+
+
+def felt(run: dict[str, Array]) -> Array:
+    """Force along the way down [N] that explains the servos' torques best, at each row."""
+    lever = -run["plant.jac"].reshape(-1, 6, 7)[:, 2]
+    torque = run["plant.actuator_force"][:, :7] - run["plant.qfrc_bias"]
+    return np.einsum("ij,ij->i", lever, torque) / np.einsum("ij,ij->i", lever, lever)
+
+
+def first_contact(run: dict[str, Array], bound: float) -> int:
+    """The first row at which the mean of ten is that much above the mean of a hundred."""
+    force, began = felt(run), round(1e3 * BEGIN) + 1
+    base = force[began + 60 : began + 160].mean()
+    above = (row for row in range(began + 160, round(1e3 * DOWN))
+             if force[row - 9 : row + 1].mean() - base > bound)  # fmt: skip
+    return next(above)
+
+
+def check_course(run: dict[str, Array], at: int) -> None:
+    """Check the commands after a row has ended, from the quintic alone."""
+    command, speed = run["controller.pos_cmd"], run["controller.vel_cmd"]
+    u = (at * 1e-3 - BEGIN) / (DOWN - BEGIN)
+    there = np.array([0.6, 0.35, ABOVE + (DEPTH - ABOVE) * (10 * u**3 - 15 * u**4 + 6 * u**5)])
+    rest = round(1e3 * (REST - DOWN))
+    assert np.abs(command[at : at + rest] - there).max() < LEAST_GAP
+    assert not speed[at : at + rest].any()
+    way, took = np.array([0.5, 0.35, 0.45]) - there, END - REST
+    for tick in range(0, round(1e3 * took), 50):
+        u = tick * 1e-3 / took
+        s, rate = 10 * u**3 - 15 * u**4 + 6 * u**5, 30 * (u * (1 - u)) ** 2 / took
+        np.testing.assert_allclose(command[at + rest + tick], there + s * way, atol=1e-9)
+        np.testing.assert_allclose(speed[at + rest + tick], rate * way, atol=1e-9)
+    assert (command[at + rest + round(1e3 * took) :] == command[-1]).all()
+
+
+def test_a_row_ends_at_the_first_contact_and_later_rows_move_forward() -> None:
+    run = run_in_memory(scenario("contact > 3"))
+    at = first_contact(run.signals, 3.0)
+    (end,) = run.summary.row_ends
+    assert end == {"row": 3, "until": "contact > 3", "ended_s": pytest.approx(at * 1e-3)}
+    check_course(run.signals, at)
+    assert run.signals["plant.unwanted_contact_force"].max() < 30.0
+
+
+@pytest.mark.parametrize("until", ["external_force > 6", "external_force[3] > 6"])
+def test_a_row_ends_by_the_observed_force(until: str) -> None:
+    run = run_in_memory(scenario(until))
+    force = run.signals["controller.external_force"]  # of the tick before
+    size = np.abs(force[:, 2]) if "[3]" in until else np.linalg.norm(force[:, :3], axis=1)
+    at = 1001 + int(np.argmax(size[1000:] > 6.0))
+    assert run.summary.row_ends[0]["ended_s"] == pytest.approx(at * 1e-3)
+    check_course(run.signals, at)
+
+
+def test_a_row_that_never_ends_early_is_said_and_changes_nothing() -> None:
+    guarded = run_in_memory(scenario("contact > 500"))
+    plain = run_in_memory(scenario(""))
+    assert guarded.summary.row_ends[0]["ended_s"] is None
+    assert plain.summary.row_ends == ()
+    for name, values in plain.signals.items():
+        assert np.array_equal(values, guarded.signals[name]), name
+    lines = [text for text, _ in outcome_lines(guarded.summary, realtime=False)]
+    assert "Row 3 (contact > 500) never ended early" in lines
+
+
+def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path: Path) -> None:
+    run = run_scenario(scenario("contact > 3"), tmp_path / "run")
+    with Session(scenario("contact > 3"), tmp_path / "session") as session:
+        for size in (700, 1, 499, 300, 1, 800):
+            session.step(size)
+        session.move_waypoint(4, frame="world", position=(0.5, 0.35, 0.45))
+        session.finish()
+    again = tmp_path / "again"
+    quiet = ("--no-video", "--no-view", "--no-plot")
+    assert command("replay", tmp_path / "session", "--out", again, *quiet).returncode == 0
+    for folder in (tmp_path / "session", again):
+        other = Recording.open(folder)
+        assert other.metadata["row_ends"] == run.recording.metadata["row_ends"]
+        assert other.metadata["row_times"] == run.recording.metadata["row_times"]
+        for name in run.recording.columns:
+            assert np.array_equal(run.recording[name], other[name]), name
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("until", ["contact > 3", "external_force > 6"])
+def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path: Path, until: str) -> None:
+    push = Push(start=2.8, duration=0.1, force=(0.0, 3.0, 0.0))  # is played, too
+    run = run_scenario(replace(scenario(until), push=(push,)), tmp_path / "run")
+    kept = tmp_path / "run" / "scenario"
+    assert command("build", "--scenario", kept, "--out", tmp_path / "ssp").returncode == 0
+    done = command("run", tmp_path / "ssp" / "Panda.ssp", "--no-video", "--no-view",
+                   "--out", tmp_path / "again")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    again = Recording.open(tmp_path / "again")
+    assert run.recording.metadata["row_ends"][0]["ended_s"] is not None
+    for name in ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd"):
+        played = again[f"trajectory.{name}"]
+        assert np.array_equal(run.recording[f"controller.{name}"], played), name
+
+
+BAD = {
+    "touch > 3": "must be blank, or such as contact > 3",
+    "contact > -3": "must be blank, or such as contact > 3",
+    "external_force[7] > 1": "must be blank, or such as contact > 3",
+}
+
+
+@pytest.mark.parametrize("until", BAD)
+def test_a_condition_that_cannot_be_read_is_refused(until: str) -> None:
+    with pytest.raises(InputError, match=BAD[until]):
+        rows(until)
+
+
+def test_rows_that_cannot_end_early_are_refused() -> None:
+    good = scenario("contact > 3")
+    with pytest.raises(InputError, match="until: is in the table"):
+        replace(good, interpolation="spline")
+    with pytest.raises(InputError, match="until: is in the table"):
+        replace(good, timing="optimal")
+    with pytest.raises(InputError, match=r"row 3, column until: contact is known 160 ms after"):
+        prepare(scenario("contact > 3", down=1.15))
+    first = replace(good.table.rows[0], until="contact > 3")
+    table = TrajectoryTable((first, *good.table.rows[1:]))
+    with pytest.raises(InputError, match="row 1, column until: the hand must move"):
+        prepare(replace(good, table=table))
+
+
+def test_the_guarded_scenario_is_the_calibrated_one_with_a_guarded_descent() -> None:
+    plain, guarded = load_scenario("calibrated"), load_scenario("calibrated_guarded")
+    assert (plain.mismatch, plain.success) == (guarded.mismatch, guarded.success)
+    assert plain.controller == guarded.controller
