@@ -134,6 +134,8 @@ def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path: Path, until: str
     for name in ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd"):
         played = again[f"trajectory.{name}"]
         assert np.array_equal(run.recording[f"controller.{name}"], played), name
+    pushed = again["trajectory.push_force"]  # at its time, although rows have moved forward
+    assert np.array_equal(run.recording["plant.push_force"], pushed)
 
 
 BAD = {

@@ -79,9 +79,9 @@ static void show(fmu *f, int64_t steps)
     unsigned first;
     const size_t width = find_outputs(f, &first);
     if (!p->count) return;
-    const size_t place = guarded_place(&p->guarded, tick_at(f, steps));
-    memcpy(f->values + first, p->rows + place * width, width * sizeof(double));
-    if (p->guarded.guards) guarded_shift(f, &p->guarded, place);
+    const double tick = (double)tick_at(f, steps), last = (double)(p->count - 1);
+    memcpy(f->values + first, p->rows + (size_t)fmin(fmax(tick, 0.0), last) * width, width * sizeof(double));
+    if (p->guarded.guards) guarded_show(f, &p->guarded, tick_at(f, steps));
 }
 
 static fmu_status start(fmu *f)

@@ -19,20 +19,15 @@ fmu_status guarded_create(fmu *f, guarded *g)
     for (size_t i = 0; i < g->count; i++)
         if (!(g->guards[i].first >= 0.0 && g->guards[i].last < (double)g->row_count))
             return fmu_error(f, "%s: row %zu is not in the table", guards, i);
-    for (int i = 0; i < 2; i++)
-        if (!fmu_find(f->table, i ? "pos_cmd[1]" : "vel_cmd[1]")) return fmu_error(f, "the table has no hand");
-    return FMU_OK;
+    if (fmu_find(f->table, "pos_cmd[1]") && fmu_find(f->table, "vel_cmd[1]") && fmu_find(f->table, "grip_cmd"))
+        return FMU_OK;
+    return fmu_error(f, "rows end early, but nothing commands the hand");
 }
 
 void guarded_free(guarded *g)
 {
     free(g->guards);
     free(g->left);
-}
-
-size_t guarded_place(const guarded *g, int64_t tick)
-{
-    return (size_t)fmin(fmax((double)(tick + g->state.ahead), 0.0), (double)(g->row_count - 1));
 }
 
 /* Values of an input; NULL: there is none. */
@@ -97,10 +92,13 @@ void guarded_look(const fmu *f, guarded *g, int64_t tick)
     }
 }
 
-void guarded_shift(const fmu *f, const guarded *g, size_t place)
+void guarded_show(const fmu *f, const guarded *g, int64_t tick)
 {
-    double *position = f->values + fmu_find(f->table, "pos_cmd[1]")->reference;
-    double *velocity = f->values + fmu_find(f->table, "vel_cmd[1]")->reference;
+    const unsigned hand = fmu_find(f->table, "pos_cmd[1]")->reference;
+    const size_t size = fmu_find(f->table, "grip_cmd")->reference - hand + 1;
+    double *position = f->values + hand, *velocity = f->values + fmu_find(f->table, "vel_cmd[1]")->reference;
+    const size_t place = (size_t)fmin((double)(tick + g->state.ahead), (double)(g->row_count - 1));
+    memcpy(position, g->rows + place * g->width + hand - g->first, size * sizeof(double));
     for (int axis = 0; axis < 3; axis++) {
         position[axis] += g->left[2 * place] * g->state.offset[axis];
         velocity[axis] += g->left[2 * place + 1] * g->state.offset[axis];

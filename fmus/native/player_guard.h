@@ -38,10 +38,7 @@ void guarded_free(guarded *g);
 /* Looks at the inputs at a tick, at which a row may end. */
 void guarded_look(const fmu *f, guarded *g, int64_t tick);
 
-/* Place in the table at a tick. */
-size_t guarded_place(const guarded *g, int64_t tick);
-
-/* Adds the offset to the hand's commands at a place. */
-void guarded_shift(const fmu *f, const guarded *g, size_t place);
+/* Writes the hand's commands at a tick; other outputs, such as pushes, do not move forward. */
+void guarded_show(const fmu *f, const guarded *g, int64_t tick);
 
 #endif

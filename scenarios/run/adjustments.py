@@ -90,8 +90,7 @@ class Adjustments:
     def _move_waypoint(self, action: Action, /, row: int, **changes: Any) -> None:
         if self._scenario.is_system:
             raise InputError("move_waypoint: the scenario is a system without a trajectory")
-        guarded, rows = self.inputs.guarded, list(self.inputs.table.rows)
-        ahead = guarded.ahead(action.tick) if guarded else 0
+        rows, ahead = list(self.inputs.table.rows), self.inputs.guarded.ahead(action.tick)
         now = (action.tick + ahead) * self._scenario.step
         if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
             last = len(rows) - 1

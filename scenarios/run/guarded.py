@@ -88,10 +88,18 @@ class Early(NamedTuple):
 class GuardedCommands:
     """The commands of a trajectory, some rows of which end early."""
 
-    def __init__(self, trajectory: Trajectory, before: GuardedCommands | None = None) -> None:
-        self._trajectory, self.guards = trajectory, guards_of(trajectory)
+    def __init__(
+        self, trajectory: Trajectory | None = None, before: GuardedCommands | None = None
+    ) -> None:
+        self.trajectory = trajectory  # None: a system has none
+        self.guards = guards_of(trajectory) if trajectory else []
         self.ends: list[Early] = before.ends if before else []
         self._felt: list[float] = before._felt if before else []
+
+    @property
+    def _path(self) -> Trajectory:
+        assert self.trajectory is not None
+        return self.trajectory
 
     @property
     def signals(self) -> set[str]:
@@ -110,10 +118,10 @@ class GuardedCommands:
         """Commands between two early ends."""
         early = next((end for end in reversed(self.ends) if end.tick <= first), None)
         if early is None:
-            return sampled(self._trajectory, first, count)
-        commands = sampled(self._trajectory, first + early.ahead, count).copy()
-        times = STEP_SIZE * np.arange(first + early.ahead, first + early.ahead + count)
-        left = returning(self._trajectory, early.row, times)
+            return sampled(self._path, first, count)
+        commands = sampled(self._path, first + early.ahead, count).copy()
+        times = STEP_SIZE * (first + early.ahead + np.arange(count, dtype=np.float64))
+        left = returning(self._path, early.row, times)
         commands[:, :3] += left[:, :1] * early.offset
         commands[:, 7:10] += left[:, 1:] * early.offset
         return commands
@@ -122,22 +130,22 @@ class GuardedCommands:
         """As the player in C reads it: the guards, and what is left of offsets in each row."""
         rows = [(g.first, g.last, g.element, g.bound, *g.way) for g in self.guards]
         times = STEP_SIZE * np.arange(count, dtype=np.float64)
-        left = sum(returning(self._trajectory, guard.row, times) for guard in self.guards)
+        left = sum(returning(self._path, guard.row, times) for guard in self.guards)
         return {"guards": np.array(rows, float), "left": np.asarray(left)}
 
     def happened(self) -> dict[str, Any]:
         """Metadata of a recording: when rows were reached, and which ended early; {}: none can."""
         if not self.guards:
             return {}
-        times, ends = self._trajectory.times.tolist(), {end.row: end for end in self.ends}
+        times, ends = self._path.times.tolist(), {end.row: end for end in self.ends}
         for row, end in ends.items():
             for later in range(row, len(times)):
-                times[later] = float(self._trajectory.times[later]) - end.ahead * STEP_SIZE
+                times[later] = float(self._path.times[later]) - end.ahead * STEP_SIZE
             times[row] = end.tick * STEP_SIZE
         rows = [
             {
                 "row": guard.row + 1,
-                "until": self._trajectory.untils[guard.row],
+                "until": self._path.untils[guard.row],
                 "ended_s": ends[guard.row].tick * STEP_SIZE if guard.row in ends else None,
             }
             for guard in self.guards
@@ -154,17 +162,16 @@ class GuardedCommands:
         begins = [max(guard.first + 1 - place, 1) for guard in self.guards if place < guard.last]
         return min([last - tick, *begins])
 
-    def ends_now(self, tick: int, value: Callable[[str], Array]) -> bool:
-        """Look at the measured values; whether a row ends, so that the commands change."""
+    def look(self, tick: int, value: Callable[[str], Array]) -> None:
+        """Let a row end by the values measured at a tick, before that is stepped."""
         place = tick + self.ahead(tick)
         active = (guard for guard in self.guards if guard.first < place < guard.last)
         guard = next(active, None)
         if guard is None or self._measured(guard, place, value) <= guard.bound:
-            return False
-        there = sampled(self._trajectory, guard.last, 1)[0, :3]
+            return
+        there = sampled(self._path, guard.last, 1)[0, :3]
         offset = self.commands(tick, 1)[0, :3] - there
         self.ends.append(Early(guard.row, tick, guard.last - tick, offset))
-        return True
 
     def _measured(self, guard: Guard, place: int, value: Callable[[str], Array]) -> float:
         """What is compared with the bound [N] or [N.m]."""

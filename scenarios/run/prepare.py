@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +120,7 @@ class Inputs:
         self._scale = scenario.input_scale
         self._from_time, self._step = assembly.start_time, scenario.step
         self._held: dict[int, float] = {}
-        self.guarded: GuardedCommands | None = None
+        self.guarded = GuardedCommands()
         self.shape = (scenario.ticks + 1, len(self._columns))  # instants, inputs
         self.use(scenario)
 
@@ -142,7 +140,7 @@ class Inputs:
         names = [f"{i}.{n}" for i, v in variables for n in INTERFACES[i].variable(v).names()]
         self._from = [i for i, name in enumerate(names) if name in self._columns]
         self._to = [self._columns[names[i]] for i in self._from]
-        self._first = -CHUNK
+        self._chunk = (-1, 0)  # first tick, and early ends of rows
         self._part = np.empty((0, len(self._columns)))
 
     def __getitem__(self, ticks: slice, /) -> Array:
@@ -150,8 +148,8 @@ class Inputs:
         start, stop, _ = ticks.indices(self.shape[0])
         rows = np.empty((max(stop - start, 0), self.shape[1]), self._start.dtype)
         for first in range(start - start % CHUNK, stop, CHUNK):
-            if first != self._first:
-                self._first, self._part = first, self._computed(first, CHUNK)
+            if (chunk := (first, len(self.guarded.ends))) != self._chunk:
+                self._chunk, self._part = chunk, self._computed(first, CHUNK)
             low, high = max(start, first), min(stop, first + CHUNK)
             rows[low - start : high - start] = self._part[low - first : high - first]
         for column, value in self._held.items():
@@ -164,7 +162,7 @@ class Inputs:
         for name, driven in self._assembly.driven.items():
             times = self._from_time + self._step * np.arange(first, first + count, dtype=np.float64)
             rows[:, self._columns[".".join(name)]] = driven.sample(times)
-        if self.guarded is not None:
+        if self.guarded.trajectory is not None:
             times = STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
             commands = self.guarded.commands(first, count)
             scenario = np.hstack((self._forces(times), commands))
@@ -172,20 +170,6 @@ class Inputs:
         if self._scale != 1.0:
             rows[:, self._of_plant] *= self._scale
         return rows
-
-    def look(self, tick: int, value: Callable[[str], Array]) -> None:
-        """Let rows of the table end by the measured values of a tick, before it is stepped."""
-        if self.guarded is not None and self.guarded.ends_now(tick, value):
-            self._first = -CHUNK
-
-    @property
-    def happened(self) -> dict[str, Any]:
-        """Metadata on rows that may end early."""
-        return self.guarded.happened() if self.guarded else {}
-
-    def unwatched(self, tick: int, last: int) -> int:
-        """Number of ticks up to the next one that needs a `look`, or to a last one."""
-        return self.guarded.unwatched(tick, last) if self.guarded else last - tick
 
     def _forces(self, times: Array) -> Array:
         forces = np.zeros((len(times), len(self._pushed), 3))

@@ -155,7 +155,7 @@ class Execution:
 
     def _close_recording(self, reason: str | None, *, complete: bool) -> None:
         recorder = self._begun.recorder
-        recorder.late |= self._adjustments.inputs.happened
+        recorder.late |= self._adjustments.inputs.guarded.happened()
         recorder.close(complete=complete, reason=reason)
 
     def __enter__(self) -> Self:
@@ -190,8 +190,8 @@ class Execution:
         with self._guarded():
             inputs = self._adjustments.inputs
             while self.tick < last and not master.stop_requested:
-                inputs.look(self.tick, self._value)
-                count = inputs.unwatched(self.tick, last)
+                inputs.guarded.look(self.tick, self._value)
+                count = inputs.guarded.unwatched(self.tick, last)
                 master.step(count, inputs, pace=pace, progress=look)
             master.flush()
         if progress is not None:
@@ -246,9 +246,7 @@ class Execution:
             self.failure = str(error)
             with suppress(CosimError):  # the failure itself says more
                 reason = f"{type(error).__name__}: {error}"
-                self._begun.recorder.close(
-                    complete=False, reason=reason, more=self._adjustments.inputs.happened
-                )
+                self._close_recording(reason, complete=False)
                 self._summary = self._begun.judge()
             raise
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -85,8 +86,11 @@ def _build_player(
     """Build the FMU that plays external inputs, one row for each step."""
     assembly, scenario = prepared.assembly, prepared.scenario
     columns = [assembly.external.index(name) for name in played]
-    rows = prepared.inputs()[: scenario.ticks + 1][:, columns]
-    felt = _felt(prepared)
+    felt, last = _felt(prepared), scenario.table.rows[-1].time
+    if felt:  # rows after the end are played once others have ended early
+        ticks = max(scenario.ticks, math.ceil(last / scenario.step))
+        scenario = replace(scenario, duration=round(ticks * scenario.step, 9))
+    rows = prepared.inputs(scenario)[: scenario.ticks + 1][:, columns]
     if not felt and outputs == [name for v in TRAJECTORY.of("output") for name in v.names()]:
         return build_trajectory(rows, target=target)
     scalars = [assembly.scalars[name] for name in played]
@@ -103,23 +107,20 @@ def _build_player(
     interface = Interface(
         TRAJECTORY.model, "Plays a scenario's inputs", (*felt.values(), *variables)
     )
-    resources, options = {TABLE_FILE: rows.astype("<f8").tobytes()}, (("table", TABLE_FILE),)
-    guarded = prepared.inputs().guarded
-    if felt and guarded is not None:
-        resources |= {name: content.astype("<f8").tobytes()
-                      for name, content in guarded.packed(len(rows)).items()}  # fmt: skip
-        options += tuple((name, name) for name in guarded.packed(len(rows)))
-    player = NativeFmu(interface, "player", LAW, resources, options, step_size=scenario.step)
+    files = {"table": TABLE_FILE, **({"guards": "guards.bin", "left": "left.bin"} if felt else {})}
+    content = {"table": rows, **(prepared.inputs().guarded.packed(len(rows)) if felt else {})}
+    resources = {files[key]: content[key].astype("<f8").tobytes() for key in files}
+    player = NativeFmu(interface, "player", LAW, resources, tuple(files.items()),
+                       step_size=scenario.step)  # fmt: skip
     return build_fmu(player, target=target)
 
 
 def _felt(prepared: Prepared) -> dict[str, Variable]:
     """Inputs of the player by which rows of the table end early, by FMU and output."""
-    guarded = prepared.inputs().guarded
     return {
         signal: replace(
             prepared.assembly.interfaces[signal.partition(".")[0]].variable(signal.partition(".")[2]),
             causality="input", variability="continuous", start=0.0, on_request=False, source="",
         )
-        for signal in sorted(guarded.signals if guarded else ())
+        for signal in sorted(prepared.inputs().guarded.signals)
     }  # fmt: skip
