@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
-from panda_cosim.fmus.interface.plant import PLANT
+from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios import benchmark
@@ -47,11 +47,12 @@ def compare(scenario: str, coupling: str, steps: int) -> dict[str, Any]:
 def over_fmus(scenario: str, coupling: str, steps: int) -> tuple[Array, list[str]]:
     """Rows of a run over the FMUs, and the names of their columns."""
     loaded = load_scenario(scenario)
-    values = start_values(loaded)
+    values = start_values(loaded, {"controller": {"observer": True}})
     commands = resolve(loaded, values).sample(instants(loaded))[: steps + 1]
+    asked = [f"{i}.{v.name}" for i, t in INTERFACES.items() for v in t.of("output") if v.on_request]
     rows: list[Array] = []
     with open_system(
-        panda_system([f"plant.{v.name}" for v in PLANT.of("output") if v.on_request]),
+        panda_system(asked),
         values,
         stop=loaded.duration,
         coupling=coupling,  # type: ignore[arg-type]
@@ -66,13 +67,13 @@ def in_a_plain_loop(scenario: str, coupling: str, steps: int) -> dict[str, Array
     loaded = load_scenario(scenario)
     commands = resolve(loaded, start_values(loaded)).sample(instants(loaded))
     plant = Plant(PlantParameters(scene=loaded.scene))
-    controller = Controller(preset(loaded.gains))
+    controller = Controller(preset(loaded.gains, observer=True))
     told = controller.output_values.copy()  # what the plant hears of the controller
     rows = []
     for k in range(steps + 1):
         row = [k * STEP_SIZE, *commands[k], *plant.output_values]
         controller.input_values[: commands.shape[1]] = commands[k]
-        for name in MEASURED:
+        for name in (*MEASURED, "actuator_force"):
             controller.inputs[name] = plant.outputs[name][: len(controller.inputs[name])]
         if coupling == "jacobi":
             told = controller.output_values.copy()

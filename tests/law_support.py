@@ -113,7 +113,7 @@ def replay(law: Controller | LawInC, rows: Array) -> Array:
 
 
 def inputs_of(course: Course) -> Array:
-    """Return what the controller has read at each tick (n, 98)."""
+    """Return what the controller has read at each tick (n, 106)."""
     rows = np.empty((len(course.time), INPUTS.itemsize // 8))
     named = rows.view(INPUTS)[:, 0]
     rows[:, : course.commands.shape[1]] = course.commands

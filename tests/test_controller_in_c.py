@@ -90,7 +90,7 @@ def random_gains(rng: np.random.Generator) -> Gains:
 
 
 def random_inputs(rng: np.random.Generator, size: float) -> Array:
-    """Return inputs of a few updates (n, 98), smooth or wild."""
+    """Return inputs of a few updates (n, 106), smooth or wild."""
     rows = np.empty((SEVERAL, INPUTS.itemsize // 8))
     named = rows.view(INPUTS)[:, 0]
     walk = size * rng.normal(size=rows.shape).cumsum(axis=0)
