@@ -54,7 +54,10 @@ def test_the_sensors_stand_between_plant_and_controller() -> None:
     assert list(assembly.interfaces) == ["sensors", "controller", "plant"]
     into = {c.target[1]: c.source for c in assembly.connections if c.target[0] == "controller"}
     assert into["jac[6,7]"] == ("sensors", "jac_measured[6,7]")
-    assert {source[0] for source in into.values()} == {"sensors"}
+    torques = into.pop("actuator_force[1]")[0]  # the servos measure these
+    assert torques == "plant"
+    sources = {source[0] for name, source in into.items() if "actuator" not in name}
+    assert sources == {"sensors"}
     assert {c.source[0] for c in assembly.connections if c.target[0] == "sensors"} == {"plant"}
 
 
