@@ -46,6 +46,7 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "integral_limit": (0.0, 1e3),
     "base_ctrl": (-10.0, 10.0),
     "ik_gain": (0.0, 1e4),
+    "error_filter": (0.0, 1e3),
     "ik_damping": (0.0, 10.0),
     "singular_damping": (0.0, 10.0),
     "singular_value": (0.0, 10.0),
@@ -89,6 +90,7 @@ class Gains:
     integral_limit: Seven = INTEGRAL_LIMIT  # [rad] largest magnitude of the integral part
     base_ctrl: Seven = HOME_Q  # [rad] that the PID's output is added to, without reference
     ik_gain: float = 50.0  # [1/s] rate at which a pose error is driven to zero
+    error_filter: float = 0.0  # [s] time constant of the pose error's low-pass; 0: none
     ik_damping: float = 5e-3  # [1] of the least squares where joint limits bind
     singular_damping: float = 0.04  # [1] at a singularity
     singular_value: float = 0.06  # [1] smallest one of the Jacobian below which damping grows
@@ -165,7 +167,12 @@ TUTORIAL: Final = Gains(
     finger_speed=0.0,
 )
 
-PRESETS: Final[Mapping[str, Gains]] = {"default": DEFAULT, "tutorial": TUTORIAL}
+# For noisy readings and elastic joints. Noise of the readings reaches the servos through kp, and
+# through ik_gain as an acceleration, whose inertia force is fed forward: so the pose error is
+# smoothed. REFERENCE.md has the margins beside those of other values.
+ROBUST: Final = Gains(kp=_seven(0.5), ik_gain=5.0, error_filter=0.02)
+
+PRESETS: Final[Mapping[str, Gains]] = {"default": DEFAULT, "robust": ROBUST, "tutorial": TUTORIAL}
 
 
 def preset(name: str, **changes: float | bool | Seven) -> Gains:

@@ -58,6 +58,7 @@ class ReferenceLaw:
             ("qdd_before", float, 7),  # [rad/s^2]
             ("twist_before", float, 6),  # [m/s, rad/s] commanded
             ("weak_direction", float, 6),  # see `singularity`
+            ("error", float, 6),  # pose error after the low-pass [m, rad]
             ("pid", PID_STATE),
             ("poses", float, (KEPT, 7)),  # commanded in the last updates, see `Late`
             ("q_refs", float, (KEPT, 7)),  # of the last updates
@@ -83,6 +84,7 @@ class ReferenceLaw:
             np.array(gains.inertia_feedforward),
         )
         period = float(self._period)
+        self._error_share = period / (gains.error_filter + period)
         self._limits = JointLimits(gains.limit_share, gains.reference_lead, period)
         self._pid = Pid(gains, period, self._state.pid)
         self._poses = Late(self._state.poses, gains.reading_delay, period)
@@ -93,6 +95,7 @@ class ReferenceLaw:
         x, state = self._inputs, self._state
         state.q_ref[:], state.qd_before[:], state.qdd_before[:] = x.qpos, x.qvel, 0.0
         state.twist_before[:] = np.concatenate((x.vel_cmd, x.omega_cmd))
+        state.error[:] = pose_error(x.pos_cmd, x.quat_cmd, x.hand_xpos, x.hand_xquat)
         state.weak_direction[:] = find_weak_direction(x.jac)
         self._pid.reset()
         self._poses.reset(np.concatenate((x.pos_cmd, x.quat_cmd)))
@@ -106,6 +109,9 @@ class ReferenceLaw:
         # Twist: the command, extrapolated to the middle of the period, and the correction.
         pose = self._poses.recall(np.concatenate((x.pos_cmd, x.quat_cmd)))
         error = pose_error(pose[:3], pose[3:], x.hand_xpos, x.hand_xquat)
+        if gains.error_filter > 0.0:
+            error = state.error + self._error_share * (error - state.error)
+        state.error[...] = error
         twist_cmd = np.concatenate((x.vel_cmd, x.omega_cmd))
         twist = 1.5 * twist_cmd - 0.5 * state.twist_before + correcting_twist(error, gains)
 

@@ -203,6 +203,7 @@ def _own_states(controller: Controller) -> NDArray[np.intp]:
     law = getattr(chosen.views, gains.law)
     if gains.use_reference:
         law.q_ref[:] = law.qd_before[:] = 1.0
+        law.error[:] = gains.error_filter > 0.0
         law.q_refs[: round(gains.reading_delay / controller.period)] = 1.0
     law.pid.integral[:] = np.array(gains.ki) > 0.0
     law.pid.derivative[:] = law.pid.error_before[:] = np.array(gains.kd) > 0.0

@@ -85,6 +85,7 @@ CONTROLLER = Interface(
         _gain("base_ctrl", "rad", "Servo targets that the PID's output is added to if "
               "use_reference is false"),
         _gain("ik_gain", "1/s", "Rate at which a pose error is driven to zero"),
+        _gain("error_filter", "s", "Time constant of the pose error's low-pass; 0: none"),
         _gain("ik_damping", "1", "Damping of the least squares where joint limits bind"),
         _gain("singular_damping", "1", "Damping at a singularity"),
         _gain("singular_value", "1", "Smallest singular value of the Jacobian below which damping "

@@ -30,8 +30,9 @@ static const field FIELDS[] = {
     FIELD(outputs., external_torque), FIELD(outputs., external_force), FIELD(outputs., joint_contact),
     FIELD(gains., use_reference), FIELD(gains., kp), FIELD(gains., ki), FIELD(gains., kd),
     FIELD(gains., derivative_filter), FIELD(gains., integral_limit), FIELD(gains., base_ctrl),
-    FIELD(gains., ik_gain), FIELD(gains., ik_damping), FIELD(gains., singular_damping),
-    FIELD(gains., singular_value), FIELD(gains., linear_correction), FIELD(gains., linear_braking),
+    FIELD(gains., ik_gain), FIELD(gains., error_filter), FIELD(gains., ik_damping),
+    FIELD(gains., singular_damping), FIELD(gains., singular_value),
+    FIELD(gains., linear_correction), FIELD(gains., linear_braking),
     FIELD(gains., angular_correction), FIELD(gains., angular_braking), FIELD(gains., posture),
     FIELD(gains., posture_gain), FIELD(gains., servo_lag), FIELD(gains., servo_stiffness),
     FIELD(gains., gravity_feedforward), FIELD(gains., inertia_feedforward), FIELD(gains., limit_share),
@@ -41,7 +42,7 @@ static const field FIELDS[] = {
     FIELD(gains., observer), FIELD(gains., observer_gain), FIELD(gains., lower_torque_threshold),
     FIELD(gains., upper_torque_threshold), FIELD(gains., reaction),
     FIELD(, period)};
-enum { INPUTS = 0, OUTPUTS = 14, GAINS = 24, PERIOD = 59, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
+enum { INPUTS = 0, OUTPUTS = 14, GAINS = 24, PERIOD = 60, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
 _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 
 /* ---- an instance ---- */

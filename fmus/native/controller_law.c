@@ -56,12 +56,22 @@ static void start_reference_law(controller *c, const controller_functions *mj)
     memcpy(c->state.reference.qd_before, c->inputs.qvel, sizeof c->inputs.qvel);
     memset(c->state.reference.qdd_before, 0, sizeof c->state.reference.qdd_before);
     get_twist_cmd(&c->inputs, c->state.reference.twist_before);
-    find_weak_direction(mj, c->inputs.jac, c->state.reference.weak_direction);
-    pid_reset(&c->state.reference.pid);
     double pose[POSE];
     get_pose_cmd(&c->inputs, pose);
+    pose_error(mj, pose, &c->inputs, c->state.reference.error);
+    find_weak_direction(mj, c->inputs.jac, c->state.reference.weak_direction);
+    pid_reset(&c->state.reference.pid);
     reset_late(c->state.reference.poses, pose);
     reset_late(c->state.reference.q_refs, c->inputs.qpos);
+}
+
+/* In place: the low-pass of the pose error, with backward Euler. */
+static void smooth(controller *c, double error[TWIST])
+{
+    const double time = c->gains.error_filter, share = c->period / (time + c->period);
+    double *before = c->state.reference.error;
+    for (int i = 0; i < TWIST && time > 0.0; i++) error[i] = before[i] + share * (error[i] - before[i]);
+    memcpy(before, error, sizeof c->state.reference.error);
 }
 
 /* Inertia force M(q) qdd of the arm, with the fingers at rest. */
@@ -138,6 +148,7 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
 
     /* Twist: the command, extrapolated to the middle of the period, and the correction. */
     double error[TWIST], twist_cmd[TWIST], correction[TWIST], twist[TWIST];
+    smooth(c, error);
     late_pose_error(c, mj, c->state.reference.poses, error);
     get_twist_cmd(x, twist_cmd);
     correcting_twist(mj, error, gains, correction);

@@ -33,7 +33,7 @@ typedef struct {
 typedef struct {
     double use_reference;
     double kp[JOINTS], ki[JOINTS], kd[JOINTS], derivative_filter, integral_limit[JOINTS], base_ctrl[JOINTS];
-    double ik_gain, ik_damping, singular_damping, singular_value;
+    double ik_gain, error_filter, ik_damping, singular_damping, singular_value;
     double linear_correction, linear_braking, angular_correction, angular_braking;
     double posture[JOINTS], posture_gain[JOINTS], servo_lag[JOINTS], servo_stiffness[JOINTS];
     double gravity_feedforward[JOINTS], inertia_feedforward[JOINTS];
@@ -54,7 +54,7 @@ typedef struct {
     double opening; /* commanded opening between the fingertips */
     struct {
         double q_ref[JOINTS], qd_before[JOINTS], qdd_before[JOINTS];
-        double twist_before[TWIST], weak_direction[TWIST];
+        double twist_before[TWIST], weak_direction[TWIST], error[TWIST];
         controller_pid_state pid;
         double poses[KEPT][POSE], q_refs[KEPT][JOINTS];
     } reference;

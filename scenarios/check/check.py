@@ -33,6 +33,7 @@ from ..run.start import (
     law_gains,
     resolve,
     start_values,
+    unsuitable_gains,
 )
 from ..scenario.scenario import (
     SCENARIO_FILE,
@@ -89,7 +90,8 @@ def check_folder(
         place = "" if str(error).startswith(str(folder)) else f"{file}: "
         return [Diagnostic("wrong", f"{place}{error}")]
     # An .ssp file has neither a purpose nor criteria.
-    remarks = () if folder.suffix == SYSTEM else _remarks(prepared.scenario)
+    remarks = [] if folder.suffix == SYSTEM else [*_remarks(prepared.scenario)]
+    remarks += unsuitable_gains(prepared.scenario, prepared.values)
     return [*_diagnostics("hint", remarks), *diagnostics]
 
 

@@ -19,7 +19,7 @@ from ..scenario.scenario import Scenario
 from ..system.assembly import Assembly, assemble
 from .guarded import GuardedCommands
 from .options import Options, with_options
-from .start import StartValues, check_criteria, resolve, start_values
+from .start import StartValues, check_criteria, resolve, start_values, unsuitable_gains
 
 Array = NDArray[np.float64]
 CHUNK = 16_384  # ticks of inputs computed at a time; a whole hour would take 0.4 GB
@@ -33,6 +33,11 @@ class Prepared:
     options: Options
     assembly: Assembly
     values: StartValues  # all parameters by instance and scalar variable
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user should know: unconnected inputs, gains that do not suit the robot."""
+        return [*self.assembly.notes, *unsuitable_gains(self.scenario, self.values)]
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
         """Return the external inputs, of a changed scenario if one is given."""

@@ -94,7 +94,7 @@ class Execution:
     def _reset(self) -> None:
         self._adjustments = Adjustments(self.prepared)
         self.actions: list[Action] = []
-        self.warnings: list[str] = list(self.prepared.assembly.notes)
+        self.warnings: list[str] = self.prepared.notes
         self.failure = ""
         self._columns: dict[str, list[int]] = {}  # of the master's rows, by signal
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import ELASTIC
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
-from ...controller.gains import PRESETS, Gains, preset
+from ...controller.gains import DEFAULT, PRESETS, Gains, preset
 from ...fmus.errors import InputError
 from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import ParameterValue, grouped
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 Overrides = Mapping[str, Mapping[str, ParameterValue]]
 StartValues = dict[str, dict[str, Value]]
+NOISES: Final = ("joint_noise", "joint_quantisation")  # of [mismatch]
 
 
 def start_values(
@@ -152,6 +154,21 @@ def law_gains(scenario: Scenario, values: StartValues) -> Gains:
     parameters.pop("period")
     gains = Gains(**parameters)
     return gains if gains.use_reference else preset("default")
+
+
+def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:
+    """Say, in one line, that the default gains meet noise or elastic joints, which they amplify."""
+    if scenario.gains != "default" or scenario.is_system or scenario.fmus:
+        return []
+    gains, mismatch = law_gains(scenario, values), scenario.mismatch.values
+    causes = [f"mismatch.{key}" for key in NOISES if np.any(mismatch.get(key, 0.0))]
+    causes += [f'scene "{ELASTIC}"'] * (scenario.scene == ELASTIC)
+    if not causes or any(getattr(gains, n) != getattr(DEFAULT, n) for n in ("kp", "ik_gain")):
+        return []
+    return [
+        f"gains: the default ones do not suit {' and '.join(causes)}: the torque rate or "
+        'oscillations exceed what the robot may do; gains = "robust" is made for them'
+    ]
 
 
 def carried_mass(scenario: Scenario, values: StartValues) -> float:

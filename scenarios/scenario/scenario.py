@@ -35,7 +35,7 @@ from .table import TableRow, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
-GAINS = ("default", "tutorial")
+GAINS = ("default", "robust", "tutorial")
 TIMINGS = ("table", "feasible", "optimal")
 ROUTES = ("", "auto")
 Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
