@@ -3,7 +3,7 @@
 `python tests/random_moves.py` tries 500 moves and prints how many end at their goal. A goal is the
 pose of a random joint configuration, so the arm reaches it; the straight way there may still lead
 past a singularity or a joint's end. `--retimed` gives each move the time that it needs, so that it
-keeps the torque rate, too.
+keeps the torque rate, too. `--starts` lets each begin at a random joint configuration instead.
 """
 
 from __future__ import annotations
@@ -20,7 +20,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT, Q_MAX, Q_MIN, TORQUE_RATE_MAX
+from panda_cosim.assets.franka import (
+    HOME_Q,
+    HOME_XPOS,
+    HOME_XQUAT,
+    Q_MAX,
+    Q_MIN,
+    TORQUE_RATE_MAX,
+)
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
@@ -59,6 +66,7 @@ class Move:
     update_us: float = 0.0  # processor time of an update [us]
     slower: float = 1.0  # its duration over that of the table [1]
     refused: str = ""  # why it got no other times
+    off_path: float = 0.0  # largest distance of the hand from its straight path [m]
 
     @property
     def ok(self) -> bool:
@@ -70,6 +78,38 @@ class Move:
     def keeps_all(self) -> bool:
         """It is ok, and the torque rate stayed below its limit, too."""
         return self.ok and self.torque_rate <= 1.0 and not self.refused
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a move begins: joint positions [rad], and the hand's pose there, world."""
+
+    q: Array
+    position: Array
+    orientation: Array
+
+
+HOME = Start(np.array(HOME_Q), np.array(HOME_XPOS), np.array(HOME_XQUAT))
+
+
+def random_starts(count: int, seed: int = SEED) -> Iterator[tuple[Start, tuple[Array, Array]]]:
+    """Draw starts and goals in front of the robot; the first are always the same."""
+    draw, model = np.random.default_rng(seed), load_arm()
+    data: Any = mujoco.MjData(model)
+    hand, last = model.body("hand").id, None
+    while count:
+        data.qpos[:7] = draw.uniform(Q_MIN, Q_MAX)
+        mujoco.mj_kinematics(model, data)
+        pose = Start(data.qpos[:7].copy(), data.xpos[hand].copy(), data.xquat[hand].copy())
+        if pose.position[0] < NEAREST or pose.position[2] < LOWEST:
+            continue
+        if last is None:
+            last = pose
+            continue
+        if np.linalg.norm(_turn(last.orientation, pose.orientation)) <= LARGEST_TURN:
+            count -= 1
+            yield last, (pose.position, pose.orientation)
+        last = None
 
 
 def random_goals(count: int, seed: int = SEED) -> Iterator[tuple[Array, Array]]:
@@ -92,14 +132,14 @@ def _turn(start: Array, end: Array) -> Array:
     return rotations.log(rotations.multiply(end, rotations.conjugate(start)))
 
 
-def straight_move(position: Array, orientation: Array) -> Trajectory:
-    """Return the straight move from `home`, as fast as `SPEED` and `TURN_RATE` allow."""
-    way = np.linalg.norm(position - HOME_XPOS) / SPEED
-    turn = np.linalg.norm(_turn(np.array(HOME_XQUAT), orientation)) / TURN_RATE
+def straight_move(position: Array, orientation: Array, start: Start = HOME) -> Trajectory:
+    """Return the straight move from the start, as fast as `SPEED` and `TURN_RATE` allow."""
+    way = np.linalg.norm(position - start.position) / SPEED
+    turn = np.linalg.norm(_turn(start.orientation, orientation)) / TURN_RATE
     return Trajectory(
         times=np.array([0.0, max(PEAK * way, PEAK * turn, 0.5)]),
-        positions=np.stack((HOME_XPOS, position)),
-        orientations=np.stack((HOME_XQUAT, orientation)),
+        positions=np.stack((start.position, position)),
+        orientations=np.stack((start.orientation, orientation)),
         grips=np.full(2, 0.08),
     )
 
@@ -110,7 +150,9 @@ def our_controller(gains: Gains) -> Controller:
 
 
 def run_move(
-    numbered: tuple[int, tuple[Array, Array]],
+    number: int,
+    start: Start,
+    goal: tuple[Array, Array],
     gains: Gains,
     make: Callable[[Gains], Any] = our_controller,
     timing_share: float | None = None,
@@ -119,8 +161,8 @@ def run_move(
 
     With a `timing_share` of the limits, the move gets the time that it needs within it.
     """
-    number, (position, orientation) = numbered
-    trajectory = straight_move(position, orientation)
+    position, orientation = goal
+    trajectory = straight_move(position, orientation, start)
     slower, refused = 1.0, ""
     if timing_share:
         try:
@@ -133,8 +175,10 @@ def run_move(
     commands = trajectory.sample(STEP_SIZE * np.arange(ticks + 1))
     plant, controller = Plant(), make(gains)
     x, y = plant.outputs, controller.outputs
+    begin_at(plant, start)
     busy = 0.0  # [s]
-    errors, motion = np.empty(len(commands)), np.empty((4, len(commands), 7))
+    off_path, errors = 0.0, np.empty(len(commands))
+    motion = np.empty((4, len(commands), 7))
     for tick, command in enumerate(commands):
         if tick:
             plant.step()
@@ -144,6 +188,7 @@ def run_move(
         controller.update()
         busy += time.thread_time() - begun
         plant.inputs["ctrl"] = y["ctrl"]
+        off_path = max(off_path, _off(x["hand_xpos"], start.position, position))
         errors[tick] = np.linalg.norm(x["hand_xpos"] - command[:3])
         motion[:, tick] = x["qpos"][:7], x["qvel"][:7], y["qvel_ref"], x["actuator_force"][:7]
     return Move(
@@ -158,7 +203,22 @@ def run_move(
         1e6 * busy / len(commands),
         slower,
         refused,
+        off_path,
     )
+
+
+def begin_at(plant: Plant, start: Start) -> None:
+    """Put the arm at a start, at rest."""
+    if start is not HOME:
+        plant.data.qpos[:7] = start.q
+        plant.set_state(plant.get_state())
+
+
+def _off(place: Array, start: Array, end: Array) -> float:
+    """Distance of a place from the line between two others [m]."""
+    way = end - start
+    along = min(max(float((place - start) @ way / (way @ way)), 0.0), 1.0)
+    return float(np.linalg.norm(place - start - along * way))
 
 
 def _largest_share(motion: Array) -> float:
@@ -184,13 +244,14 @@ def run_moves(
     make: Callable[[Gains], Any] = our_controller,
     only: Collection[int] = (),
     timing_share: float | None = None,
+    starts: bool = False,
 ) -> list[Move]:
     """Run random moves, several at a time: all of them, or only those of some numbers."""
-    numbered = [move for move in enumerate(random_goals(count, seed), 1)
-                if not only or move[0] in only]  # fmt: skip
+    drawn = random_starts(count, seed) if starts else ((HOME, g) for g in random_goals(count, seed))
+    numbered = [(n, *way) for n, way in enumerate(drawn, 1) if not only or n in only]
     run = partial(run_move, gains=gains or Gains(), make=make, timing_share=timing_share)
     with ProcessPoolExecutor(processes) as pool:
-        return list(pool.map(run, numbered, chunksize=2))
+        return list(pool.map(run, *zip(*numbered, strict=True), chunksize=2))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -207,9 +268,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="SHARE",
         help="give each move the time it needs within this share of the limits; default: 0.95",
     )
+    parser.add_argument("--starts", action="store_true", help="begin at random joint positions")
     options = parser.parse_args(arguments)
     moves = run_moves(
-        options.count, options.seed, processes=options.processes, timing_share=options.retimed
+        options.count,
+        options.seed,
+        processes=options.processes,
+        timing_share=options.retimed,
+        starts=options.starts,
     )
     failed = [move for move in moves if not (move.keeps_all if options.retimed else move.ok)]
     for move in failed:
@@ -226,7 +292,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{AT_GOAL[1]:g} deg with all limits kept{', torque rate included' * bool(options.retimed)}"
         f"; tracking RMS median {rms:.3f} mm; largest share of a limit "
         f"{max(move.share for move in moves):.3f}; torque rate above the robot's limit in "
-        f"{sum(rate > 1.0 for rate in rates)} moves, largest share {max(rates):.1f}"
+        f"{sum(rate > 1.0 for rate in rates)} moves, largest share {max(rates):.1f}; "
+        f"off the path by up to {1e3 * max(m.off_path for m in moves):.0f} mm"
     )
     slower = np.array([move.slower for move in moves if not move.refused])
     if options.retimed:

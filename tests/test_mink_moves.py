@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 from mink_moves import MinkController, described
 from panda_cosim.controller.gains import Gains
-from random_moves import random_goals, run_move
+from random_moves import HOME, random_goals, run_move
 
 
 @pytest.mark.long
 def test_both_follow_a_plain_move_and_the_table_counts() -> None:
     goal = next(random_goals(1))
     ours, theirs = (
-        run_move((1, goal), Gains()),
-        run_move((1, goal), Gains(), MinkController),
+        run_move(1, HOME, goal, Gains()),
+        run_move(1, HOME, goal, Gains(), MinkController),
     )
     assert ours.ok
     assert theirs.ok
