@@ -148,8 +148,8 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
 
     /* Twist: the command, extrapolated to the middle of the period, and the correction. */
     double error[TWIST], twist_cmd[TWIST], correction[TWIST], twist[TWIST];
-    smooth(c, error);
     late_pose_error(c, mj, c->state.reference.poses, error);
+    smooth(c, error);
     get_twist_cmd(x, twist_cmd);
     correcting_twist(mj, error, gains, correction);
     for (int i = 0; i < TWIST; i++)
