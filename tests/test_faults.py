@@ -14,7 +14,7 @@ from panda_cosim.controller.gains import DEFAULT
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference, reference_path
-from panda_cosim.scenarios.run import prepare
+from panda_cosim.scenarios.run import guarded
 from panda_cosim.scenarios.scenario.trajectory import Trajectory
 
 pytestmark = pytest.mark.fmu
@@ -69,7 +69,7 @@ def test_a_fault_in_the_loop_is_reported(
 
     if fault == "late gripper":
         monkeypatch.setattr(Trajectory, "sample", late)
-        monkeypatch.setattr(prepare, "_sampled", prepare._sampled.__wrapped__)  # no cache
+        monkeypatch.setattr(guarded, "sampled", guarded.sampled.__wrapped__)  # no cache
     comparison, _, _ = compared(name, tmp_path / "run", Options(**options))
     # The commands are what they were: it is what comes of them that tells.
     answers = [d for d in comparison.deviations if "_cmd" not in d.name]

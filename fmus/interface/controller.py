@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ...controller.gains import RANGES, REACTIONS, Gains
-from .plant import CTRL_PARTS, JAC_PARTS, ROBOT
+from .plant import CTRL_PARTS, FORCE_PARTS, JAC_PARTS, ROBOT
 from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
 
 # The inputs that command the hand's motion, and those of the posture; the others are measured.
@@ -14,6 +14,10 @@ POSTURE_COMMANDS = ("posture_cmd", "posture_vel_cmd")
 
 # Outputs of the observer.
 OBSERVED = ("external_torque", "external_force", "joint_contact")
+_EXERTS = "at the hand body's origin, world frame, that would exert external_torque"
+_EXTERNAL_PARTS = (
+    ("external_force", 3, f"Force {_EXERTS}"), ("external_moment", 3, f"Moment {_EXERTS}"),
+)  # fmt: skip
 
 _GAINS = Gains()
 # Upper bounds below those of `controller.gains.RANGES`: the FMU never exceeds the robot's limits.
@@ -57,7 +61,8 @@ CONTROLLER = Interface(
         input_("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
                0.0),
         input_("actuator_force", (8,), joints("N.m", "N"), "Torques of the servos during the last "
-               "step, then the force of the gripper's tendon; only the observer reads it", 0.0),
+               "step, then the force of the gripper's tendon; only the observer reads it", 0.0,
+               parts=FORCE_PARTS),
         held("ctrl", (8,), joints("rad", "1"), "Servo targets: seven joint angles, then the "
              "gripper, 0 (closed) to 255 (open)", parts=CTRL_PARTS),
         held("dq", (7,), "rad", "Joint error that the PIDs act on"),
@@ -70,7 +75,8 @@ CONTROLLER = Interface(
         held("external_torque", (7,), "N.m", "Torques of others on the joints, by a momentum "
              "observer; 0 without observer and reaction", on_request=True),
         held("external_force", (6,), (*["N"] * 3, *["N.m"] * 3), "Force and torque at the hand "
-             "body's origin, world frame, that would exert external_torque", on_request=True),
+             "body's origin, world frame, that would exert external_torque", on_request=True,
+             parts=_EXTERNAL_PARTS),
         held("joint_contact", (7,), "1", "Of each joint: 0 free, 1 contact, external_torque above "
              "the lower threshold, 2 collision, it has been above the upper one", on_request=True),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "

@@ -48,7 +48,7 @@ _QVEL_PARTS = (
     ("qvel_block", 3, "Velocity of the block's centre, world frame"),
     ("qvel_block_omega", 3, "Angular velocity of the block, in its own frame"),
 )
-_FORCE_PARTS = (
+FORCE_PARTS = (
     ("actuator_force", 7, "Torques of the arm's servos during the last step"),
     ("actuator_force_gripper", 1, "Force of the gripper's tendon during the last step"),
 )
@@ -106,7 +106,7 @@ PLANT = Interface(
                 source="qfrc_bias"),
         output("actuator_force", (8,), joints("N.m", "N"), "Forces of the actuators during the "
                 "last step: seven joints, gripper tendon", source="actuator_force",
-                parts=_FORCE_PARTS),
+                parts=FORCE_PARTS),
         output("contact_force", (), "N", "Total normal force of the fingers on the block during "
                 "the last step",
                 source="contact_sensors left_finger_contact right_finger_contact"),

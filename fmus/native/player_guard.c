@@ -59,7 +59,7 @@ static double contact(const fmu *f, const player_guard *guard, guard_state *s, i
     s->felt[since % AVERAGED] = force;
     if (since < BASE_TO) return 0.0;
     for (int i = 0; i < AVERAGED; i++) sum += s->felt[i];
-    return sum / AVERAGED - s->base / (BASE_TO - BASE_FROM);
+    return sum / (double)AVERAGED - s->base / (double)(BASE_TO - BASE_FROM);
 }
 
 static double measured(const fmu *f, const player_guard *guard, guard_state *s, int64_t place)
