@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -77,6 +78,31 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_script_beside_modules_of_the_same_names_runs(own: Path) -> None:
     done = run(sys.executable, "script.py", cwd=own)
     assert done.stdout == "done\n", done.stderr
+
+
+# --- What a build needs ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "compiler", "needed"),
+    [
+        ("wheel", True, {"fmpy", "mujoco"}),
+        ("wheel", False, {"fmpy", "mujoco", "ziglang"}),
+        ("editable", True, set()),  # compiles what it needs, once it is used
+        ("editable", False, {"fmpy", "mujoco", "ziglang"}),
+    ],
+)
+def test_a_build_needs_headers_and_a_compiler_only_where_it_compiles(
+    kind: str, compiler: bool, needed: set[str], tmp_path: Path
+) -> None:
+    (tmp_path / "pyproject.toml").write_text('[project]\nname = "p"\nversion = "1"\n')
+    if compiler:
+        (tmp_path / "cc").touch(mode=0o755)
+    ask = f"import build_backend as b; print(*b.get_requires_for_build_{kind}(), sep='#')"
+    backend = str(ROOT / "fmus" / "native")
+    done = run(sys.executable, "-c", ask, cwd=tmp_path, PATH=str(tmp_path), PYTHONPATH=backend)
+    names = done.stdout.splitlines()[-1].split("#")
+    assert {re.split(r"\W", name)[0] for name in names} - {""} == needed, done.stderr
 
 
 # --- A wheel ---------------------------------------------------------------------------------

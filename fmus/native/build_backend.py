@@ -1,7 +1,8 @@
 """The build backend of the package: setuptools, after the FMUs' libraries have been compiled.
 
-So users of the package need no compiler to build FMUs. If there is none when the package itself is
-built, the build requires ziglang, which contains one.
+So users of a wheel need no compiler to build FMUs. A clone's editable install leaves them to their
+first use, without a second install of FMPy and MuJoCo for the build alone; unless there is no
+compiler, since only a build can require ziglang, which contains one.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import shutil
 import sys
 import sysconfig
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +17,20 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - the other hooks are unchanged
 
 ROOT = Path(__file__).parents[2]
+# The packages whose headers the libraries are compiled with. A wheel holds those for the newest
+# MuJoCo; for another one that is installed, they are compiled when they are first used.
+HEADERS = ["fmpy>=0.3.32", "mujoco>=3.10.0"]
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
     """Return the packages needed to build a wheel."""
-    return [*build_meta.get_requires_for_build_wheel(config_settings), *_compiler()]
+    return [*build_meta.get_requires_for_build_wheel(config_settings), *HEADERS, *_compiler()]
 
 
 def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
     """Return the packages needed for an editable install."""
-    return [*build_meta.get_requires_for_build_editable(config_settings), *_compiler()]
+    needed = [*HEADERS, *_compiler()] if _compiler() else []
+    return [*build_meta.get_requires_for_build_editable(config_settings), *needed]
 
 
 def build_wheel(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
@@ -35,20 +39,24 @@ def build_wheel(folder: str, config_settings: Any = None, metadata: str | None =
     given = settings.get("--build-option", [])
     options = given.split() if isinstance(given, str) else list(given)
     settings["--build-option"] = [*options, f"--plat-name={sysconfig.get_platform()}"]
-    return _with_libraries(build_meta.build_wheel, folder, settings, metadata)
+    _compile()
+    return str(build_meta.build_wheel(folder, settings, metadata))
 
 
 def build_editable(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
-    """Compile, then make the editable install."""
-    return _with_libraries(build_meta.build_editable, folder, config_settings, metadata)
+    """Make the editable install; where there is no compiler, compile before."""
+    if _compiler():
+        _compile()
+    return str(build_meta.build_editable(folder, config_settings, metadata))
 
 
 def _compiler() -> list[str]:
+    """Return the package that contains a compiler, if this machine has none."""
     found = any(map(shutil.which, ("cc", "gcc", "clang"))) and sys.platform != "win32"
     return [] if found else ["ziglang>=0.17.1"]
 
 
-def _with_libraries(build: Callable[..., str], *arguments: Any) -> str:
+def _compile() -> None:
     sys.path.insert(0, str(ROOT))
     try:
         from fmus.build.libraries import prebuild  # noqa: PLC0415 - from the sources
@@ -57,4 +65,3 @@ def _with_libraries(build: Callable[..., str], *arguments: Any) -> str:
             print(f"compiled {path.relative_to(ROOT)}")
     finally:
         sys.path.remove(str(ROOT))
-    return build(*arguments)
