@@ -167,6 +167,21 @@ def test_a_run_draws_as_many_frames_a_second_as_it_is_told(tmp_path: Path) -> No
     assert " 15 fps" in ffmpeg_says(tmp_path / "run" / "video.mp4")
 
 
+@needs_gl
+@pytest.mark.fmu
+def test_a_run_names_each_file_once_it_is_there_and_the_video_last(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "short")
+    done = subprocess.run(
+        [sys.executable, "-m", "panda_cosim", "run", "short", "--out", "run"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300,
+        check=False,
+    )  # fmt: skip
+    lines = ("run/recording.parquet  ", "run/summary.json  ", "run/view.html  ", "run/plot.png  ",
+             "run/contact_sheet.png  ", "Drawing the video", "run/video.mp4  ")  # fmt: skip
+    places = [done.stdout.index(line) for line in lines]
+    assert places == sorted(places)
+
+
 FROM_THE_SIDE = """
 import mujoco, numpy as np
 from panda_cosim.plant.parameters import PlantParameters
@@ -289,11 +304,11 @@ def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path: Path) -> None:
     ("options", "message"),
     [
         ({"width": 63}, r"width: value 63 px; must be even"),
-        ({"height": 0}, r"height: value 0 px; must be even, and 16"),
+        ({"height": 0}, r"height: value 0 px; must be even, from 16"),
         ({"fps": 0.0}, r"fps: value 0.0; must be a number from 1 to 240"),
         ({"fps": float("nan")}, r"fps: value nan; must be"),
         ({"path": "video.avi"}, r"video.avi: a video's name must end in .mp4"),
-        ({"width": 10000}, r"width: value 10000 px; must be from 1 to"),
+        ({"width": 10000}, r"width: value 10000 px; must be even, from 16 to 8192 px"),
     ],
 )
 def test_a_bad_option_is_refused_with_its_bounds(

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from shlex import quote
 from typing import Any, Literal
@@ -31,7 +32,7 @@ from ..run.result import VIDEO_FILE, Run
 from ..run.summary import Summary
 from ..scenario.scenario import Scenario
 from . import INTERRUPTS
-from .console import as_cell, progress, show, show_json, table, tell, warn
+from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
 from .options import announce_build
 
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
@@ -125,6 +126,8 @@ def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
     """Show a finished run, draw its pictures, and exit with its exit code."""
     for message in dict.fromkeys(done.warnings):
         warn(message)
+    seconds = done.summary.timing.get("wall_s") or 0.0
+    _write_junit(output.junit, done.summary.scenario, seconds, _fault(done))
     if done.signal:
         name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
@@ -135,12 +138,21 @@ def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
             ours = "controller.limit" in done.recording
             for text, style in outcome_lines(done.summary, realtime=realtime, ours=ours):
                 show(text, style)
-        _draw(done, output)
+        for path in chain(_files(done), _draw(done, output)):
+            if not output.json:
+                show_file(path)
     _end(done, output)
 
 
-def _draw(done: Run, output: Output) -> None:
-    """Draw page and pictures; one that cannot be drawn is a warning, since the run is good."""
+def _files(done: Run) -> list[Path]:
+    return sorted(path for path in done.folder.iterdir() if path.is_file())
+
+
+def _draw(done: Run, output: Output) -> Iterator[Path]:
+    """Draw page and pictures, the slowest last, and yield each as soon as it is there.
+
+    One that cannot be drawn is a warning, since the run is good.
+    """
     drawable = "plant.qpos" in done.recording
     try:
         refuse_without_model(done.recording)
@@ -150,18 +162,17 @@ def _draw(done: Run, output: Output) -> None:
         if output.view and drawable:
             from ..view.export import VIEW_FILE, write_view  # noqa: PLC0415 - imports MuJoCo
 
-            tell("Writing the view ...")
             try:
-                write_view([done.shown()], done.folder / VIEW_FILE)
+                yield write_view([done.shown()], done.folder / VIEW_FILE)
             except InputError as error:
                 warn(f"no view: {error}")
         if output.video if output.plot is None else output.plot:
             tell(PLOTTING)
-            done.plot()
+            yield done.plot().path
         if output.video and drawable:
             tell(TILING)
-            done.sheet()
-            draw_video(done.recording, done.folder, fps=output.fps)
+            yield done.sheet().path
+            yield draw_video(done.recording, done.folder, fps=output.fps)
         elif output.video:
             warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
     except RenderError as error:
@@ -174,23 +185,16 @@ def _draw(done: Run, output: Output) -> None:
 def _end(done: Run, output: Output) -> None:
     """Print the results and exit with the exit code."""
     code = 128 + done.signal if done.signal else 0 if done.summary.as_expected else NOT_A_SUCCESS
-    seconds = done.summary.timing.get("wall_s") or 0.0
-    _write_junit(output.junit, done.summary.scenario, seconds, _fault(done))
-    files = sorted(path for path in done.folder.iterdir() if path.is_file())
     if output.json:
         show_json(
             {
                 "folder": done.folder,
-                "files": [path.name for path in files],
+                "files": [path.name for path in _files(done)],
                 "exit_code": code,
                 "warnings": list(dict.fromkeys(done.warnings)),
                 "summary": done.summary.to_dict(),
             }
         )
-    elif not done.signal:
-        show(f"{str(done.folder).rstrip('/')}/")
-        for path in files:
-            show(f"  {path.name:<18} {path.stat().st_size / 1e6:8.3f} MB")
     if code:
         raise typer.Exit(code)
 

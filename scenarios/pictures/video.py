@@ -15,7 +15,7 @@ from ..fields import Quantity
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import Signals, frame_times, poses, scene_of
-from .offscreen import OffscreenRenderer
+from .offscreen import MAX_SIDE, OffscreenRenderer
 
 Progress = Callable[[int, int], None]
 """Called with the number of frames done and the total."""
@@ -43,7 +43,7 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     Width and height are even [px]; `camera` is one of the scene's.
     """
     path = Path(path)
-    _check_video(path, fps, width, height)
+    check_video(path, fps, width, height)
     qpos = poses(recording, frame_times(recording.time, fps))
     with (
         closing(OffscreenRenderer(scene_of(recording), width, height, camera, meshes)) as renderer,
@@ -69,14 +69,14 @@ def find_ffmpeg() -> str:
         ) from error
 
 
-def _check_video(path: Path, fps: float, width: int, height: int) -> None:
-    """Check size and frame rate against the limits of H.264 in 4:2:0."""
+def check_video(path: Path, fps: float, width: int, height: int) -> None:
+    """Check size and frame rate against the limits of H.264 in 4:2:0 and of drawing."""
     if path.suffix != ".mp4":
         raise InputError(f"{path}: a video's name must end in .mp4")
     Quantity(*FPS_RANGE).check("fps", fps)
     for name, side in (("width", width), ("height", height)):
-        if side < 16 or side % 2:
-            raise InputError(f"{name}: value {side} px; must be even, and 16 px or more")
+        if side % 2 or not 16 <= side <= MAX_SIDE:
+            raise InputError(f"{name}: value {side} px; must be even, from 16 to {MAX_SIDE} px")
 
 
 @contextmanager

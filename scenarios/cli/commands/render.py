@@ -10,6 +10,7 @@ from ....fmus.errors import InputError
 from ...pictures.motion import position_columns
 from ...pictures.plot import plot_recording
 from ...pictures.sheet import contact_sheet
+from ...pictures.video import check_video
 from ...recording import Recording
 from ...run.folder import SUMMARY_FILE
 from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
@@ -51,11 +52,12 @@ def command(  # noqa: PLR0913 - one for each option
     check_replaceable(*(folder / name for name in files), overwrite=overwrite)
     position_columns(recording)  # refuses one that lacks signals, before anything is drawn
     width, height = _pixels(size)
+    check_video(folder / VIDEO_FILE, fps, width, height)
+    tell(TILING)
+    show(str(contact_sheet(recording, folder / SHEET_FILE, camera=camera, meshes=meshes)))
     if video:
         look = {"fps": fps, "width": width, "height": height, "camera": camera, "meshes": meshes}
         show(str(draw_video(recording, folder, **look)))
-    tell(TILING)
-    show(str(contact_sheet(recording, folder / SHEET_FILE, camera=camera, meshes=meshes)))
 
 
 def _pixels(text: str) -> tuple[int, int]:
