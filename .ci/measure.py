@@ -14,8 +14,10 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,8 @@ PAGE = ROOT / "docs" / "measured.md"
 RUN = [sys.executable, "-m", "panda_cosim"]
 DELAYS = (0.0, 0.001, 0.003, 0.006, 0.008, 0.012)  # [s]
 ENGINES = ("3.10.0", "3.11.0", "3.14.0", "3.17.0")  # beside the installed MuJoCo
+LARGEST = 12  # packages that are listed
+LOOKS = (("640x480", "60"), ("640x480", "30"), ("640x480", "15"), ("320x240", "60"))
 ERRORS = ("", "joint_noise=1e-5", "delay=0.001", "joint_offset=3.5e-4")
 
 
@@ -243,9 +247,89 @@ def _on_engine(outcome: dict[str, Any]) -> str:
     )
 
 
+def _processor(pid: int | str = "self") -> float:
+    """Processor time of a process and of the ended ones that it started [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+
+
+def install(_: Path | None) -> str:
+    """README's first command, in a new clone and with nothing cached: what is there after how long.
+
+    Of packages, what pip has installed then.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        clone, bin_ = Path(folder, "clone"), Path(folder, "clone", ".venv", "bin")
+        _said(["git", "clone", "--quiet", str(ROOT), str(clone)])
+        began, before = time.monotonic(), _processor()
+        _said([sys.executable, "-m", "venv", str(clone / ".venv")])
+        _said([f"{bin_}/pip", "install", "--no-cache-dir", "--no-compile", "-e", str(clone)])
+        spent = _processor() - before
+        rows = [["the package is installed", f"{spent:.0f}", f"{time.monotonic() - began:.0f}"]]
+        sizes = _sizes(next(clone.glob(".venv/lib/*/site-packages")))
+        run = subprocess.Popen(
+            [f"{bin_}/panda-cosim", "run"],
+            cwd=clone,
+            env=os.environ | {"PANDA_COSIM_CACHE": f"{folder}/cache"},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for line in run.stdout or ():
+            if landed := re.search(r"^Success|[\w.]+(?=  [\d.]+ [kM]B$)", line):
+                now = (spent + _processor(run.pid), time.monotonic() - began)
+                rows.append([f"`{landed[0]}`", *(f"{seconds:.0f}" for seconds in now)])
+        if run.wait():
+            raise SystemExit(f"the run ended with {run.returncode}")
+    both = (_table(["", "processor, s", "wall, s"], rows), _table(["package", "MB"], sizes))
+    return "\n\n".join(both)
+
+
+def _sizes(site: Path) -> list[list[str]]:
+    """Sizes of the largest installed packages, of the others and of all."""
+    packages = distributions(path=[str(site)])
+    sizes = {
+        package.name: sum(
+            file.stat().st_size
+            for file in (Path(str(entry.locate())) for entry in package.files or ())
+            if file.is_file()
+        ) / 1e6
+        for package in packages
+    }  # fmt: skip
+    largest = sorted(sizes.items(), key=lambda item: -item[1])[:LARGEST]
+    rest, total = sum(sizes.values()) - sum(size for _, size in largest), sum(sizes.values())
+    shown = [*largest, (f"{len(sizes) - LARGEST} others", rest), ("all", total)]
+    return [[name, f"{size:.0f}"] for name, size in shown]
+
+
+def video(_: Path | None) -> str:
+    """What a second of video costs: `panda-cosim render RUN --size WxH --fps HZ`, without a GPU.
+
+    Of the first two seconds of `pick_and_place`, less what `--no-video` takes.
+    """
+    rows: list[tuple[str, float, float, float]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        run = f"{folder}/run"
+        _said([*RUN, "run", "--duration", "2", "--no-video", "--no-view", "--out", run])
+        for look in ((), *LOOKS):
+            out = Path(folder, f"pictures{len(rows)}")
+            options = ["--size", look[0], "--fps", look[1]] if look else ["--no-video"]
+            before, began = _processor(), time.monotonic()
+            _said([*RUN, "render", run, "--out", str(out), *options])
+            cost = (_processor() - before, time.monotonic() - began)
+            size = (out / "video.mp4").stat().st_size / 1e3 if look else 0.0
+            rows.append((", ".join(look), *cost, size))
+    nothing, *videos = rows
+    return _table(
+        ["size, frames a second", "processor, s", "wall, s", "kB"],
+        [[look, f"{(cpu - nothing[1]) / 2:.1f}", f"{(wall - nothing[2]) / 2:.1f}", f"{kB / 2:.0f}"]
+         for look, cpu, wall, kB in videos],
+    )  # fmt: skip
+
+
 SECTIONS: dict[str, Callable[[Path | None], str]] = {
     "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
-    "moves": moves, "mink": mink, "cost": cost, "engines": engines,
+    "moves": moves, "mink": mink, "cost": cost, "install": install, "video": video,
+    "engines": engines,
 }  # fmt: skip
 
 
