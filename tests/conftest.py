@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+# Each test process has a core: NumPy's own threads would only wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
 
 from browser import Page, browser, find_browser

@@ -17,6 +17,7 @@ from forked import command
 from linear_loop import linear_loop
 from panda_cosim import InputError, Options, analyze, load_scenario, run_scenario
 from panda_cosim.controller.gains import preset
+from panda_cosim.fmus.master import kernel
 from panda_cosim.scenarios.analysis.margins import disk_margin, frequencies, sensitivity
 from panda_cosim.scenarios.run.prepare import prepare
 
@@ -120,8 +121,8 @@ def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(
     gains = np.array([spring, 20.0])
 
     def loop(omega: Any) -> Any:
-        z = np.exp(1j * np.asarray(omega) * period)
-        return np.array([gains @ np.linalg.solve(w * np.eye(2) - a, b) for w in z])
+        z = np.exp(1j * np.asarray(omega) * period)[:, None, None]
+        return np.linalg.solve(z * np.eye(2) - a, b[:, None])[..., 0] @ gains
 
     expected = loop(one["omega"])
     actual = 1.0 / array(one["s"])[:, 0, 0] - 1.0
@@ -183,6 +184,17 @@ def test_our_law_has_the_loops_of_its_linearisation(
         np.abs(array(one["model_s"]).transpose(2, 0, 1) - array(one["s"])[[100, 300, 500]]).max()
         < AGREEMENT
     )
+
+
+def pulses(stepper: str) -> str:
+    """In Python, there is no library for the kernel."""
+    if stepper == "Python":
+        kernel.load_stepper = lambda: None
+    return analyze("pick_and_place", 0.3).responses.pulses.tobytes().hex()
+
+
+def test_responses_that_are_stepped_in_c_have_the_bits_of_those_in_python() -> None:
+    assert in_process(pulses, "C") == in_process(pulses, "Python")
 
 
 def test_the_margins_at_the_default_gains_are_wide_also_in_the_grasp(tmp_path: Path) -> None:

@@ -137,7 +137,8 @@ class Kernel:
     def _step(self, call: object) -> _Call:
         if not isinstance(call, StepCall) or call.slave.fmu.in_python:
             raise _NotInCError
-        return self._add(call, action=STEP, **_callee(call))
+        is_returned_to = not call.slave.no_going_back.value
+        return self._add(call, action=STEP, later=int(is_returned_to), **_callee(call))
 
     def _access(self, action: int, exchanges: Iterable[object], later: int = 0) -> list[_Call]:
         return [

@@ -42,7 +42,8 @@ class BoundSlave:
     """A slave, bound to the rows (n, columns) that it reads and writes.
 
     `inputs` and `outputs` are columns by variable; those of outputs are consecutive. `conversions`
-    are factor and offset of the inputs that are not fed as they are.
+    are factor and offset of the inputs that are not fed as they are. If there are some, `linear`
+    has those of all inputs, as arrays that may be changed.
     """
 
     def __init__(  # noqa: PLR0913 - a slave's side of `bind`
@@ -60,11 +61,14 @@ class BoundSlave:
         self.step = slave.step
         self.set_inputs: Exchange = nothing
         self.get_outputs: Exchange = nothing
+        self.linear: Mapping[str, Array] = {}
         if outputs:
             block = rows[:, self.outputs[0] : self.outputs[-1] + 1]
             self.get_outputs = slave.bind_get(list(outputs), block)
         if inputs:
             self.set_inputs = _bind_inputs(slave, inputs, rows, conversions)
+            linear = getattr(self.set_inputs, "conversions", None)
+            self.linear = {} if linear is None else dict(zip(inputs, linear, strict=True))
         self.leads = False  # its outputs act within the step, see step.py
         if multiple > 1:
             slow = _Slow(self, multiple, rows)

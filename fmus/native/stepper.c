@@ -33,7 +33,7 @@ typedef unsigned step3(void *instance, double time, double size, bool no_going_b
 typedef struct {
     int32_t action;
     int32_t fmi;    /* major version */
-    int64_t later;  /* 0: values of this tick's row, 1: of the next row */
+    int64_t later;  /* 0: values of this tick's row, 1: of the next row; of a step: whether it is returned to */
     union {
         access2 *access2;
         access3 *access3;
@@ -105,12 +105,12 @@ static unsigned access(const call *c, double *row)
 
 static unsigned step(course *r, const call *c, double time)
 {
-    if (c->fmi != 3) return c->function.step2(c->instance, time, r->step_size, 1);
+    if (c->fmi != 3) return c->function.step2(c->instance, time, r->step_size, !c->later);
     bool event = false, ended = false, early = false;
     const double end = time + r->step_size;
     for (double size = r->step_size;; time = r->reached, size = end - time) {
         const unsigned status =
-            c->function.step3(c->instance, time, size, true, &event, &ended, &early, &r->reached);
+            c->function.step3(c->instance, time, size, !c->later, &event, &ended, &early, &r->reached);
         if (status > WARNING || ended) return status > WARNING ? status : ENDED;
         if (!early || r->reached >= end) return status;
         if (!(r->reached > time)) return EARLY; /* else the rest of the step follows */
