@@ -337,4 +337,4 @@ def test_the_command_writes_what_python_control_takes(slide: Path, tmp_path: Pat
 
 @pytest.mark.own_process
 def test_an_event_that_the_run_does_not_have_is_refused() -> None:
-    assert "there is no grasp in this run" in refused("push", "grasp")
+    assert "at: no grasp in this run" in refused("push", "grasp")

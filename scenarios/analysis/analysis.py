@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,12 +15,12 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.variables import Value
-from ..judging.holds import Events
+from ..judging.signals import time_of
 from ..run.options import Options
 from ..run.prepare import Prepared, prepare
 from ..run.run import Execution
 from ..run.stopping import StopRequest
-from ..scenario.criteria import check_instant, check_within, split_instant
+from ..scenario.criteria import check_instant, check_within
 from ..scenario.scenario import Scenario, load_scenario
 from .margins import Margins, judge
 from .responses import DECAYED, LINEAR, Responses, measure
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 ORDER: Final = 40  # largest of a model
-HANKEL: Final = (30, 80)  # rows and columns of Hankel's matrix; more are slow, and seldom better
+HANKEL: Final = 80  # rows and columns of Hankel's matrix; more are slow, and seldom better
 MOTION: Final = 0.05  # [rad] of a joint meanwhile, by which its loops hardly change
 FIT: Final = 1e-3  # of the peak, by which a model's response may differ from the measured one
 
@@ -166,26 +167,20 @@ def analyze(
 
 
 def _tick(prepared: Prepared, at: float | str) -> int:
-    """Tick of a time, or of an event, for which the scenario is run first."""
+    """Tick of a time, or of an event, for which the scenario is run first, in memory."""
     start, scenario = prepared.assembly.start_time, prepared.scenario
+    span = start, start + scenario.duration
     try:
-        time = check_within("at", check_instant(at), start, start + scenario.duration)
+        instant = check_instant(at)
+        time = check_within("at", instant, *span)
         if time is None:
-            event, offset = split_instant(str(at))
-            when = _events(prepared)[event]
-            if when is None:
-                raise ValueError(f"at: value {at!r}; there is no {event} in this run")
-            time = check_within("at", when + offset, start, start + scenario.duration)
+            with Execution(prepared, writes=False) as execution:
+                execution.advance(execution.ticks, StopRequest())
+                events = execution.close().summary.events
+            time = check_within("at", time_of(instant, events), *span)
     except ValueError as error:
-        raise InputError(str(error)) from None
+        raise InputError(f"at: {str(error).removeprefix('at: ')}") from None
     return round(((time or 0.0) - start) / scenario.step)
-
-
-def _events(prepared: Prepared) -> Events:
-    """Run the scenario in memory; returns the time of each event [s]."""
-    with Execution(prepared, writes=False) as execution:
-        execution.advance(execution.ticks, StopRequest())
-        return execution.close().summary.events
 
 
 def _realised(responses: Responses) -> tuple[Any, float]:
@@ -195,34 +190,32 @@ def _realised(responses: Responses) -> tuple[Any, float]:
     n, peaks = len(responses.inputs), np.abs(responses.pulses).max(axis=(0, 2))
     peaks[peaks == 0.0] = 1.0
     pulses = responses.pulses / peaks[:, None]
-    best, error = tuple(np.zeros(shape) for shape in ((0, 0), (0, n), (len(peaks), 0))), 1.0
-    for most in HANKEL:
-        rows = max(min(most, len(pulses) // 2 - 1), 1)
-        order = min(ORDER, rows)
-        with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below
-            # Its own sampling time would scale B: it is for responses to pulses of area 1.
-            whole, _ = control.eigensys_realization(pulses.transpose(1, 2, 0), order, rows, rows)
-        for size in range(1, order + 1):
-            if error <= FIT:
-                break
-            model = whole.A[:size, :size], whole.B[:size], whole.C[:, :size]
-            misfit = _misfit(*model, pulses, error)
-            if misfit < error:
-                best, error = model, misfit
-    a, b, c = best
+    rows = max(min(HANKEL, len(pulses) // 2 - 1), 1)
+    order = min(ORDER, rows)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below
+        # Its own sampling time would scale B: it is for responses to pulses of area 1.
+        whole, _ = control.eigensys_realization(pulses.transpose(1, 2, 0), order, rows, rows)
+    best, error = 0, math.inf
+    for size in range(order + 1):
+        misfit = _misfit(whole.A[:size, :size], whole.B[:size], whole.C[:, :size], pulses)
+        if misfit < error:
+            best, error = size, misfit
+        if error <= FIT:
+            break
+    parts = whole.A[:best, :best], whole.B[:best], whole.C[:, :best] * peaks[:, None]
     inputs, outputs = responses.inputs, (*responses.inputs, *responses.positions)
     direct = responses.pulses[0] + np.eye(len(outputs), n)  # what is added, itself
-    return _system(a, b, c * peaks[:, None], direct, responses.period, inputs, outputs), error
+    return _system(*parts, direct, responses.period, inputs, outputs), error
 
 
-def _misfit(a: Array, b: Array, c: Array, pulses: Array, most: float) -> float:
-    """Largest difference between a model's response to a pulse and the measured one, or `most`."""
+def _misfit(a: Array, b: Array, c: Array, pulses: Array) -> float:
+    """Largest difference between a model's response to a pulse and the measured one."""
     state, error = b, 0.0
     for answer in pulses[1:]:
-        error = max(error, float(np.abs(c @ state - answer).max()))
-        if not error < most:
-            return most
+        error = float(np.maximum(error, np.abs(c @ state - answer).max()))
         state = a @ state
+        if not error < 1.0:  # a model that diverges
+            break
     return error
 
 

@@ -68,7 +68,7 @@ def _measure(
 ) -> tuple[list[float], float]:
     """Reduce each element; also return the window's length [s]."""
     time = recording.time
-    start, stop = (_instant(each, events) for each in (criterion.from_, criterion.to))
+    start, stop = (time_of(each, events) for each in (criterion.from_, criterion.to))
     rows = (time >= start - SLACK) & (time <= stop + SLACK)
     if not rows.any():
         raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
@@ -84,14 +84,15 @@ def _measure(
 
 def row_at(instant: Instant, time: Array, events: Events) -> int:
     """Return the row of an instant."""
-    at = _instant(instant, events)
+    at = time_of(instant, events)
     rows = np.flatnonzero(time <= at + SLACK)
     if not len(rows) or at > time[-1] + SLACK:
         raise UnmeasuredError(f"no sample at {at:g} s")
     return int(rows[-1])
 
 
-def _instant(instant: Instant, events: Events) -> float:
+def time_of(instant: Instant, events: Events) -> float:
+    """Return the time of an instant [s]."""
     if not isinstance(instant, str):
         return instant
     event, offset = split_instant(instant)
