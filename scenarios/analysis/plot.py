@@ -40,12 +40,13 @@ def plot_analysis(
 
 
 def _details(analysis: Analysis) -> str:
-    """Period, coupling, and gains: those of our law, or the first parameters of another."""
+    """Period, coupling, gains (of our law, or the first parameters of another), why no margins."""
     margins, parameters = analysis.margins, analysis.parameters
     names = [name for name in parameters if name != "period"][:SHOWN]
     names = list(GAINS) if parameters.keys() >= set(GAINS) else names
     gains = [f"{name} {_short(parameters[name])}" for name in names]
-    return " · ".join([f"period {margins.period * 1e3:g} ms", margins.coupling, *gains])
+    why = [] if margins.stable else ["UNSTABLE" if margins.linear else "NOT LINEAR"]
+    return " · ".join([f"period {margins.period * 1e3:g} ms", margins.coupling, *gains, *why])
 
 
 def _short(value: Any) -> str:
@@ -71,13 +72,6 @@ def _bode(analysis: Analysis, gain: Any, phase: Any) -> None:
     )
     if analysis.margins.loops:
         gain.legend(ncols=2)
-    else:
-        _say_why(analysis, gain)
-
-
-def _say_why(analysis: Analysis, axes: Any) -> None:
-    text = "unstable" if analysis.margins.linear else "not linear: no margins"
-    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)
 
 
 def _steps(analysis: Analysis, axes: Any) -> None:
@@ -87,7 +81,6 @@ def _steps(analysis: Analysis, axes: Any) -> None:
         ylabel="position per unit of the input",
     )
     if not analysis.margins.stable:
-        _say_why(analysis, axes)
         return
     moves = steps(analysis.responses)
     times = 1e3 * analysis.period * np.arange(len(moves))
@@ -99,17 +92,14 @@ def _steps(analysis: Analysis, axes: Any) -> None:
 def _margins(variants: Sequence[Margins], axes: Any) -> None:
     names = [f"{1e3 * v.period:g} ms\n{v.coupling}" for v in variants]
     place = np.arange(len(names))
-    phases = [min((x.phase_margin_deg for x in v.loops), default=0.0) for v in variants]
-    delays = [min((x.delay_margin_ms for x in v.loops), default=0.0) for v in variants]
-    phases, delays = (np.where(np.isfinite(x), x, 0.0).tolist() for x in (phases, delays))
-    axes.bar(place - 0.2, phases, 0.4, color=COLOURS[0])
-    axes.axhline(WANTED_PHASE_DEG, color=COLOURS[0], ls="--", lw=0.8)
     axes.set_xticks(place, names, fontsize="small")
-    axes.set_ylabel("phase margin [deg]", color=COLOURS[0])
     axes.set_title("Smallest margins of all loops (unstable: 0); dashed: wanted")
-    right = axes.twinx()
-    right.bar(place + 0.2, delays, 0.4, color=COLOURS[1])
-    right.axhline(WANTED_DELAY_MS, color=COLOURS[1], ls="--", lw=0.8)
-    right.set_ylabel("delay margin [ms]", color=COLOURS[1])
-    for each in (axes, right):
-        each.grid(visible=False)
+    for side, shift, colour, key, wanted, label in (
+        (axes, -0.2, COLOURS[0], "phase_margin_deg", WANTED_PHASE_DEG, "phase margin [deg]"),
+        (axes.twinx(), 0.2, COLOURS[1], "delay_margin_ms", WANTED_DELAY_MS, "delay margin [ms]"),
+    ):
+        least = [min((getattr(x, key) for x in v.loops), default=0.0) for v in variants]
+        side.bar(place + shift, np.where(np.isfinite(least), least, 0.0), 0.4, color=colour)
+        side.axhline(wanted, color=colour, ls="--", lw=0.8)
+        side.set_ylabel(label, color=colour)
+        side.grid(visible=False)
