@@ -21,8 +21,8 @@ from fmu_support import JobError, in_fork
 # the very first is the one for which ziglang may have to compile what Windows takes, for minutes.
 LONGEST = (
     "test_native_cross", "test_regress", "test_view_page", "test_sweep_run", "test_run_faults",
-    "test_cli", "test_live", "test_parts", "test_own_tests", "test_install",
-    "test_render", "test_view_build", "test_contributing",
+    "test_cli", "test_live", "test_analysis", "test_route", "test_contributing", "test_parts",
+    "test_own_tests", "test_install", "test_render", "test_view_build",
 )  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone
 # Hundreds of processes would compile the package anew, and each worker the tests.
@@ -31,11 +31,14 @@ sys.dont_write_bytecode = False
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let xdist keep the order of the files, and commands listen to Ctrl-C."""
+    """Let xdist keep files whole and in order, and commands listen to Ctrl-C."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a job in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
+    # What `-n` alone means; with it, two processes would make a file's fixtures.
+    if getattr(config.option, "dist", "") == "load":
+        config.option.dist = "loadfile"
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

@@ -26,7 +26,7 @@ from panda_cosim.scenarios.cli.commands import COMMANDS, ELSEWHERE
 _context = get_context("forkserver")
 _context.set_forkserver_preload([
     "pytest", "numpy", "mujoco", "pyarrow.parquet", "fmpy", "scipy.optimize", "scipy.stats",
-    "matplotlib.backends.backend_agg", "panda_cosim.fmus.sources.targets",
+    "matplotlib.backends.backend_agg", "control", "panda_cosim.fmus.sources.targets",
     "panda_cosim.scenarios.pictures.plot",
     *(f"panda_cosim.scenarios.cli.commands.{name}" for name in COMMANDS if name not in ELSEWHERE),
 ])  # fmt: skip

@@ -296,6 +296,7 @@ def test_what_cannot_be_analysed_is_refused_in_one_line(slide: Path) -> None:
     (slide / "scenario.toml").write_text(SYSTEM)
     assert refused(slide, loop="plant.ctr").endswith("plant.ctrl; did you mean 'plant.ctrl'?")
     assert "from 0 to 0.1 s" in refused(slide, 0.2)
+    assert "at: no grasp in this run" in refused(slide, "grasp")
     assert "isolate" in refused(slide, options=Options(isolate=True))
 
 
@@ -333,8 +334,3 @@ def test_the_command_writes_what_python_control_takes(slide: Path, tmp_path: Pat
     again = command("analyze", slide, "--out", out)  # replaces its own files
     assert again.returncode == 0, again.stderr
     assert "period 1 ms, gauss-seidel: stable" in again.stdout
-
-
-@pytest.mark.own_process
-def test_an_event_that_the_run_does_not_have_is_refused() -> None:
-    assert "at: no grasp in this run" in refused("push", "grasp")

@@ -376,7 +376,7 @@ def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
 @pytest.mark.fmu
 def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path: Path) -> None:
     given = ("--set", "controller.period=0.002", "--set", "mismatch.delay=0.002")
-    result = forked("analyze", "worn_joints", *given, "--out", tmp_path / "new", COLUMNS="80")
+    result = forked("analyze", "push", *given, "--out", tmp_path / "new", COLUMNS="80")
 
     assert result.returncode == 0, result.stderr
     assert result.stdout.index("period 2 ms, gauss-seidel") < result.stdout.index("period 1 ms")

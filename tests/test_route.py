@@ -60,8 +60,8 @@ def test_the_same_input_gives_the_same_bytes(routed: Path, tmp_path: Path) -> No
 
 
 OUT_OF_REACH = [
-    ("plant.block_pos=0.9,0.4", "no posture of the arm grasps and lifts the block"),
-    ("success.block_position=-0.7,0.5,0.05", "no posture of the arm sets the block down"),
+    ("plant.block_pos=0.66,0.38", "no posture of the arm grasps and lifts the block"),
+    ("success.block_position=-0.65,0.5,0.05", "no posture of the arm sets the block down"),
 ]
 
 
