@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -170,6 +171,8 @@ def _tick(prepared: Prepared, at: float | str) -> int:
     """Tick of a time, or of an event, for which the scenario is run first, in memory."""
     start, scenario = prepared.assembly.start_time, prepared.scenario
     span = start, start + scenario.duration
+    with suppress(ValueError):
+        at = float(at) if isinstance(at, str) else at
     try:
         instant = check_instant(at)
         time = check_within("at", instant, *span)

@@ -133,7 +133,9 @@ def _judge(responses: Responses, loop: int) -> Loop:
     if responses.positions:
         step = np.abs(steps(responses)[:, loop])
         peak = float(step.max())
-        settling = _settling(step > 0.02 * peak) * responses.period * 1e3
+        late = np.flatnonzero(step > 0.02 * peak).max(initial=0)  # the last such sample
+        at_rest = late < len(step) - 1
+        settling = float(late) * responses.period * 1e3 if at_rest else math.inf
     element = responses.inputs[loop].partition("[")[2].rstrip("]")
     return Loop(
         input=responses.inputs[loop],
@@ -146,10 +148,3 @@ def _judge(responses: Responses, loop: int) -> Loop:
         peak_ratio=peak,
         settling_ms=settling,
     )
-
-
-def _settling(late: NDArray[np.bool_]) -> float:
-    """Return the number of samples after which none is late."""
-    if late[-1]:
-        return math.inf
-    return float(np.flatnonzero(late)[-1]) if late.any() else 0.0

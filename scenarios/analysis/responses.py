@@ -52,19 +52,14 @@ class Responses:
         return len(self.pulses) * self.period
 
     @property
-    def strength(self) -> Array:
-        """Largest answer at each tick, as a share of its peak (ticks,)."""
-        return _strength(self.pulses[:, : len(self.inputs)])
-
-    @property
     def remaining(self) -> float:
         """Share of the peak that is left at the end of the window."""
-        return _remaining(self.strength)
+        return _course(self.pulses[:, : len(self.inputs)])[0]
 
     @property
     def growth(self) -> float:
         """Factor per period by which the answers change, in the last third of the window."""
-        return float(_growth(self.strength) ** (3.0 / len(self.pulses)))
+        return float(_course(self.pulses[:, : len(self.inputs)])[1] ** (3.0 / len(self.pulses)))
 
     @property
     def linear(self) -> bool:
@@ -74,25 +69,19 @@ class Responses:
     @property
     def stable(self) -> bool:
         """Whether the answers are linear and decay, or at least do not grow."""
-        fades = self.remaining <= DECAYED or _growth(self.strength) <= GROWTH
-        return self.linear and fades
+        remaining, growth = _course(self.pulses[:, : len(self.inputs)])
+        return self.linear and (remaining <= DECAYED or growth <= GROWTH)
 
 
-def _strength(answers: Array) -> Array:
-    """Largest answer at each tick (ticks,), as a share of each output's peak."""
+def _course(answers: Array) -> tuple[float, float]:
+    """Share of the peaks that is left at the end, and the growth from one third to the last."""
     sizes = np.abs(answers).reshape(*answers.shape[:2], -1).max(axis=2)
     sizes = sizes[:, sizes.any(axis=0)]
-    shares: Array = (sizes / sizes.max(axis=0)).max(axis=1, initial=0.0)
-    return shares
-
-
-def _remaining(strength: Array) -> float:
-    return float(strength[-max(len(strength) // 10, 1) :].max())
-
-
-def _growth(strength: Array) -> float:
-    _, middle, last = (part.max() for part in np.array_split(strength, 3))
-    return float(last / middle) if middle else 0.0
+    shares = (sizes / sizes.max(axis=0)).max(axis=1, initial=0.0)
+    _, middle, last = (part.max() for part in np.array_split(shares, 3))
+    return float(shares[-max(len(shares) // 10, 1) :].max()), float(
+        last / middle
+    ) if middle else 0.0
 
 
 def measure(prepared: Prepared, tick: int, loop: str = "") -> Responses:
@@ -184,9 +173,7 @@ class _Measurement:
     def _positions(self, loops: Sequence[int]) -> list[Name]:
         """Positions of the joints that the inputs move, which have the same numbers."""
         targets = [self._targets[i] for i in loops]
-        places = [
-            (instance, POSITIONS + name.removeprefix(_whole(name))) for instance, name in targets
-        ]
+        places = [(fmu, POSITIONS + name.removeprefix(_whole(name))) for fmu, name in targets]
         return places if set(places) <= set(self._system.columns) else []
 
     def _choose_size(self, loops: Sequence[int]) -> None:
@@ -207,10 +194,8 @@ class _Measurement:
             if before and _difference(answers, twice) > BENT:  # contact is made or lost, say
                 self._resize(before)
                 break
-            strength = _strength(answers)
-            if len(answers) > LEAST and (
-                _remaining(strength) <= DECAYED or _growth(strength) > EXPLOSION
-            ):
+            remaining, growth = _course(answers)
+            if len(answers) > LEAST and (remaining <= DECAYED or growth > EXPLOSION):
                 break
             before = window
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
@@ -87,7 +86,7 @@ def command(  # noqa: PLR0913 - one for each option
     files = [out / name for name in (NUMBERS_FILE, PLOT_FILE, MODEL_FILE)]
     check_replaceable(*files, overwrite=overwrite)
     tell("Measuring the loops ...")
-    first = analyze(chosen, _time(at), options, loop=loop)
+    first = analyze(chosen, at, options, loop=loop)
     variants = [first.margins]
     for others in _variants(chosen, options, first):
         variants.append(analyze(chosen, first.at, others, loop=loop).margins)
@@ -107,19 +106,13 @@ def command(  # noqa: PLR0913 - one for each option
         show_json(content)
         return
     show(f"{first.scenario} at t = {first.at:g} s; loops opened at")
-    show(fill(f"{', '.join(first.inputs)}", 79) + "\n")
+    show(fill(", ".join(first.inputs), 79) + "\n")
     for variant in variants:
         _show_variant(variant)
     for remark in first.remarks:
         warn(remark)
     show(fill(f"Not in these margins: {LEFT_OUT}.", 79) + "\n")
     show("\n".join(map(str, files)))
-
-
-def _time(at: str) -> float | str:
-    with suppress(ValueError):
-        return float(at)
-    return at
 
 
 def _variants(scenario: Scenario, options: Options, first: Analysis) -> Iterator[Options]:
