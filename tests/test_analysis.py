@@ -190,7 +190,8 @@ def pulses(stepper: str) -> str:
     """In Python, there is no library for the kernel."""
     if stepper == "Python":
         kernel.load_stepper = lambda: None
-    return analyze("pick_and_place", 0.3).responses.pulses.tobytes().hex()
+    quick = Options(overrides={"controller": {"ki": 20.0, "kd": 0.02}}, coupling="jacobi")
+    return analyze("pick_and_place", 0.3, quick).responses.pulses.tobytes().hex()
 
 
 def test_responses_that_are_stepped_in_c_have_the_bits_of_those_in_python() -> None:

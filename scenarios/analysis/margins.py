@@ -117,15 +117,19 @@ def steps(responses: Responses) -> Array:
 
 def _judge(responses: Responses, loop: int) -> Loop:
     """Compute the margins and the step response of one loop."""
-    import control  # noqa: PLC0415 - brings matplotlib and scipy
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import
 
     omega = frequencies(responses)
     answer = open_loop(responses, loop, omega)
     highest = open_loop(responses, loop, np.array([np.pi / responses.period]))[0].real
-    data = control.FrequencyResponseData(answer, omega, smooth=True)
-    gains, phases, _, _, crossings, _ = control.stability_margins(data, returnall=True)
-    if highest < 0.0:  # the loop gain is also real at the highest frequency
-        gains = np.append(gains, -1.0 / highest)
+    real, imaginary, excess = (
+        CubicSpline(omega, part) for part in (answer.real, answer.imag, np.abs(answer) - 1.0)
+    )
+    # The loop is also real at the highest frequency.
+    at_180 = np.append(real(imaginary.roots(extrapolate=False)), highest)
+    gains = -1.0 / at_180[at_180 < 0.0]
+    crossings = excess.roots(extrapolate=False)
+    phases = np.degrees(np.angle(-real(crossings) - 1j * imaginary(crossings)))
     delays = np.radians(np.where(phases > 0, phases, phases + 360.0)) / crossings
     closed = np.abs(answer / (1.0 + answer))
     above = np.flatnonzero(closed >= math.sqrt(0.5))
