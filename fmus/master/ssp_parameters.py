@@ -25,34 +25,65 @@ from .ssp_structure import (
     shown,
 )
 
-_Elements = list[list[list[End]]]  # for each element of a parameter, the chains that it goes along
+
+@dataclass(frozen=True)
+class _Given:
+    """A value of a parameter set."""
+
+    number: int  # of all of them; of several that lead to one variable, the last counts
+    place: str  # in messages
+    text: str
+    unit: tuple[str, Units]  # with those that define it
+    entry: ET.Element  # of a parameter mapping; an empty one if there is none
 
 
 class Parameters:
     """Start values that the bindings of a structure give to its FMUs."""
 
     def __init__(self, structure: Structure) -> None:
-        self.values: dict[str, dict[str, Value]] = {}  # by component and variable
+        self.values: dict[str, dict[str, Value]] = defaultdict(dict)  # by component and variable
         self.warnings: list[str] = []
         self._structure, self._document = structure, structure.document
-        self._targets = _targets(structure) if structure.bindings else {}
+        self._given: dict[End, _Given] = {}
+        self._number = 0
+        # What a parameter sets, by its name from the whole system; two elements may share a name.
+        self._targets: dict[str, list[list[End]]] = defaultdict(list)
+        for element, names in structure.items.items() if structure.bindings else ():
+            for name, items in names.items():
+                ends = [(element, item) for item in items]
+                self._targets[_full_name(element, name)].append(ends)
         for binding, owner in structure.bindings:
-            self._apply(binding, owner)
+            self._read(binding, owner)
+        for instance, fmu in structure.fmus.items() if self._given else ():
+            for name in fmu.variables:
+                chain = structure.chain((instance, name))
+                given = [
+                    (self._given[e].number, i) for i, e in enumerate(chain) if e in self._given
+                ]
+                if given:
+                    self.values[instance][name] = self._value(chain[max(given)[1] :])
 
-    def _apply(self, binding: ET.Element, owner: str) -> None:
-        document = self._document
-        values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", document)
-        own_units = read_units(label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES))
-        entries, unused = _entries(binding, document), []
+    def _read(self, binding: ET.Element, owner: str) -> None:
+        """Note the values of a binding at the ends that it names."""
+        values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", self._document)
+        units = self._document.units | read_units(
+            label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES)
+        )
+        entries, unused = _entries(binding, self._document), []
         for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
             name, typed = binding.get("prefix", "") + parameter.get("name", ""), choice(parameter)
             typed = parameter if typed is None else typed
-            as_it_is = [ET.Element("", target=name)]
+            texts, as_it_is = _texts(typed), [ET.Element("", target=name)]
             for entry in as_it_is if entries is None else entries[name]:
                 target = _full_name(owner, entry.get("target", ""))
-                given = _Given(f"{label}: parameter {target}", typed, entry, own_units)
-                for elements in self._targets.get(target, ()):
-                    self._set(elements, given)
+                place, unit = f"{label}: parameter {target}", (typed.get("unit", ""), units)
+                for ends in self._targets.get(target, ()):
+                    if len(texts) != len(ends):
+                        count = f"{len(ends)} values" if len(ends) > 1 else "one value"
+                        raise InputError(f"{place}: has {len(texts)} values; must be {count}")
+                    self._number += 1
+                    for end, text in zip(ends, texts, strict=True):
+                        self._given[end] = _Given(self._number, place, text, unit, entry)
                 if target not in self._targets:
                     unused.append(target)
         if unused:
@@ -61,22 +92,12 @@ class Parameters:
                 f"{', ...' * (len(unused) > 3)}{did_you_mean(unused[0], self._targets)}"
             )
 
-    def _set(self, elements: _Elements, given: _Given) -> None:
-        texts = _texts(given.typed)
-        if len(texts) != len(elements):
-            count = f"{len(elements)} values" if len(elements) > 1 else "one value"
-            raise InputError(f"{given.place}: has {len(texts)} values; must be {count}")
-        for chains, text in zip(elements, texts, strict=True):
-            for chain in chains:
-                instance, name = chain[-1]
-                self.values.setdefault(instance, {})[name] = self._value(chain, text, given)
-
-    def _value(self, chain: list[End], text: str, given: _Given) -> Value:
-        """Value for the end of a chain; its unit is converted first, then it is transformed."""
-        structure, (instance, name) = self._structure, chain[-1]
+    def _value(self, chain: list[End]) -> Value:
+        """Value at the end of a chain; its unit is converted first, then it is transformed."""
+        structure, (instance, name), given = self._structure, chain[-1], self._given[chain[0]]
         scalar = structure.fmus[instance].variable(name)
         kind, causality = scalar.variable.kind, scalar.variable.causality
-        change, linear = choice(given.entry), PLAIN
+        change, linear, text = choice(given.entry), PLAIN, given.text
         if causality not in ("parameter", "input"):
             raise InputError(f"{given.place}: causality {causality}; must be parameter or input")
         if change is not None and local(change) == "LinearTransformation":
@@ -86,39 +107,12 @@ class Parameters:
         value = read_value(f"{given.place} =", scalar.variable, text)
         first = Link(("", ""), linear, converts_units(given.entry))
         links = [(chain[0], first), *((end, structure.links[end]) for end in chain[1:])]
-        unit = given.typed.get("unit", ""), {**self._document.units, **given.units}
-        factor, offset = structure.linear(given.place, unit, links)
+        factor, offset = structure.linear(given.place, given.unit, links)
         if (factor, offset) != PLAIN:
             if kind != "Real":
                 raise InputError(f"{given.place}: a transformation of a {kind}; must be of a Real")
             value = factor * float(value) + offset
         return scalar.checked(given.place, value)
-
-
-@dataclass(frozen=True)
-class _Given:
-    """A parameter of a parameter set."""
-
-    place: str  # in messages
-    typed: ET.Element  # its type, with the values
-    entry: ET.Element  # of a parameter mapping; an empty one if there is none
-    units: Units  # of the parameter set
-
-
-def _targets(structure: Structure) -> dict[str, list[_Elements]]:
-    """What a parameter sets, by its name from the whole system; two elements may share a name."""
-    fed: dict[End, list[list[End]]] = defaultdict(list)  # chains that begin at a system's connector
-    for chain in structure.chains():
-        for i, end in enumerate(chain[:-1]):
-            fed[end].append(chain[i:])
-    targets: dict[str, list[_Elements]] = defaultdict(list)
-    for element, names in structure.items.items():
-        for name, items in names.items():
-            ends = [(element, item) for item in items]
-            is_fmu = element in structure.fmus
-            elements = [[[end]] if is_fmu else fed[end] for end in ends]
-            targets[_full_name(element, name)].append(elements)
-    return targets
 
 
 def _full_name(element: str, name: str) -> str:

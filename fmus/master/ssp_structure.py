@@ -216,24 +216,22 @@ class Structure:
 
     # Without the systems.
 
-    def chains(self) -> Iterator[list[End]]:
-        """Yield the ends that a value passes on its way to each input or parameter of an FMU."""
-        for end in self.links:
-            chain = [end]
-            while chain[0] in self.links and chain[0] not in chain[1:]:
-                chain.insert(0, self.links[chain[0]].source)
+    def chain(self, end: End) -> list[End]:
+        """Return the ends that a value passes on its way to an end."""
+        chain = [end]
+        while chain[0] in self.links:
+            chain.insert(0, self.links[chain[0]].source)
             if chain[0] in chain[1:]:
                 self.document.refuse(f"{shown(end)} feeds itself", "fed by an FMU")
-            if end[0] in self.fmus:
-                yield chain
+        return chain
 
     def connections(self) -> Iterator[Connection]:
         """Yield the connections from FMU to FMU."""
-        for chain in self.chains():
-            source, target = chain[0], chain[-1]
-            if source[0] in self.fmus:
+        for target in self.links:
+            source, *ends = self.chain(target)
+            if source[0] in self.fmus and target[0] in self.fmus:
                 units = {self.units[end][0] for end in (source, target)} - {""}
-                links = [(end, self.links[end]) for end in chain[1:]]
+                links = [(end, self.links[end]) for end in ends]
                 place = f"{self.document.label}: connection from {shown(source)} to {shown(target)}"
                 linear = self.linear(place, self.units[source], links)
                 # Units that differ are converted here already.
