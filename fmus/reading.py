@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path, PurePosixPath
+from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from .atomic import in_cache
@@ -84,6 +85,14 @@ def _extract(path: Path, folder: Path) -> None:
         if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
             raise
         raise InputError(f"{path}: not a valid zip archive: {one_line(error)}") from error
+
+
+def file_inside(folder: Path, source: str, root: Path, label: str) -> Path:
+    """Path of a file that an archive's own file names by a URI, relative to a folder in it."""
+    path = (folder / unquote(source)).resolve()
+    if not (path.is_file() and path.is_relative_to(root.resolve())):
+        raise InputError(f"{label}: source {source!r}; must be a file inside its archive")
+    return path
 
 
 def read_xml(path: Path, label: str) -> ET.Element:

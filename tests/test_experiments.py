@@ -228,14 +228,14 @@ def test_stimuli_are_what_the_master_fed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "code", "words"),
     [({"fmi_ls_manifest": None}, 2, "no experiments, so that nothing was compared"),
-     ({"references": "time,qpos[3]\n"}, 2, "nothing was compared"),
+     ({"references": "time,qpos[3]\n"}, 2, "each once, with a row"),
      ({"references": "time,qpos[9]\n0,1\n"}, 2, r"no variable 'qpos[9]'"),
-     ({"references": "time,qpos[3]\n0,one\n"}, 2, "references.csv: must have a number for each"),
-     ({"references": "time,qpos[3]\n0\n"}, 2, "references.csv: must have a number for each"),
+     ({"references": "time,qpos[3]\n0,one\n"}, 2, "references.csv: qpos[3]: must have a number in"),
+     ({"references": "time,qpos[3]\n0\n"}, 2, "references.csv: row 1: 1 values; must be 2"),
      ({"reference": lambda text: text.replace('stepSize="0.0005"', 'stepSize="0"')}, 2,
       "stepSize '0'"),
      ({"fmi_ls_manifest": lambda text: text.replace("reference.exp", "../../../x.exp")}, 2,
-      "must be a file inside the FMU"),
+      "must be a file inside its archive"),
      ({"fmi_ls_manifest": lambda text: text[:60]}, 2, "x.fmu: fmi-ls-manifest.xml: not well"),
      ({"reference": lambda text: text.replace('"1e-06"', '"none"')}, 2, "tolerance 'none'")],
 )  # fmt: skip

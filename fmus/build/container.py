@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 
 from ..atomic import replacing
 from ..errors import InputError
+from ..interface.units import PLAIN
 from .description import ABOUT, literal
 from .native import archive
 from .ssp import WrittenSystem
@@ -58,7 +59,7 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
         source, target = connection.source, connection.target
         one, other = (system.scalar(end) for end in (source, target))
         units = {one.unit, other.unit} - {""}
-        if (connection.factor, connection.offset) != (1.0, 0.0) or len(units) > 1:
+        if (connection.factor, connection.offset) != PLAIN or len(units) > 1:
             raise InputError(
                 f"--container: connection from {'.'.join(source)} to {'.'.join(target)} converts "
                 "values; must be a plain one"

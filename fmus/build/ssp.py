@@ -14,7 +14,7 @@ from typing import Any, Final
 from ..atomic import replacing
 from ..inside.base import TICK
 from ..interface.tables import Connection
-from ..interface.units import BASES, Unit, Units
+from ..interface.units import BASES, PLAIN, Unit, Units
 from ..interface.variables import Scalar, Value, Variable, by_array
 from .description import ABOUT, literal, render
 from .native import archive
@@ -161,7 +161,7 @@ def _connections(system: WrittenSystem) -> Iterator[tuple[dict[str, Any], tuple[
         ends = (connection.source, connection.target)
         names = [text for end in ends for text in (end[0], system.scalar(end).variable.name)]
         linear = (connection.factor, connection.offset)
-        is_plain = linear == (1.0, 0.0) and not connection.converts_types
+        is_plain = linear == PLAIN and not connection.converts_types
         return (*names, connection.converts_units, None if is_plain else linear)
 
     for key, group in groupby(system.connections, common):

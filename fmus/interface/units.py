@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+PLAIN: Final = (1.0, 0.0)  # factor and offset that change nothing
 BASES: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # FMI counts rad among them
 
 
@@ -29,7 +30,7 @@ def conversion(
     Equal names need no definition, and values without a unit are taken as they are.
     """
     if source == target or not (source and target):
-        return 1.0, 0.0
+        return PLAIN
     one, other = sources.get(source), targets.get(target)
     if one is None or other is None or one.exponents != other.exponents:
         return None

@@ -64,36 +64,10 @@ class Access:
         self.slave.fail(self.function.__name__, status, time)
 
 
-class Rearranged:
-    """An access through values of its own, where those of a block are in another order."""
-
-    def __init__(
-        self,
-        call: Access,
-        places: Sequence[int],  # of the values that belong to
-        columns: Sequence[int],  # of the block
-        block: NDArray[Any],
-        *,
-        reads: bool,
-    ) -> None:
-        self.call, self.block, self._reads = call, block, reads
-        self.places, self.columns = np.array(places, np.intp), np.array(columns, np.intp)
-
-    def __call__(self, row: int) -> None:
-        """Exchange the values of a row of the block."""
-        values = self.call.block[0]
-        if self._reads:
-            self.call(0)
-            self.block[row, self.columns] = values[self.places]
-        else:
-            values[self.places] = self.block[row, self.columns]
-            self.call(0)
-
-
 class Typed:
     """An access to variables of one type that is not Real, through FMPy's functions of lists."""
 
-    def __init__(  # noqa: PLR0913 - see `Rearranged`
+    def __init__(  # noqa: PLR0913 - both sides of the exchange
         self,
         slave: FmuSlave,
         scalars: Sequence[Scalar],

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..interface.variables import Scalar, Value
 from ..messages import one_line
-from .calls import Access, Rearranged, StepCall, Typed
+from .calls import Access, StepCall, Typed
 from .fmu_file import Fmu
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
-from .wiring import Array, Exchange
+from .wiring import Array, Exchange, Moved
 
 # One thread at a time: FMPy changes the working directory while it loads a library, and
 # PythonFMU's wrapper changes sys.path while it makes an instance.
@@ -185,7 +185,7 @@ class FmuSlave(ABC):
         call, get = (self._bind_rows(f"{each}{kind}", references, values) for each in (verb, "Get"))
         if verb == "Set" and len(names) < size:
             get(0)
-        return Rearranged(call, places, columns, block, reads=verb == "Get")
+        return Moved(call, values, places, block, columns, reads=verb == "Get")
 
     def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
         """Value references of the arrays that hold scalars, each one's place, and their size."""

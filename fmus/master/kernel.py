@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ..build.libraries import STEPPER, library, this_platform
 from ..errors import CosimError, InputError
-from .calls import Access, Rearranged, StepCall
+from .calls import Access, StepCall
 from .step import Step
-from .wiring import Gather, nothing
+from .wiring import Moved, nothing
 
 Array = NDArray[np.float64]
 SLICE: Final = 0.005  # [s] wall time after which C returns, so that Python sees signals
@@ -148,24 +148,19 @@ class Kernel:
         ]
 
     def _exchange(self, exchange: object, **fields: int) -> _Call:
-        columns: Array | None = None
+        columns = places = None
         moves: dict[str, int | None] = {}
-        if isinstance(exchange, Gather):
-            if exchange.conversions is not None:
-                moves["linear"] = exchange.conversions.ctypes.data
-            columns, exchange = exchange.columns, exchange.put
-        places = None
-        if isinstance(exchange, Rearranged):
-            places = exchange.places
+        while isinstance(exchange, Moved):  # to a slave's own order, perhaps, after the first
+            if exchange.linear is not None:
+                moves["linear"] = exchange.linear.ctypes.data
             if columns is None:
-                columns = self._place(exchange.block)[exchange.columns]
-            exchange = exchange.call
+                columns = self._place(exchange.rows)[exchange.columns]
+            places, exchange = exchange.places, exchange.call
         if not isinstance(exchange, Access) or exchange.block.dtype != np.float64:
             raise _NotInCError
         if columns is None:
             moves["column"] = int(self._place(exchange.block)[0])
         else:
-            places = np.arange(len(columns)) if places is None else places
             moves |= {"values": exchange.block.ctypes.data, **self._columns(columns, places)}
         references = exchange.references
         return self._add(

@@ -8,13 +8,12 @@ from xml.etree import ElementTree as ET
 
 from ..build.ssp import PREFIXES
 from ..errors import InputError
-from ..interface.units import Units
+from ..interface.units import PLAIN, Units
 from ..interface.variables import Value
 from ..messages import did_you_mean
 from ..reading import read_xml
 from .fmu_file import read_units, read_value
 from .ssp_structure import (
-    PLAIN,
     Document,
     End,
     Link,

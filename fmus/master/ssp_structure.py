@@ -10,17 +10,16 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
-from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from ..atomic import cache_folder
 from ..build.ssp import PREFIXES, STRUCTURE_FILE
 from ..errors import InputError
 from ..interface.tables import Connection
-from ..interface.units import Units, conversion
+from ..interface.units import PLAIN, Units, conversion
 from ..interface.variables import Variable
 from ..messages import did_you_mean
-from ..reading import file_digest, finite_number, read_xml, unpack
+from ..reading import file_digest, file_inside, finite_number, read_xml, unpack
 from .fmu_file import Fmu, read_fmu, read_units
 
 FMU: Final = "application/x-fmu-sharedlibrary"
@@ -29,7 +28,6 @@ GIVING: Final = ("output", "calculatedParameter", "constant", "local")
 HANDED_DOWN: Final = ("input", "parameter", "structuralParameter")
 End = tuple[str, str]  # an element, "" for the whole system; a scalar of a connector
 STEP_SIZE: Final = "ssd:Annotations/ssc:Annotation/osp:StepSizeHint"
-PLAIN: Final = (1.0, 0.0)  # factor and offset
 _OTHERS: Final = ("ConnectionGeometry", "ConnectorGeometry", "Dimension", "Annotations", "Clock")
 
 
@@ -85,10 +83,7 @@ class Document:
 
     def member(self, source: str) -> Path:
         """Path of a file that is named here; it must be inside the archive."""
-        file = self.folder / unquote(source)
-        if not (file.is_file() and file.resolve().is_relative_to(self.folder.resolve())):
-            self.refuse(f"source {source!r}", "a file inside the .ssp file")
-        return file
+        return file_inside(self.folder, source, self.folder, self.label)
 
 
 class Structure:

@@ -14,7 +14,7 @@ from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
-from ..interface.units import conversion
+from ..interface.units import PLAIN, conversion
 from ..interface.variables import Value
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
@@ -120,7 +120,7 @@ def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
     converting = (
         each
         for each in (in_units(fmus, connection) for connection in system.connections)
-        if (each.factor, each.offset) != (1.0, 0.0)
+        if (each.factor, each.offset) != PLAIN
     )
     formulas = (
         f"{shown(each.target)} = {each.factor:g} * {shown(each.source)} + {each.offset:g}"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import SimulationError
 from ..interface.tables import Connection
+from ..interface.units import PLAIN
 
 Array = NDArray[np.float64]
 Exchange = Callable[[int], None]  # of one row, by its index
@@ -131,7 +132,7 @@ def bind(  # noqa: PLR0913 - what the master is given, and the rows
     for connection in connections:
         instance, variable = connection.target
         sources[instance][variable] = index[connection.source]
-        if (linear := (connection.factor, connection.offset)) != (1.0, 0.0):
+        if (linear := (connection.factor, connection.offset)) != PLAIN:
             conversions[instance][variable] = linear
     outputs: dict[str, dict[str, int]] = defaultdict(dict)
     for instance, variable in columns[len(external) :]:
@@ -163,35 +164,42 @@ def _bind_inputs(
     # In the order of the connections, which is probably that of the inputs in the slave.
     values = np.zeros((1, len(inputs)), rows.dtype)
     put = slave.bind_set(list(inputs), values)
-    linear = [conversions.get(name, (1.0, 0.0)) for name in inputs] if conversions else None
-    return Gather(put, list(inputs.values()), rows, values, linear)
+    linear = [conversions.get(name, PLAIN) for name in inputs] if conversions else None
+    return Moved(put, values, range(len(inputs)), rows, list(inputs.values()), linear=linear)
 
 
-class Gather:
-    """Sets inputs from columns of a row that are not beside each other, or have to be converted."""
+class Moved:
+    """Exchanges columns of rows, in any order, through the one row of values that a call takes."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - both sides of the move
         self,
-        put: Exchange,
-        columns: Sequence[int],
-        rows: Array,
+        call: Exchange,
         values: Array,
-        conversions: Sequence[tuple[float, float]] | None = None,  # factor and offset of each
+        places: Sequence[int],  # of the values that belong to
+        rows: Array,
+        columns: Sequence[int],
+        *,
+        reads: bool = False,
+        linear: Sequence[tuple[float, float]] | None = None,  # factor and offset of each value
     ) -> None:
-        self.put, self.columns = put, np.array(columns)
-        self._rows, self._values = rows, values
-        self.conversions = None if conversions is None else np.array(conversions)
-        if self.conversions is not None:
-            self._converted = np.flatnonzero((self.conversions != (1.0, 0.0)).any(axis=1))
+        self.call, self.values, self.rows, self._reads = call, values, rows, reads
+        self.places, self.columns = np.array(places, np.intp), np.array(columns, np.intp)
+        self.linear = None if linear is None else np.array(linear)
+        if self.linear is not None:
+            self._converted = np.flatnonzero((self.linear != PLAIN).any(axis=1))
 
     def __call__(self, row: int) -> None:
-        """Set the inputs from a row."""
-        self._rows[row].take(self.columns, out=self._values[0], mode="clip")
-        if self.conversions is not None:
-            factors, offsets = self.conversions[self._converted].T
-            numbers = self._values[0, self._converted]
-            self._values[0, self._converted] = factors * numbers + offsets
-        self.put(0)
+        """Exchange the values of a row."""
+        values = self.values[0]
+        if self._reads:
+            self.call(0)
+            self.rows[row, self.columns] = values[self.places]
+            return
+        values[self.places] = self.rows[row, self.columns]
+        if self.linear is not None:
+            factors, offsets = self.linear[self._converted].T
+            values[self._converted] = factors * values[self._converted] + offsets
+        self.call(0)
 
 
 # The rows.

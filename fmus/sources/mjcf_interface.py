@@ -20,7 +20,7 @@ from ..interface.plant import PLANT
 from ..interface.variables import Causality, Interface, Variable, output
 from ..messages import did_you_mean, one_line
 from ..reading import open_regular
-from .mjcf_sources import TUNABLE, Sources, words_of
+from .mjcf_sources import OBJECTS, TUNABLE, Sources, words_of
 
 SECTIONS: Final[Mapping[str, Causality]] = {
     "inputs": "input",
@@ -69,15 +69,7 @@ class Description:
 def variable_name(source: str) -> str:
     """Name of a variable by its source: hand_xpos for `body hand xpos`, gyro for `sensor gyro`."""
     words = words_of(source)
-    if len(words) > 1 and words[0] in (
-        "body",
-        "joint",
-        "geom",
-        "site",
-        "sensor",
-        "actuator",
-        "equality",
-    ):
+    if len(words) > 1 and words[0] in OBJECTS:
         words = words[1:3]
     name = re.sub(r"\W+", "_", "_".join(words), flags=re.A)
     return name if IDENTIFIER.fullmatch(name) else f"_{name}"

@@ -6,15 +6,12 @@ as MA-HS-Experiments describes them. Both still move, so that nothing else knows
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -26,19 +23,19 @@ from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
 from ...fmus.errors import InputError
 from ...fmus.interface.tables import Connection
-from ...fmus.interface.variables import Scalar, Value, by_array
+from ...fmus.interface.variables import Value, by_array
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
 from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...fmus.master.wiring import Name
-from ...fmus.reading import finite_number, open_regular, read_xml
-from ..files import check_new
+from ...fmus.reading import file_inside, finite_number, read_xml
+from ..files import check_new, read_text
 from ..recording import Recording
 from ..run.options import Options
 from ..run.prepare import prepare
 from ..run.run import Execution
 from ..run.stopping import StopRequest
 from ..scenario.criteria import SignalCriterion
-from ..scenario.input_table import InputTable
+from ..scenario.input_table import MAX_BYTES, InputTable
 from ..scenario.scenario import NO_TABLE, Scenario
 from ..scenario.success import Success
 from ..scenario.writer import check_name, write_scenario
@@ -54,6 +51,7 @@ TOLERANCE: Final = 1e-6  # of an experiment that names none, relative to values 
 MOST_CELLS, MOST_REFERENCES = 60_000, 200
 MOST_COMPARED: Final = 10  # outputs, as the cross-check rules recommend
 _ON_TICK: Final = 1e-6  # of a step, by which a reference may be off an instant
+_SWITCHES: Final = {"true": "1", "false": "0"}
 _IT: Final = "fmu"  # the instance
 
 
@@ -147,14 +145,17 @@ def _scenario(fmu: Fmu, experiment: Experiment) -> Scenario:
     """Return the scenario that drives an FMU as an experiment does, but begins at 0."""
     given = {n: v for n, v in experiment.parameters.items() if n not in experiment.stimuli}
     inputs = {n for n in given if fmu.variable(n).variable.causality == "input"}
-    stimuli = {n if n == "time" else f"{_IT}.{n}": v for n, v in experiment.stimuli.items()}
-    scalars = {f"{_IT}.{name}": scalar for name, scalar in fmu.variables.items()}
+    table, driven = InputTable(), dict(experiment.stimuli)
+    if driven:
+        times = tuple(driven.pop("time").tolist())
+        texts = {f"{_IT}.{n}": tuple(literal(fmu.variables[n], value) for value in values.tolist())
+                 for n, values in driven.items()}  # fmt: skip
+        table = InputTable(times, texts, fmu.label)
     return Scenario(
         name=_IT, table=NO_TABLE, duration=experiment.steps * experiment.step,
         step=experiment.step, fmus={_IT: str(fmu.path.absolute())},
         inputs={f"{_IT}.{name}": given[name] for name in inputs},
-        input_table=InputTable.of_text(_csv(stimuli, scalars), fmu.label)
-        if stimuli else InputTable(),
+        input_table=table,
         parameters={_IT: {n: v for n, v in given.items() if n not in inputs}},
     )  # fmt: skip
 
@@ -197,9 +198,9 @@ def _experiments(fmu: Fmu) -> list[Experiment]:
     for related in _read(fmu, manifest).iter("Related") if manifest.is_file() else ():
         role, source = related.get("role", "").partition("/")[0], related.get("source", "")
         if role == "experiment":
-            found[role] += _listed(fmu, _member(fmu, manifest.parent, source))
+            found[role] += _listed(fmu, _member(fmu, manifest, source))
         elif role == "result" and source.endswith(".csv"):
-            references = _series(fmu, _member(fmu, manifest.parent, source))
+            references = _series(fmu, _member(fmu, manifest, source))
             found[role].append(_experiment(fmu, source, {}, references=references))
     return found["experiment"] or found["result"]
 
@@ -213,7 +214,7 @@ def _first(fmu: Fmu) -> Experiment:
 def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
     for element in _read(fmu, file).iter("Experiment"):
         parts = {part.tag: part.get("source", "") for part in element if part.get("source")}
-        files = {tag: _member(fmu, file.parent, source) for tag, source in parts.items()}
+        files = {tag: _member(fmu, file, source) for tag, source in parts.items()}
         series = {n: _series(fmu, files[n]) for n in ("Stimuli", "References") if n in files}
         settings = {**element.attrib}
         for transient in element.iter("TransientSimulation"):  # where the newest draft has them
@@ -246,32 +247,27 @@ def _read(fmu: Fmu, file: Path) -> Element:
     return read_xml(file, f"{fmu.label}: {file.name}")
 
 
-def _member(fmu: Fmu, folder: Path, source: str) -> Path:
-    """Path of a file that is named relative to a folder of the FMU, and must be inside the FMU."""
-    path = (folder / unquote(source)).resolve()
-    if not path.is_relative_to(fmu.folder.resolve()) or not path.is_file():
-        raise InputError(f"{fmu.label}: source {source!r}; must be a file inside the FMU")
-    return path
+def _member(fmu: Fmu, file: Path, source: str) -> Path:
+    return file_inside(file.parent, source, fmu.folder, fmu.label)
 
 
 def _series(fmu: Fmu, file: Path) -> Series:
     """Read a CSV; a cell of an array has all its elements. Texts are left out."""
-    arrays = by_array(fmu.variables.values())
-    with open_regular(file) as raw:
-        lines = [row for row in csv.reader(io.TextIOWrapper(raw, "utf-8-sig")) if row]
-    head, rows = lines[0] if lines else ["time"], lines[1:]
-    columns = {i: arrays.get(name) or [fmu.variable(name)] for i, name in enumerate(head[1:], 1)}
-    columns = {i: each for i, each in columns.items() if each[0].variable.kind not in TEXTS}
-    names = ["time", *(s.name for each in columns.values() for s in each)]
-    try:
-        cells = [[row[0], *(cell for i in columns for cell in row[i].split())] for row in rows]
-        switches = {"true": "1", "false": "0"}
-        values = np.array([[switches.get(cell, cell) for cell in row] for row in cells], float)
-        return dict(zip(names, values.reshape(len(rows), len(names)).T, strict=True))
-    except (ValueError, IndexError) as error:
-        raise InputError(
-            f"{fmu.label}: {file.name}: must have a number for each variable in each row"
-        ) from error
+    arrays, place = by_array(fmu.variables.values()), f"{fmu.label}: {file.name}"
+    table = InputTable.of_text(read_text(file, MAX_BYTES), place)
+    series = {"time": np.array(table.times)}
+    for name, cells in table.columns.items():
+        scalars = arrays.get(name) or [fmu.variable(name)]
+        if scalars[0].variable.kind in TEXTS:
+            continue
+        try:
+            rows = [[float(_SWITCHES.get(word, word)) for word in cell.split()] for cell in cells]
+            values = np.array(rows).reshape(len(rows), len(scalars))
+        except ValueError as error:
+            what = f"{len(scalars)} numbers" if len(scalars) > 1 else "a number"
+            raise InputError(f"{place}: {name}: must have {what} in each row") from error
+        series |= zip((scalar.name for scalar in scalars), values.T, strict=True)
+    return series
 
 
 def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
@@ -364,25 +360,15 @@ def csv_text(fmu: Fmu, series: Series) -> bytes:
 
     Its elements that have no values keep their start value.
     """
-    arrays, names = by_array(fmu.variables.values()), list(series)[1:]
-    whole = {"time": series["time"]}
-    for array in dict.fromkeys(fmu.variables[name].variable.name for name in names):
-        for scalar in arrays[array]:
-            start = np.full(len(series["time"]), scalar.start)
-            whole[scalar.name] = series.get(scalar.name, start)
-    return _csv(whole, fmu.variables, by_array=True).encode()
-
-
-def _csv(series: Series, scalars: Mapping[str, Scalar], *, by_array: bool = False) -> str:
-    columns = {"time": [[repr(time) for time in series["time"].tolist()]]}
-    for name, values in list(series.items())[1:]:
-        scalar = scalars[name]
-        texts = [literal(scalar, value) for value in values.tolist()]
-        columns.setdefault(scalar.variable.name if by_array else name, []).append(texts)
-    lines = [",".join(f'"{name}"' for name in columns)]
-    for row in zip(*(zip(*each, strict=True) for each in columns.values()), strict=True):
-        lines.append(",".join(map(" ".join, row)))
-    return "\n".join(lines) + "\n"
+    arrays, times = by_array(fmu.variables.values()), series["time"]
+    columns = {"time": map(repr, times.tolist())}
+    for array in dict.fromkeys(fmu.variables[name].variable.name for name in list(series)[1:]):
+        values = ((s, series.get(s.name, np.full(len(times), s.start))) for s in arrays[array])
+        texts = [[literal(scalar, value) for value in each.tolist()] for scalar, each in values]
+        columns[array] = map(" ".join, zip(*texts, strict=True))
+    head = ",".join(f'"{name}"' for name in columns)
+    lines = [head, *map(",".join, zip(*columns.values(), strict=True)), ""]
+    return "\n".join(lines).encode()
 
 
 def write_compatibility(path: Path, experiment: Experiment) -> None:

@@ -15,7 +15,7 @@ from ...fmus.messages import excerpt
 from ...fmus.reading import finite_number
 from ..files import read_text
 
-_MAX_BYTES = 256 * 1024 * 1024
+MAX_BYTES = 256 * 1024 * 1024
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class InputTable:
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a file."""
-        return cls.of_text(read_text(path, _MAX_BYTES), str(path))
+        return cls.of_text(read_text(path, MAX_BYTES), str(path))
 
     @classmethod
     def of_text(cls, text: str, place: str) -> Self:
@@ -40,7 +40,7 @@ class InputTable:
     @classmethod
     def of_trajectory(cls, path: Path) -> tuple[Self, bool]:
         """Read the inputs in a trajectory's table, and whether it has other columns, too."""
-        text = read_text(path, _MAX_BYTES)
+        text = read_text(path, MAX_BYTES)
         if "." not in text.partition("\n")[0]:
             return cls(), True
         columns = _columns(str(path), text)
