@@ -9,6 +9,15 @@ static const double STEP_TOLERANCE = 1e-6;  /* in internal steps: rounding of co
 static const double TIME_TOLERANCE = 1e-3;  /* in internal steps */
 static const double FREE_TOLERANCE = 1e-9;  /* [s], without an internal step */
 
+/* Whether all values are finite and in their ranges; without branches, as this is nearly always so. */
+static bool are_sound(const fmu_variable *v, const double *values)
+{
+    bool sound = true;
+    for (unsigned k = 0; k < v->size; k++)
+        sound &= (v->minimum[k] <= values[k]) & (values[k] <= v->maximum[k]) & (fabs(values[k]) <= DBL_MAX);
+    return sound;
+}
+
 /* Refuses inputs that are not finite, and clamps those that are out of range. */
 static fmu_status check_input(instance *c, const fmu_variable *v, unsigned k)
 {
@@ -27,7 +36,7 @@ static fmu_status check_inputs(instance *c)
 {
     for (unsigned i = 0; c->unchecked && i < c->table.count; i++) {
         const fmu_variable *v = &c->table.variables[i];
-        if (v->causality != FMU_INPUT || v->type != FMU_REAL) continue;
+        if (v->causality != FMU_INPUT || v->type != FMU_REAL || are_sound(v, c->f.values + v->reference)) continue;
         for (unsigned k = 0; k < v->size; k++)
             if (check_input(c, v, k) != FMU_OK) return FMU_ERROR;
     }

@@ -70,6 +70,8 @@ static const fmu_variable *look_up(instance *c, fmu_type type, unsigned referenc
     return v;
 }
 
+static size_t smaller_of(size_t a, size_t b) { return a < b ? a : b; }
+
 /* Takes the next references: in FMI 3.0 one, for a whole array; in FMI 2.0 as many as are consecutive in
  * one variable. */
 static bool next_span(instance *c, fmu_type type, const unsigned *references, size_t count, size_t *at, span *s)
@@ -77,14 +79,12 @@ static bool next_span(instance *c, fmu_type type, const unsigned *references, si
     s->reference = references[*at];
     s->variable = look_up(c, type, s->reference);
     if (!s->variable) return false;
-    const unsigned end = s->variable->reference + s->variable->size;
-    s->size = c->version == 3 ? c->table.array_at[s->reference] : 1;
-    ++*at;
-    while (c->version == 2 && *at < count && s->reference + s->size < end &&
-           references[*at] == s->reference + s->size) {
-        s->size++;
-        ++*at;
-    }
+    const unsigned rest = s->variable->reference + s->variable->size - s->reference;
+    const size_t most = c->version == 3 ? 1 : smaller_of(rest, count - *at);
+    size_t taken = 1;
+    while (taken < most && references[*at + taken] == s->reference + taken) taken++;
+    s->size = c->version == 3 ? c->table.array_at[s->reference] : (unsigned)taken;
+    *at += taken;
     return true;
 }
 
@@ -129,6 +129,11 @@ fmu_status instance_get(instance *c, fmu_type type, value_format format, const u
         if (!next_span(c, type, references, count, &i, &s) || refresh(c, s.variable) != FMU_OK) return FMU_ERROR;
         if (s.size > value_count - at) return sizes_fit(c, at + s.size, value_count), FMU_ERROR;
         if (s.variable->causality == FMU_INDEPENDENT) c->f.values[s.reference] = c->f.time;
+        if (format == AS_DOUBLE) {
+            memcpy((double *)values + at, c->f.values + s.reference, s.size * sizeof(double));
+            at += s.size;
+            continue;
+        }
         for (unsigned k = 0; k < s.size; k++) {
             const double value = c->f.values[s.reference + k];
             if (format == AS_TEXT) {
@@ -170,7 +175,6 @@ static bool is_sound(instance *c, const fmu_variable *v, unsigned reference, dou
 
 static bool can_be(instance *c, value_format format, const span *s, unsigned k, const void *values, size_t at)
 {
-    if (s->variable->causality == FMU_INPUT && s->variable->type == FMU_REAL) return true;
     if (format != AS_TEXT) return is_sound(c, s->variable, s->reference + k, load(format, values, at));
     if (((const char *const *)values)[at]) return true;
     return fmu_error(&c->f, "%s: no text was given", s->variable->name), false;
@@ -185,6 +189,7 @@ static bool can_set(instance *c, fmu_type type, value_format format, const unsig
     for (size_t i = 0; i < count; at += s.size) {
         if (!next_span(c, type, references, count, &i, &s) || !is_settable(c, s.variable)) return false;
         if (s.size > value_count - at) return sizes_fit(c, at + s.size, value_count);
+        if (s.variable->causality == FMU_INPUT && s.variable->type == FMU_REAL) continue;
         for (unsigned k = 0; k < s.size; k++)
             if (!can_be(c, format, &s, k, values, at + k)) return false;
     }
@@ -229,9 +234,11 @@ fmu_status instance_set(instance *c, fmu_type type, value_format format, const u
     span s;
     size_t at = 0;
     if (!can_set(c, type, format, references, count, values, value_count)) return FMU_ERROR;
-    for (size_t i = 0; i < count && next_span(c, type, references, count, &i, &s);) {
-        for (unsigned k = 0; k < s.size; k++)
-            if (put(c, format, s.reference + k, values, at++) != FMU_OK) return FMU_ERROR;
+    for (size_t i = 0; i < count && next_span(c, type, references, count, &i, &s); at += s.size) {
+        if (format == AS_DOUBLE)
+            memcpy(c->f.values + s.reference, (const double *)values + at, s.size * sizeof(double));
+        for (unsigned k = 0; k < s.size && format != AS_DOUBLE; k++)
+            if (put(c, format, s.reference + k, values, at + k) != FMU_OK) return FMU_ERROR;
         note_change(c, s.variable);
     }
     return FMU_OK;
