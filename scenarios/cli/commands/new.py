@@ -66,18 +66,9 @@ def list_scenarios(json: bool = JSON) -> None:
     """
     scenarios = [Scenario.read(path) for path in shipped_scenarios().values()]
     if json:
-        show_json(
-            [
-                {
-                    "name": scenario.name,
-                    "duration_s": scenario.duration,
-                    "scene": scenario.scene,
-                    "purpose": scenario.purpose,
-                    "folder": scenario.folder,
-                }
-                for scenario in scenarios
-            ]
-        )
+        keys = {"name": "name", "duration_s": "duration", "scene": "scene", "purpose": "purpose",
+                "folder": "folder"}  # fmt: skip
+        show_json([{key: getattr(s, name) for key, name in keys.items()} for s in scenarios])
         return
     rows = [(s.name, f"{s.duration:g} s", s.scene, s.purpose) for s in scenarios]
     show(table(("scenario", "duration", "scene", "purpose*"), rows, right=("duration",)))
