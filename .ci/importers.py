@@ -1,4 +1,4 @@
-"""Runs native FMUs in other importers, and writes the table of REFERENCE.md.
+"""Runs native FMUs in other importers, and writes the table of docs/reference/importers.md.
 
 Usage: python .ci/importers.py
 
@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "REFERENCE.md"
+PAGE = ROOT / "docs" / "reference" / "importers.md"
 TESTS = ROOT / "tests"
 BEGIN, END = "<!-- importers: begin -->", "<!-- importers: end -->"
 HEAD = ("importer", "version", "how", "agreement")

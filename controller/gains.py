@@ -169,7 +169,7 @@ TUTORIAL: Final = Gains(
 
 # For noisy readings and elastic joints. Noise of the readings reaches the servos through kp, and
 # through ik_gain as an acceleration, whose inertia force is fed forward: so the pose error is
-# smoothed. REFERENCE.md has the margins beside those of other values.
+# smoothed. docs/reference/mismatch.md has the margins beside those of other values.
 ROBUST: Final = Gains(kp=_seven(0.5), ik_gain=5.0, error_filter=0.02)
 
 PRESETS: Final[Mapping[str, Gains]] = {"default": DEFAULT, "robust": ROBUST, "tutorial": TUTORIAL}

@@ -1,7 +1,4 @@
-"""Each number of a run is what its definition says: computed again from recordings, by numpy alone.
-
-`python tests/test_definitions.py` writes the definitions' tables into REFERENCE.md.
-"""
+"""Each number of a run is what its definition says: computed again from recordings, by numpy."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QDD_MAX, QDDD_MAX
 from panda_cosim.scenarios.fields import field_names
-from panda_cosim.scenarios.judging.definitions import DEFINITIONS, Definition
+from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.judging.holds import find_holds
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.scenario.criteria import EVENTS
@@ -33,7 +30,6 @@ SAME = 1e-9  # relative and in any unit, of rounding alone
 ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
 SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial",
            "push_block", "calibrated", "stack_blocks")  # fmt: skip
-REFERENCE = Path(__file__).parent.parent / "REFERENCE.md"
 RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expect", "expect_reason",
        "as_expected", "row_ends", "first_limit")  # fmt: skip
 
@@ -290,48 +286,3 @@ def test_holds_are_those_found_row_by_row(runs: list[tuple[int, bool]], step: fl
     )
     found = [(hold.grasp, hold.end) for hold in find_holds(recording)]
     assert found == spans_of(time, pressed)
-
-
-# --- the tables of REFERENCE.md
-
-
-def cells(*texts: str) -> str:
-    return f"| {' | '.join(texts)} |"
-
-
-def row(definition: Definition) -> str:
-    signals = ", ".join(f"`{name}`" for name in definition.signals)
-    rows = definition.window.replace("all rows", "")
-    return cells(f"`{definition.key}`", definition.what, rows, signals, definition.unmeasured)
-
-
-def tables() -> str:
-    """The definitions as Markdown."""
-    numbers = [d for key, d in DEFINITIONS.items() if not key.startswith("success.")]
-    criteria = [d for d in DEFINITIONS.values() if d.metric]
-    lines = [
-        cells("key", "what it is", "rows", "signals", "null if"),
-        cells(*["---"] * 5),
-        *(row(definition) for definition in numbers),
-        "",
-        cells("criterion", "bounds", "unit"),
-        cells(*["---"] * 3),
-        *(cells(f"`{d.key.removeprefix('success.')}`", f"`{d.metric}`", d.unit) for d in criteria),
-    ]
-    return "\n".join(lines)
-
-
-def test_the_reference_has_the_definitions_tables() -> None:
-    text = REFERENCE.read_text(encoding="utf-8")
-    assert written(text) == text, "run `python tests/test_definitions.py`"
-
-
-def written(text: str) -> str:
-    """REFERENCE.md with the tables as they are now."""
-    begin, end = (f"<!-- definitions: {word} -->" for word in ("begin", "end"))
-    head, _, rest = text.partition(begin)
-    return f"{head}{begin}\n{tables()}\n{end}{rest.partition(end)[2]}"
-
-
-if __name__ == "__main__":
-    REFERENCE.write_text(written(REFERENCE.read_text(encoding="utf-8")), encoding="utf-8")

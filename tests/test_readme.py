@@ -1,4 +1,4 @@
-"""README, REFERENCE and notebook say what is so: commands, interface, scenario files, links."""
+"""README, reference and notebook say what is so: commands, scenario files, links."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
@@ -14,18 +13,15 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 from panda_cosim import Scenario
-from panda_cosim.fmus.interface.sensors import SENSORS
-from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.cli.app import load
 from panda_cosim.scenarios.cli.commands import COMMANDS
-from panda_cosim.scenarios.cli.commands.info import variables_markdown
 from panda_cosim.scenarios.scenario.success import Success
 from panda_cosim.scenarios.scenario.table import COLUMNS
 
-ALL = {**INTERFACES, "sensors": SENSORS}
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-REFERENCE = (ROOT / "REFERENCE.md").read_text(encoding="utf-8")
+PAGES = sorted((ROOT / "docs" / "reference").glob("*.md"))
+REFERENCE = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+SCENARIO = (ROOT / "docs" / "reference" / "scenario.md").read_text(encoding="utf-8")
 NOTEBOOK = ROOT / "scenarios" / "examples" / "first_steps.ipynb"
 
 
@@ -34,43 +30,11 @@ def blocks(kind: str, text: str = README) -> list[str]:
     return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
-def written_commands() -> Iterator[list[str]]:
-    """Words of every panda-cosim command, in code blocks and between backticks."""
-    spans = [
-        *blocks("sh"),
-        *re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", README, flags=re.S)),
-    ]
-    for span in spans:
-        for line in span.splitlines():
-            for part in line.split("#")[0].split("&&"):
-                words = part.replace("\\|", "|").split()
-                if words and words[0] in ("panda-cosim", ".venv/bin/panda-cosim"):
-                    yield words[1:]
-
-
 def test_every_command_is_in_the_table() -> None:
     assert all(f"| `panda-cosim {name}" in README for name in COMMANDS)
 
 
-def test_every_written_command_and_option_exists() -> None:
-    written = [words for words in written_commands() if words]
-    assert written
-    for name, *words in written:
-        assert name in COMMANDS, name
-        options = {option for p in load(name).params for option in (*p.opts, *p.secondary_opts)}
-        assert {word for word in words if word.startswith("--")} <= {*options, "--help"}, name
-
-
-@pytest.mark.parametrize("instance", ALL)
-def test_the_interface_is_that_of_the_code(instance: str) -> None:
-    begin, end = (f"<!-- {instance} interface: {word} -->" for word in ("begin", "end"))
-    told = REFERENCE.partition(begin)[2].partition(end)[0].strip()
-    assert told == variables_markdown(ALL[instance]), (
-        f"run `panda-cosim info {instance} --markdown` and put it there"
-    )
-
-
-@pytest.mark.parametrize("text", [README, REFERENCE], ids=["README", "REFERENCE"])
+@pytest.mark.parametrize("text", [README, SCENARIO], ids=["README", "reference"])
 def test_the_example_scenario_can_be_read(tmp_path: Path, text: str) -> None:
     (tmp_path / "scenario.toml").write_text(blocks("toml", text)[0], encoding="utf-8")
     (tmp_path / "trajectory.csv").write_text(blocks("csv", text)[0], encoding="utf-8")
@@ -80,16 +44,15 @@ def test_the_example_scenario_can_be_read(tmp_path: Path, text: str) -> None:
 
 
 def test_every_key_and_column_of_a_scenario_is_named() -> None:
-    told = REFERENCE.partition("## Scenario files")[2].partition("## What a run leaves")[0]
     keys = {entry.name for entry in (*fields(Scenario), *fields(Success))}
-    missing = {key for key in keys if not re.search(rf"\b{key}\b", told)}
+    missing = {key for key in keys if not re.search(rf"\b{key}\b", REFERENCE)}
     assert missing <= {
         "name",
         "table",
         "input_table",
         "folder",
     }  # where it is, not what is in its file
-    table = REFERENCE.partition("| column | meaning |")[2]
+    table = SCENARIO.partition("| column | meaning |")[2]
     assert all(f"`{column}`" in table for column in COLUMNS)
 
 
@@ -99,7 +62,7 @@ def headings(text: str) -> set[str]:
     return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found}
 
 
-@pytest.mark.parametrize("name", ["README.md", "REFERENCE.md", "SECURITY.md", "CONTRIBUTING.md"])
+@pytest.mark.parametrize("name", ["README.md", "SECURITY.md", "CONTRIBUTING.md"])
 def test_every_link_leads_somewhere(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
     for target, _, anchor in re.findall(r"\]\((?!https?://)([^)#]*)(#([^)]+))?\)", text):

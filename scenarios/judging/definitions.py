@@ -1,7 +1,7 @@
 """What each number of a run means: one row per key of summary.json, event and criterion.
 
-Help, tooltips and the tables of REFERENCE.md are made of these rows; `tests/test_definitions.py`
-computes the numbers again from them alone.
+Help, tooltips and the site's tables are made of these rows; `tests/test_definitions.py` computes
+the numbers again from them alone.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ def _variables_tables(interface: Interface) -> Iterator[Table]:
 
 
 def variables_markdown(interface: Interface) -> str:
-    """Return a Markdown table with one row per variable, for REFERENCE.md."""
+    """Return a Markdown table with one row per variable, for the documentation."""
     lines = [
         "| variable | unit | causality | start | description |",
         "| --- | --- | --- | --- | --- |",

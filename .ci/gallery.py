@@ -1,0 +1,153 @@
+"""The gallery of the site: all shipped scenarios and the reports, made by our commands."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Template
+from panda_cosim import Recording, load_scenario, shipped_scenarios
+from panda_cosim.scenarios.judging.criterion import Criterion, bound_text, margin_text, quantity
+from panda_cosim.scenarios.pictures.motion import poses, scene_of
+from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer
+from PIL import Image
+
+FRAME = 0.55  # share of a run at which its thumbnail is drawn
+VERDICTS = (0, 1, 3)  # exit codes
+# Pages beside those of the scenarios: title, text, what is shown, and the commands that make it.
+REPORTS = {
+    "pictures": (
+        "Plot, contact sheet and video",
+        "For papers and slides: what `run` draws beside the page in 3D.",
+        ("run/plot.png", "run/contact_sheet.png", "run/video.mp4"),
+        ("panda-cosim run pick_and_place --out run",),
+    ),
+    "laws": (
+        "Two control laws compared",
+        "For control engineers: the same task with the default gains, and with the published "
+        "tutorial's law.",
+        ("compared/compare.html",),
+        (
+            "panda-cosim run pick_and_place --no-video --out ours",
+            "panda-cosim run pick_and_place --no-video --out published --set gains=tutorial",
+            "panda-cosim compare ours published --out compared",
+        ),
+    ),
+    "sweep": (
+        "Report of a sweep",
+        "For users who ask how robust a task is: 36 blocks that differ in mass and friction.",
+        ("blocks/report.html",),
+        (
+            "panda-cosim sweep pick_and_place --vary plant.block_mass=0.1:3:6 "
+            "--vary plant.block_friction=0.1:1:6 --out blocks",
+            "panda-cosim sweep report blocks",
+        ),
+    ),
+    "regression": (
+        "Report of a regression",
+        "For maintainers of a task: two scenarios against their references, with a gain 5 % too "
+        "low.",
+        ("report/report.html",),
+        ("panda-cosim regress push tutorial --set controller.kp=7.6 --report report",),
+    ),
+}
+SHOWN = """---
+hide: [toc]
+---
+{%- macro shown(path, title) %}
+{% if path.endswith("html") %}<iframe class="page" src="{{ path }}"
+ title="{{ title }}" loading="lazy"></iframe>
+
+[Open it on a page of its own]({{ path }})
+{% elif path.endswith("mp4") %}<video class="wide" controls src="{{ path }}"></video>
+{% else %}![{{ title }}]({{ path }}){ .wide }
+{% endif %}{% endmacro %}"""
+REPORT = Template(
+    SHOWN
+    + """# {{ title }}
+
+{{ text }}
+{% for path in paths %}{{ shown(path, title) }}{% endfor %}
+```sh
+{{ lines | join("\\n") }}
+```
+"""
+)
+SCENARIO = Template(
+    SHOWN
+    + """# {{ name }}
+
+For authors of scenarios, an example: {{ purpose[0] | lower }}{{ purpose[1:] }}.
+{%- if reason %} It is meant to fail: {{ reason }}.{% endif %}
+{{ shown(name ~ "/view.html", name) }}
+```sh
+panda-cosim run {{ name }}
+```
+
+| criterion | measured | required | margin | |
+| --- | --- | --- | --- | --- |
+{%- for it in criteria %}
+| `{{ it.name }}` | {{ it.reason or quantity(it.value, it.unit) }} | {{ bound_text(it) }} |
+{{- " " }}{{ margin_text(it) }} | {{ it.word if it.ok else "**" ~ it.word ~ "**" }} |
+{%- endfor %}
+"""
+)
+SCENARIO.globals |= {f.__name__: f for f in (bound_text, margin_text, quantity)}
+FIGURE = Template(
+    '<figure><a href="gallery/{{ name }}.html">'
+    '<img src="gallery/{{ name }}.png" alt="{{ title }}" loading="lazy" width="480" height="360">'
+    "</a><figcaption><b>{{ title }}</b>. {{ text }}</figcaption></figure>"
+)
+
+
+def gallery(docs: Path) -> str:
+    """Run all shipped scenarios and the reports; a page for each, and a grid of pictures."""
+    folder = docs / "gallery"
+    folder.mkdir()
+    figures, links = [], []
+    for name, path in shipped_scenarios().items():
+        _run(f"panda-cosim run {name} --no-video --out {name}", folder)
+        summary = json.loads((folder / name / "summary.json").read_text())
+        if not summary["as_expected"]:
+            raise SystemExit(f"{name}: not as expected")
+        _thumbnail(Recording.open(folder / name), folder / f"{name}.png")
+        purpose = load_scenario(path).purpose
+        criteria = [Criterion(**it) for it in summary["criteria"]]
+        reason = summary["expect_reason"]
+        text = SCENARIO.render(name=name, purpose=purpose, reason=reason, criteria=criteria)
+        (folder / f"{name}.md").write_text(text)
+        title = name.replace("_", " ").capitalize()
+        figures.append(FIGURE.render(name=name, title=title, text=purpose))
+    for name, (title, text, paths, lines) in REPORTS.items():
+        for line in lines:
+            _run(line, folder)
+        page = REPORT.render(title=title, text=text, paths=paths, lines=lines)
+        (folder / f"{name}.md").write_text(page)
+        links.append(f"- [{title}](gallery/{name}.md)")
+    for path in folder.rglob("*.*"):
+        if path.suffix not in (".html", ".md", ".mp4", ".png"):
+            path.unlink()  # data of the runs, which no page shows
+    grid = "\n".join(figures)
+    return "\n".join([f'<div class="gallery">\n{grid}\n</div>\n\n## Reports\n', *links])
+
+
+def _run(line: str, folder: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "panda_cosim", *shlex.split(line)[1:]],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    print(f"{line}: {done.returncode}", flush=True)
+    if done.returncode not in VERDICTS:
+        raise SystemExit(done.stderr)
+
+
+def _thumbnail(recording: Recording, path: Path) -> None:
+    at = recording.time[[int(FRAME * (recording.rows - 1))]]
+    with closing(OffscreenRenderer(scene_of(recording), 480, 360)) as renderer:
+        (image,) = renderer.frames(poses(recording, at))
+    Image.fromarray(np.asarray(image)).quantize(128).save(path, optimize=True)
