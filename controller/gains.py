@@ -9,10 +9,12 @@ from typing import Final
 
 from ..assets.franka import (
     BLOCK_WIDTH,
+    DEFAULT_ROBOT,
     GRIP_FORCE_MAX,
     GRIP_STIFFNESS,
     HOME_Q,
     OPENING_MAX,
+    ROBOTS,
     SERVO_LAG,
     SERVO_STIFFNESS,
     Seven,
@@ -123,6 +125,7 @@ class Gains:
     lower_torque_threshold: Seven = CONTACT_TORQUE  # [N.m] external torque that is a contact
     upper_torque_threshold: Seven = COLLISION_TORQUE  # [N.m] that is a collision
     reaction: str = "none"  # to a collision, one of `REACTIONS`
+    robot: str = DEFAULT_ROBOT  # whose arm and limits it is, one of `franka.ROBOTS`
 
     @property
     def law(self) -> str:
@@ -130,8 +133,9 @@ class Gains:
         return "reference" if self.use_reference else "tutorial"
 
     def __post_init__(self) -> None:
-        if self.reaction not in REACTIONS:
-            raise ValueError(f"reaction: {self.reaction!r} is not one of {', '.join(REACTIONS)}")
+        for name, names in (("reaction", REACTIONS), ("robot", ROBOTS)):
+            if (choice := getattr(self, name)) not in names:
+                raise ValueError(f"{name}: {choice!r} is not one of {', '.join(names)}")
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             is_vector = isinstance(getattr(Gains, name), tuple)
@@ -175,7 +179,7 @@ ROBUST: Final = Gains(kp=_seven(0.5), ik_gain=5.0, error_filter=0.02)
 PRESETS: Final[Mapping[str, Gains]] = {"default": DEFAULT, "robust": ROBUST, "tutorial": TUTORIAL}
 
 
-def preset(name: str, **changes: float | bool | Seven) -> Gains:
+def preset(name: str, **changes: float | bool | str | Seven) -> Gains:
     """Return a named set of gains, with changes."""
     if name not in PRESETS:
         near = get_close_matches(name, PRESETS, n=1, cutoff=0.0)[0]

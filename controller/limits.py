@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX
+from ..assets.franka import PANDA
+from ..assets.robots import RobotLimits
 
 Vector = NDArray[np.float64]
 Box = NDArray[np.float64]  # rows lowest and highest joint velocity (2, 7) [rad/s]
@@ -32,9 +33,7 @@ END_ZONE = 0.8  # [rad]
 END_SPEED = 2.0  # [rad/s]
 END_PULL = np.array([60.0, 60.0, 60.0, 0.0, 60.0, 60.0, 60.0])  # [1/(rad s)]
 
-_ENDS = np.stack((Q_MIN + END_MARGIN, Q_MAX - END_MARGIN))
 _SIDES = np.array([[-1.0], [1.0]])
-_MIDDLE = 0.5 * (Q_MIN + Q_MAX)
 
 
 def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
@@ -43,21 +42,13 @@ def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
     return clamped
 
 
-def pull_from_ends(q_ref: Vector) -> Vector:
-    """Joint velocities (7,) [rad/s] that lead away from the ends of the joints' ranges."""
-    inside = np.maximum(END_ZONE - _SIDES * (_ENDS - q_ref), 0.0)
-    up, down = np.minimum(END_PULL * inside * inside, END_SPEED)
-    pull: Vector = up - down
-    return pull
-
-
 class JointLimits:
     """Bounds of the joint reference's velocity, per joint.
 
-    Speed is bounded by the velocity limit, and before the end of the joint's range by what leaves
-    room to brake gradually; a reference that has run too far ahead of its joint comes back. The
-    change of speed is bounded by the acceleration limit, and its change by the jerk limit, which
-    take precedence: they can always be kept.
+    Speed is bounded by the velocity limit at the joint's position, and before the end of the
+    joint's range by what leaves room to brake gradually; a reference that has run too far ahead of
+    its joint comes back. The change of speed is bounded by the acceleration limit, and its change
+    by the jerk limit, which take precedence: they can always be kept.
 
     `share` of the limits may be used [1], and the joint reference be ahead of the measured joint by
     `lead` [rad]. The methods take (7,) each: the joint velocities qd [rad/s], the joint reference
@@ -65,18 +56,25 @@ class JointLimits:
     the joint reference minus the measured joint positions [rad].
     """
 
-    def __init__(self, share: float, lead: float, period: float) -> None:
-        self._lead, self._period = lead, period
-        self._speed = share * QD_MAX
-        self._change = share * QDD_MAX * period
-        self._step = share * QDDD_MAX * period * period  # of the change, from period to period
-        self._twice_braking = 2.0 * BRAKING * share * QDD_MAX
-        self._half_change = 0.5 * BRAKING * share * QDD_MAX * (period + QDD_MAX / QDDD_MAX)
+    def __init__(self, share: float, lead: float, period: float, robot: RobotLimits = PANDA):
+        self._share, self._lead, self._period, self._robot = share, lead, period, robot
+        acceleration, jerk = robot.acceleration, robot.jerk
+        self._ends = np.stack((robot.q_min + END_MARGIN, robot.q_max - END_MARGIN))
+        self._middle = 0.5 * (robot.q_min + robot.q_max)
+        self._speed = share * robot.velocity
+        self._change = share * acceleration * period
+        self._step = share * jerk * period * period  # of the change, from period to period
+        self._twice_braking = 2.0 * BRAKING * share * acceleration
+        self._half_change = 0.5 * BRAKING * share * acceleration * (period + acceleration / jerk)
         self._half_squared = self._half_change * self._half_change
         stop = self._speed * self._speed / self._twice_braking + self._speed * (
-            period + QDD_MAX / QDDD_MAX
+            period + acceleration / jerk
         )
         stop = np.maximum(stop, self._speed / APPROACH_RATE)
+        if approach := robot.approach:
+            slow = robot.velocity + approach["offset"]
+            room = slow * slow / (2.0 * approach["braking"]) + (self._ends[1] - approach["high"])
+            stop = np.maximum(stop, room)
         # A change may be taken back in steps alone, so that the speed goes on growing meanwhile.
         slack = self._change * self._change / self._step
         self._near = np.stack(
@@ -85,9 +83,16 @@ class JointLimits:
                 self._change,
                 self._step,
                 np.full(7, lead),
-                0.5 * (_ENDS[1] - _ENDS[0]) - stop,
+                0.5 * (self._ends[1] - self._ends[0]) - stop,
             )
         )
+
+    def pull_from_ends(self, q_ref: Vector) -> Vector:
+        """Joint velocities that lead away from the ends of the joints' ranges."""
+        inside = np.maximum(END_ZONE - _SIDES * (self._ends - q_ref), 0.0)
+        up, down = np.minimum(END_PULL * inside * inside, END_SPEED)
+        pull: Vector = up - down
+        return pull
 
     def inactive(
         self, qd: Vector, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
@@ -98,7 +103,7 @@ class JointLimits:
         """
         change = qd - qd_before
         turn = change - self._period * qdd_before  # at least as large as in `_changes`
-        sizes = np.abs(np.array((qd, change, turn, lag, q_ref - _MIDDLE)))
+        sizes = np.abs(np.array((qd, change, turn, lag, q_ref - self._middle)))
         return bool(np.count_nonzero(sizes < self._near) == self._near.size)  # faster than `all`
 
     def velocity_box(
@@ -135,10 +140,10 @@ class JointLimits:
         They approach at `APPROACH_RATE`, and can stop in time: braking from v takes v^2 / (2 a) +
         v (T + a / j) / 2, with the time in which the brake comes on.
         """
-        room = np.maximum(_SIDES * (_ENDS - q_ref), 0.0)
+        room = np.maximum(_SIDES * (self._ends - q_ref), 0.0)
         speed = np.sqrt(self._twice_braking * room + self._half_squared) - self._half_change
         speed = np.minimum(speed, APPROACH_RATE * room)
-        stoppable: Vector = np.minimum(speed, self._speed)
+        stoppable: Vector = np.minimum(speed, self._share * self._robot.speed(q_ref, _SIDES))
         return stoppable
 
     def _reachable(self, room: Vector) -> Vector:

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets import asset_files
+from ..assets.arm import read_spec
+from ..assets.franka import DEFAULT_ROBOT
 
 Vector = NDArray[np.float64]
 
@@ -17,14 +18,13 @@ FINGERTIPS = (0.0, 0.0, 0.1034)  # [m] their centre in the hand's frame (Franka 
 
 
 @lru_cache(maxsize=8)
-def load_arm(load: float = 0.0) -> Any:
+def load_arm(load: float = 0.0, robot: str = DEFAULT_ROBOT) -> Any:
     """Compile arm and hand, 9 joints, without geoms, which carry no mass.
 
     `load` is the mass of a point between the fingertips [kg]. Compiling takes 50 ms, and nobody
     writes to the model: all share it.
     """
-    files = asset_files()
-    spec = mujoco.MjSpec.from_string(files["panda.xml"].decode(), include=files, assets=files)
+    spec = read_spec("panda.xml", robot)
     for shape in [*spec.geoms, *spec.meshes, *spec.materials]:
         spec.delete(shape)
     if load > 0.0:
@@ -34,9 +34,9 @@ def load_arm(load: float = 0.0) -> Any:
     return spec.compile()
 
 
-def arm_mjb() -> bytes:
-    """Return the compiled arm as a file of MuJoCo's (MJB), for the law in C."""
-    model = load_arm()
+def arm_mjb(robot: str) -> bytes:
+    """Return a robot's compiled arm as a file of MuJoCo's (MJB), for the law in C."""
+    model = load_arm(robot=robot)
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return content.tobytes()
@@ -52,10 +52,10 @@ class HandState(NamedTuple):
 
 
 class ArmModel:
-    """Inertia of arm and hand, without a load, from assets/panda.xml."""
+    """Inertia of arm and hand, without a load, of a robot."""
 
-    def __init__(self) -> None:
-        self._model = load_arm()
+    def __init__(self, robot: str = DEFAULT_ROBOT) -> None:
+        self._model = load_arm(robot=robot)
         self._data: Any = mujoco.MjData(self._model)
         self._qpos, self._qvel = self._data.qpos[:7], self._data.qvel[:7]
         self._acceleration, self._force = np.zeros((2, self._model.nv))

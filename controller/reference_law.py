@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..assets.franka import Q_MAX, Q_MIN
+from ..assets.franka import ROBOTS
 from .gains import Gains
 from .ik import (
     PULL_DAMPING,
@@ -17,7 +17,7 @@ from .ik import (
     scaled_least_squares,
 )
 from .late import KEPT, Late
-from .limits import JointLimits, clamp, pull_from_ends, within
+from .limits import JointLimits, clamp, within
 from .linalg import damped_factor
 from .model import ArmModel
 from .pid import PID_STATE, Pid
@@ -68,11 +68,11 @@ class ReferenceLaw:
     def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
         self._inputs, self._outputs, self._state = inputs, outputs, state
         self._period = np.array(period)  # numpy multiplies by it faster than by a float
-        self._arm = ArmModel()
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
-        self._gains = gains
+        self._gains, robot = gains, ROBOTS[gains.robot]
+        self._arm, self._q_min, self._q_max = ArmModel(gains.robot), robot.q_min, robot.q_max
         self._posture, self._posture_gain = np.array(gains.posture), np.array(gains.posture_gain)
         self._follow_gain = np.array(gains.posture_follow_gain)
         self._servo_lag, self._servo_stiffness = (
@@ -85,7 +85,7 @@ class ReferenceLaw:
         )
         period = float(self._period)
         self._error_share = period / (gains.error_filter + period)
-        self._limits = JointLimits(gains.limit_share, gains.reference_lead, period)
+        self._limits = JointLimits(gains.limit_share, gains.reference_lead, period, robot)
         self._pid = Pid(gains, period, self._state.pid)
         self._poses = Late(self._state.poses, gains.reading_delay, period)
         self._q_refs = Late(self._state.q_refs, gains.reading_delay, period)
@@ -144,7 +144,7 @@ class ReferenceLaw:
         ctrl = q_ref + self._servo_lag * qd + torque / self._servo_stiffness + self._pid.update(dq)
 
         # Write the outputs, with each target clamped to its joint's range, and the state.
-        y.ctrl[:7], y.dq[...] = clamp(ctrl, Q_MIN, Q_MAX), dq
+        y.ctrl[:7], y.dq[...] = clamp(ctrl, self._q_min, self._q_max), dq
         y.qpos_ref[...], y.qvel_ref[...] = q_ref, qd
         q_ref += self._period * qd
         qd_before[...], state.qdd_before[...], state.twist_before[...] = qd, qdd, twist_cmd
@@ -155,5 +155,6 @@ class ReferenceLaw:
         if gains.follow_posture:
             drift: Vector = x.posture_vel_cmd + self._follow_gain * (x.posture_cmd - q_ref)
         else:
-            drift = self._posture_gain * (self._posture - q_ref) + pull_from_ends(q_ref)
+            pull = self._limits.pull_from_ends(q_ref)
+            drift = self._posture_gain * (self._posture - q_ref) + pull
         return drift

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from ..assets.franka import DEFAULT_ROBOT
+
 HAND_POSE_SOURCES: Final = ("plant", "model")
 _ZEROS = (0.0,) * 7
 
@@ -25,6 +27,7 @@ class SensorErrors:
             "model": those of the robot's own model at the measured joints.
         block_position_error: Position error of the camera, world frame [m].
         block_yaw_error: Angular error of the camera about the world's z axis [rad].
+        robot: Whose model "model" is, one of `franka.ROBOTS`.
     """
 
     seed: float = 0.0
@@ -37,3 +40,4 @@ class SensorErrors:
     hand_pose_source: str = "plant"
     block_position_error: tuple[float, ...] = (0.0, 0.0, 0.0)
     block_yaw_error: float = 0.0
+    robot: str = DEFAULT_ROBOT

@@ -33,8 +33,9 @@ class Sensors:
     """Encoders, the robot's own kinematics, a camera and the line to the controller.
 
     `update` reads `truth` and writes `readings`, both of the layout `TRUTH`; the caller may bring
-    their flat arrays (82,). The errors may be changed between updates, all but seed and delay.
-    Random numbers are a function of seed and tick, so the state is the tick and what is on its way.
+    their flat arrays (82,). The errors may be changed between updates, all but seed, delay and
+    robot. Random numbers are a function of seed and tick, so the state is the tick and what is on
+    its way.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Sensors:
         self.truth_values, self.truth = truth.values, truth.record
         self.reading_values, self.readings = readings.values, readings.record
         self._now_values, self._now = now.values, now.views  # measured in this tick
-        self._arm = ArmModel()
+        self._arm = ArmModel(self.errors.robot)
         self._line = np.zeros((self.errors.delay, truth.values.size))  # readings on their way
         self._tick, self._drawn_from = 0, -1
 

@@ -7,7 +7,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from ..assets import STEP_SIZE
-from ..assets.franka import JOINT_DAMPING, Q_MAX, Q_MIN, SERVO_DAMPING
+from ..assets.franka import JOINT_DAMPING, ROBOTS, SERVO_DAMPING
 from .gains import Gains
 from .limits import clamp
 from .linalg import cholesky_solve, damped_factor, mat_vec
@@ -50,11 +50,11 @@ class Touch:
     def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
         self._inputs, self._outputs, self._state = inputs, outputs, state
         self._period = np.array(period)
-        self._arm = ArmModel()
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
-        self._gains = gains
+        self._gains, self._robot = gains, ROBOTS[gains.robot]
+        self._arm = ArmModel(gains.robot)
         gain = gains.observer_gain * float(self._period)
         self._share = gain / (1.0 + gain)
         self._lower = np.array(gains.lower_torque_threshold)
@@ -83,7 +83,7 @@ class Touch:
             return
         qdd = (x.qvel - state.qd_before) / self._period
         state.qd_before[:] = x.qvel
-        torque = x.actuator_force[:7] - ROTOR * qdd - JOINT_DAMPING * x.qvel
+        torque = x.actuator_force[:7] - ROTOR * qdd - JOINT_DAMPING[self._gains.robot] * x.qvel
         needed = self._arm.inertia_force(x.qpos, qdd) + x.qfrc_bias
         external = y.external_torque
         external += self._share * (needed - torque - external)
@@ -99,4 +99,5 @@ class Touch:
             self._state.q_stop[:] = x.qpos
         y.qpos_ref[:] = self._state.q_stop
         y.dq[:], y.qvel_ref[:], y.limit[:] = y.qpos_ref - x.qpos, 0.0, 0.0
-        y.ctrl[:7] = clamp(y.qpos_ref + x.qfrc_bias / self._servo_stiffness, Q_MIN, Q_MAX)
+        ctrl = y.qpos_ref + x.qfrc_bias / self._servo_stiffness
+        y.ctrl[:7] = clamp(ctrl, self._robot.q_min, self._robot.q_max)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from ..assets import SCENES
+from ..assets.franka import DEFAULT_ROBOT, ROBOTS
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 ARM_AND_PALM = (*(f"link{i}" for i in range(8)), "hand")  # bodies that should touch nothing
@@ -42,6 +43,7 @@ class PlantParameters:
     """Parameters of a plant; a ValueError refuses unknown scenes and values out of their range."""
 
     scene: str = "tabletop"  # one of `assets.SCENES`
+    robot: str = DEFAULT_ROBOT  # one of `assets.franka.ROBOTS`
     block_pos: tuple[float, float] = (0.4, -0.2)  # [m] x and y of its centre at the start, world
     block_yaw: float = 0.0  # [rad] turn of the block about the world's z axis at the start
     block_mass: float = 0.18  # [kg]
@@ -54,12 +56,13 @@ class PlantParameters:
     payload: float = 0.0  # [kg] point mass at the hand's centre of mass
 
     def __post_init__(self) -> None:
-        if self.scene not in SCENES:
-            near = get_close_matches(self.scene, SCENES, n=1, cutoff=0.0)
-            raise ValueError(
-                f"scene: {self.scene!r} is not a scene; valid: {', '.join(SCENES)} "
-                f"(did you mean {near[0]!r}?)"
-            )
+        for kind, name, names in (("scene", self.scene, SCENES), ("robot", self.robot, ROBOTS)):
+            if name not in names:
+                near = get_close_matches(name, names, n=1, cutoff=0.0)
+                raise ValueError(
+                    f"{kind}: {name!r} is not a {kind}; valid: {', '.join(names)} "
+                    f"(did you mean {near[0]!r}?)"
+                )
         _check("block_pos[1]", self.block_pos[0], POSITION_RANGE, "m")
         _check("block_pos[2]", self.block_pos[1], POSITION_RANGE, "m")
         _check("block_yaw", self.block_yaw, YAW_RANGE, "rad")

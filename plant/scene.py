@@ -7,7 +7,8 @@ from typing import Any
 
 import mujoco
 
-from ..assets import ELASTIC, asset_files, scene_file
+from ..assets import ELASTIC, scene_file
+from ..assets.arm import read_spec
 from .elastic import add_rotors, stretch_springs
 from .parameters import PlantParameters, block_start_height
 
@@ -18,7 +19,7 @@ def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
     One that is `drawn`, for a picture of the outputs, has shapes that are only drawn, which cost a
     sixth of `mj_step` and change no bit of it; it has no rotors, as no output tells where they are.
     """
-    model = _compiled(parameters.scene, drawn=drawn)
+    model = _compiled(parameters, drawn=drawn)
     body, geom = model.body("obj").id, model.geom("obj_geom").id
     # A box's inertia is proportional to its mass.
     model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]
@@ -31,11 +32,10 @@ def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
     return model
 
 
-def _compiled(scene: str, *, drawn: bool) -> Any:
-    files = asset_files()
-    spec = mujoco.MjSpec.from_string(files[scene_file(scene)].decode(), include=files, assets=files)
+def _compiled(parameters: PlantParameters, *, drawn: bool) -> Any:
+    spec = read_spec(scene_file(parameters.scene), parameters.robot)
     spec.compiler.discardvisual = not drawn
-    if drawn or scene != ELASTIC:
+    if drawn or parameters.scene != ELASTIC:
         return spec.compile()
     add_rotors(spec)
     model = spec.compile()

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from fmu_instance import mujoco_library
 from numpy.typing import NDArray
+from panda_cosim.assets.franka import ROBOTS
 from panda_cosim.controller.controller import STATE, Controller
 from panda_cosim.controller.gains import REACTIONS, Gains
 from panda_cosim.controller.model import load_arm
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from random_tasks import Course
 
 Array = NDArray[np.float64]
+
+CHOICES = {"reaction": REACTIONS, "robot": (*ROBOTS,)}
 
 # controller_functions of controller_law.h
 FUNCTIONS = (
@@ -66,7 +69,7 @@ class LawInC:
 
     def __init__(self, library: Path, gains: Gains, period: float = 0.001) -> None:
         self._law = ctypes.CDLL(str(library))
-        self._arm: Any = load_arm()
+        self._arm: Any = load_arm(robot=gains.robot)
         self._data: Any = mujoco.MjData(self._arm)
         engine = ctypes.CDLL(str(mujoco_library()))
         self._mujoco = (ctypes.c_void_p * (len(FUNCTIONS) + 2))(
@@ -95,7 +98,7 @@ class LawInC:
         self._set_gains = gains
         for name in GAINS.names or ():
             value = getattr(gains, name)
-            self._gains[name] = 1 + REACTIONS.index(value) if name == "reaction" else value
+            self._gains[name] = 1 + CHOICES[name].index(value) if name in CHOICES else value
 
     def update(self) -> None:
         """Compute the outputs of one period from the inputs."""

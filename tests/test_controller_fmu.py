@@ -80,8 +80,8 @@ def test_a_period_that_is_no_multiple_of_the_step_is_refused(it: Unpacked) -> No
 
 def test_a_broken_model_of_the_arm_is_named(it: Unpacked, tmp_path: Path) -> None:
     place = it.copy(tmp_path / "fmu")
-    (place.folder / "resources" / "arm.mjb").write_bytes(b"no model")
-    with pytest.raises(RefusedError, match=r"arm\.mjb"):
+    (place.folder / "resources" / "panda.mjb").write_bytes(b"no model")
+    with pytest.raises(RefusedError, match=r"panda\.mjb"):
         Instance(place)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import fields, replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from law_support import INPUTS, LawInC, compile_law, inputs_of, replay
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
-from panda_cosim.assets import franka
+from panda_cosim.assets import franka, robots
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import RANGES, REACTIONS, Gains, preset
 from panda_cosim.controller.signals import OUTPUTS
@@ -75,7 +76,7 @@ def test_the_gains_of_every_scenario_have_the_same_bits(library: Path, name: str
 
 def random_gains(rng: np.random.Generator) -> Gains:
     """Return gains near those that are shipped, some of them anywhere in their range."""
-    gains = preset(rng.choice(["default", "tutorial"]))
+    gains = preset(rng.choice(["default", "tutorial"]), robot=str(rng.choice([*franka.ROBOTS])))
     for name in rng.choice(PLAIN_FIELDS, 4):
         low, high = RANGES[name]
         value = getattr(gains, name)
@@ -113,12 +114,20 @@ def test_random_gains_and_inputs_have_the_same_bits(library: Path, seed: int, si
     python, law = Controller(gains, period), LawInC(library, gains, period)
     check_same(replay(law, rows), replay(python, rows))
     assert np.array_equal(law.state_values, python.state_values, equal_nan=True)
-    python.gains = law.gains = replace(random_gains(rng), use_reference=not gains.use_reference)
+    python.gains = law.gains = replace(
+        random_gains(rng), use_reference=not gains.use_reference, robot=gains.robot
+    )
     check_same(replay(law, rows[::-1]), replay(python, rows[::-1]))
 
 
 def test_the_robots_limits_are_those_of_the_assets(library: Path) -> None:
-    robot = (ctypes.c_double * 45).in_dll(ctypes.CDLL(str(library)), "CONTROLLER_ROBOT")
-    expected = [*franka.Q_MIN, *franka.Q_MAX, *franka.QD_MAX, *franka.QDD_MAX, *franka.QDDD_MAX]
-    expected += [franka.OPENING_MAX, franka.CTRL_OPEN, *franka.SERVO_DAMPING, franka.JOINT_DAMPING]
-    assert list(robot) == expected
+    law, expected = ctypes.CDLL(str(library)), []
+    anywhere = {"low": [-inf] * 7, "high": [inf] * 7, "braking": [1.0] * 7, "offset": [0.0] * 7}
+    for name, robot in franka.ROBOTS.items():
+        approach = robot.approach or anywhere
+        expected += [*robot.q_min, *robot.q_max, *robot.velocity, *robot.acceleration, *robot.jerk]
+        expected += [number for key in anywhere for number in approach[key]]
+        expected += [franka.JOINT_DAMPING[name]]
+    assert list((ctypes.c_double * len(expected)).in_dll(law, "CONTROLLER_ROBOTS")) == expected
+    common = [franka.OPENING_MAX, franka.CTRL_OPEN, *franka.SERVO_DAMPING, robots.LEAST]
+    assert list((ctypes.c_double * len(common)).in_dll(law, "CONTROLLER_COMMON")) == common

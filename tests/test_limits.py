@@ -13,7 +13,6 @@ from panda_cosim.controller.limits import (
     POSITION,
     VELOCITY,
     JointLimits,
-    pull_from_ends,
     within,
 )
 
@@ -25,6 +24,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 LIMITS = JointLimits(share=1.0, lead=0.05, period=PERIOD)
+pull_from_ends = LIMITS.pull_from_ends
 NONE = np.zeros(7)
 HOME = np.array(HOME_Q)
 

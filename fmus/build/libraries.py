@@ -193,7 +193,7 @@ def code_digest() -> str:
     """Hash of all code that FMUs depend on, and of the versions of the packages used."""
     root = SOURCES.parents[1]
     paths = [path for folder in _CODE for path in (root / folder).rglob("*.*")]
-    kinds = (".py", ".c", ".h", ".j2", ".png", ".xml")
+    kinds = (".py", ".c", ".h", ".j2", ".png", ".toml", ".xml")
     code = {p.relative_to(root).as_posix(): p.read_bytes() for p in paths if p.suffix in kinds}
     return digest(code, package_version("panda-cosim"), mujoco_version())
 

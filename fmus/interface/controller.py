@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...assets import STEP_SIZE
-from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
+from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX, ROBOTS
 from ...controller.gains import RANGES, REACTIONS, Gains
 from .plant import CTRL_PARTS, FORCE_PARTS, JAC_PARTS, ROBOT
 from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
@@ -132,6 +132,9 @@ CONTROLLER = Interface(
                  "collided, until it is none: none; stop (hold the joints where they are); yield "
                  "(give way, held up against gravity alone)", _GAINS.reaction,
                  kind="Enumeration", choices=REACTIONS),
+        Variable("robot", (), "", "parameter", "fixed", "Arm whose model and limits are used: "
+                 "panda (Franka Emika Panda) or fr3 (Franka Research 3)", _GAINS.robot,
+                 kind="Enumeration", choices=tuple(ROBOTS)),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

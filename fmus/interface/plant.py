@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ...assets import SCENES
-from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN, TORQUE_MAX
+from ...assets.franka import CTRL_OPEN, HOME_Q, ROBOTS, TORQUE_MAX
 from ...plant.parameters import (
     ARM_AND_PALM,
     ARM_JOINTS,
@@ -26,8 +28,8 @@ from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
 FORCES = {"hand": "push_force", "block": "block_force"} | {n: f"{n}_force" for n in MOVING_LINKS}
 FORCE_MAX = 1000.0  # [N] far above any realistic push
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
-CTRL_MIN = (*Q_MIN.tolist(), 0.0)
-CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)
+CTRL_MIN = (*np.min([robot.q_min for robot in ROBOTS.values()], axis=0).tolist(), 0.0)
+CTRL_MAX = (*np.max([robot.q_max for robot in ROBOTS.values()], axis=0).tolist(), CTRL_OPEN)
 # What plant and controller exchange.
 ROBOT = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias", "ctrl")
 _CTRL_UNITS = joints("rad", "1")
@@ -128,6 +130,9 @@ PLANT = Interface(
                  "torque-driven joints) or elastic (tabletop with a spring of 10 kN.m/rad in each "
                  "joint)", _BLOCK.scene,
                  kind="Enumeration", choices=SCENES, source="scene"),
+        Variable("robot", (), "", "parameter", "fixed", "The arm: panda (Franka Emika "
+                 "Panda) or fr3 (Franka Research 3)", _BLOCK.robot,
+                 kind="Enumeration", choices=tuple(ROBOTS), source="scene"),
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Start position of the block's "
                  "centre, x and y, world frame", _BLOCK.block_pos, *POSITION_RANGE,
                  source="body obj free_xy clear stand floor table"),

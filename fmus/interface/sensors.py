@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from ...assets import STEP_SIZE
+from ...assets.franka import ROBOTS
 from ...controller.sensor_errors import HAND_POSE_SOURCES, SensorErrors
 from .controller import CONTROLLER
 from .plant import PLANT
@@ -85,5 +86,8 @@ SENSORS = Interface(
                "position, world frame", fixed=True),
         _error("block_yaw_error", 1, "rad", (-3.2, 3.2), "Error of the block's measured yaw "
                "about the world's z axis", fixed=True),
+        Variable("robot", (), "", "parameter", "fixed", "Arm whose model gives the hand's pose: "
+                 "panda (Franka Emika Panda) or fr3 (Franka Research 3)", _DEFAULTS.robot,
+                 kind="Enumeration", choices=tuple(ROBOTS)),
     ),
 )  # fmt: skip

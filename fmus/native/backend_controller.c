@@ -40,9 +40,9 @@ static const field FIELDS[] = {
     FIELD(gains., grip_force), FIELD(gains., grip_width), FIELD(gains., grip_stiffness),
     FIELD(gains., reading_delay), FIELD(gains., follow_posture), FIELD(gains., posture_follow_gain),
     FIELD(gains., observer), FIELD(gains., observer_gain), FIELD(gains., lower_torque_threshold),
-    FIELD(gains., upper_torque_threshold), FIELD(gains., reaction),
+    FIELD(gains., upper_torque_threshold), FIELD(gains., reaction), FIELD(gains., robot),
     FIELD(, period)};
-enum { INPUTS = 0, OUTPUTS = 14, GAINS = 24, PERIOD = 60, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
+enum { INPUTS = 0, OUTPUTS = 14, GAINS = 24, PERIOD = 61, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
 _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 
 /* ---- an instance ---- */
@@ -54,8 +54,9 @@ typedef struct {
 
 typedef struct {
     controller c;
-    controller_mujoco mujoco;
-    mjModel *arm;
+    controller_mujoco mujoco; /* arm and data are the chosen robot's */
+    mjModel *arms[ROBOTS];
+    mjData *data[ROBOTS];
     int64_t period_steps; /* internal steps between two updates */
     orientation command, hand;
     unsigned references[FIELD_COUNT]; /* of the fields' variables */
@@ -92,13 +93,18 @@ static void write_outputs(const fmu *f, const law *l)
 
 /* ---- the arm ---- */
 
-static fmu_status make_arm(fmu *f, void *unused)
+static const char *const ARM_FILES[ROBOTS] = {"panda.mjb", "fr3.mjb"};
+
+static fmu_status make_data(fmu *f, void *unused)
 {
     law *l = f->model;
-    if (l->arm->nv != ARM_DOFS || l->arm->nq != ARM_DOFS) return fmu_error(f, "arm.mjb is not the arm");
-    l->mujoco.arm = l->arm;
-    l->mujoco.data = mj.mj_makeData(l->arm);
-    return l->mujoco.data ? FMU_OK : fmu_error(f, "out of memory");
+    for (int i = 0; i < ROBOTS; i++) {
+        const mjModel *arm = l->arms[i];
+        if (arm->nv != ARM_DOFS || arm->nq != ARM_DOFS) return fmu_error(f, "%s is not the arm", ARM_FILES[i]);
+        l->data[i] = mj.mj_makeData(arm);
+        if (!l->data[i]) return fmu_error(f, "out of memory");
+    }
+    return FMU_OK;
 }
 
 static fmu_status create(fmu *f)
@@ -109,16 +115,19 @@ static fmu_status create(fmu *f)
 #define X(name) .name = mj.name,
     l->mujoco.call = (controller_functions){CONTROLLER_FUNCTIONS(X)};
 #undef X
-    l->arm = mujoco_load(f, "arm.mjb");
-    return l->arm ? mujoco_guarded(f, make_arm, NULL) : FMU_ERROR;
+    for (int i = 0; i < ROBOTS; i++)
+        if (!(l->arms[i] = mujoco_load(f, ARM_FILES[i]))) return FMU_ERROR;
+    return mujoco_guarded(f, make_data, NULL);
 }
 
 static void destroy(fmu *f)
 {
     law *l = f->model;
     if (!l) return;
-    if (l->mujoco.data) mj.mj_deleteData(l->mujoco.data);
-    if (l->arm) mj.mj_deleteModel(l->arm);
+    for (int i = 0; i < ROBOTS; i++) {
+        if (l->data[i]) mj.mj_deleteData(l->data[i]);
+        if (l->arms[i]) mj.mj_deleteModel(l->arms[i]);
+    }
     free(l);
 }
 
@@ -126,7 +135,10 @@ static void destroy(fmu *f)
 
 static fmu_status tune(fmu *f)
 {
-    read_fields(f, f->model, GAINS, PERIOD);
+    law *l = f->model;
+    read_fields(f, l, GAINS, PERIOD);
+    l->mujoco.arm = l->arms[(int)l->c.gains.robot - 1];
+    l->mujoco.data = l->data[(int)l->c.gains.robot - 1];
     return FMU_OK;
 }
 

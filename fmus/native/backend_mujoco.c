@@ -77,10 +77,23 @@ static int chosen(const fmu *f, const mujoco_model *model, source_kind kind, int
     return otherwise;
 }
 
+/* Index, from 0, of the model that all parameters of the kind `scene` choose; the first varies fastest. */
+static int chosen_scene(const fmu *f, const mujoco_model *model)
+{
+    int scene = 0, count = 1;
+    for (int i = 0; i < model->source_count; i++) {
+        const fmu_variable *v = model->sources[i].variable;
+        if (model->sources[i].kind != SOURCE_SCENE) continue;
+        scene += count * ((int)f->values[v->reference] - 1);
+        count *= (int)*v->maximum;
+    }
+    return scene;
+}
+
 static fmu_status make(fmu *f, void *unused)
 {
     mujoco_model *model = f->model;
-    const int scene = chosen(f, model, SOURCE_SCENE, 0);
+    const int scene = chosen_scene(f, model);
     if (scene < 0 || scene >= model->scene_count)
         return fmu_error(f, "there are %d models, but model %d is chosen", model->scene_count, scene + 1);
     model->key = chosen(f, model, SOURCE_KEYFRAME, model->key + 1) - 1; /* the first choice is qpos0 */

@@ -131,7 +131,7 @@ static double drift_of(const controller *c, int i)
     const double q_ref = c->state.reference.q_ref[i];
     if (gains->follow_posture != 0.0)
         return c->inputs.posture_vel_cmd[i] + gains->posture_follow_gain * (c->inputs.posture_cmd[i] - q_ref);
-    return gains->posture_gain[i] * (gains->posture[i] - q_ref) + pull_from_ends(i, q_ref);
+    return gains->posture_gain[i] * (gains->posture[i] - q_ref) + pull_from_ends(robot_of(gains), i, q_ref);
 }
 
 static void update_reference_law(controller *c, const controller_mujoco *mujoco)
@@ -173,7 +173,7 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
         const double torque =
             gains->gravity_feedforward[i] * x->qfrc_bias[i] + gains->inertia_feedforward[i] * force[i];
         const double ctrl = q_ref[i] + gains->servo_lag[i] * qd[i] + torque / gains->servo_stiffness[i] + pid[i];
-        y->ctrl[i] = clamp(ctrl, CONTROLLER_ROBOT.q_min[i], CONTROLLER_ROBOT.q_max[i]);
+        y->ctrl[i] = clamp(ctrl, robot_of(gains)->q_min[i], robot_of(gains)->q_max[i]);
         y->dq[i] = dq[i];
         y->qpos_ref[i] = q_ref[i];
         y->qvel_ref[i] = qd[i];
@@ -222,7 +222,7 @@ static double grip_cmd(const controller *c)
     double wanted = c->inputs.grip_cmd;
     if (gains->grip_force > 0.0 && wanted < gains->grip_width)
         wanted = gains->grip_width - 2.0 * gains->grip_force / gains->grip_stiffness;
-    return smaller(larger(wanted, 0.0), CONTROLLER_ROBOT.opening_max);
+    return smaller(larger(wanted, 0.0), CONTROLLER_COMMON.opening_max);
 }
 
 /* Moves the gripper's target towards its command at the fingers' speed. */
@@ -234,7 +234,7 @@ static void move_gripper(controller *c)
         wanted = smaller(larger(wanted, c->state.opening - step), c->state.opening + step);
     }
     c->state.opening = wanted;
-    c->outputs.ctrl[JOINTS] = CONTROLLER_ROBOT.ctrl_open * (wanted / CONTROLLER_ROBOT.opening_max);
+    c->outputs.ctrl[JOINTS] = CONTROLLER_COMMON.ctrl_open * (wanted / CONTROLLER_COMMON.opening_max);
 }
 
 /* Starts the chosen law, and the gripper if nothing ran before. */
@@ -253,7 +253,7 @@ void controller_reset(controller *c)
     memset(&c->outputs, 0, sizeof c->outputs);
     memset(&c->state, 0, sizeof c->state);
     memcpy(c->outputs.ctrl, c->gains.base_ctrl, sizeof c->gains.base_ctrl);
-    c->outputs.ctrl[JOINTS] = CONTROLLER_ROBOT.ctrl_open;
+    c->outputs.ctrl[JOINTS] = CONTROLLER_COMMON.ctrl_open;
 }
 
 void controller_update(controller *c, const controller_mujoco *mj)

@@ -41,6 +41,7 @@ typedef struct {
     double grip_force, grip_width, grip_stiffness;
     double reading_delay, follow_posture, posture_follow_gain; /* follow_posture is 0 or 1 */
     double observer, observer_gain, lower_torque_threshold[JOINTS], upper_torque_threshold[JOINTS], reaction;
+    double robot; /* counts from 1 */
 } controller_gains;
 
 typedef struct {
@@ -87,21 +88,29 @@ typedef struct {
 #undef X
 } controller_functions;
 
-/* MuJoCo, and the arm without load (ARM_DOFS degrees of freedom) for its inertia. */
+/* MuJoCo, and the robot's arm without load (ARM_DOFS degrees of freedom) for its inertia. */
 typedef struct {
     controller_functions call;
     const mjModel *arm;
     mjData *data;
 } controller_mujoco;
 
-/* The robot's limits; assets/franka.py has the sources. */
+/* A robot's limits; assets/franka.py has the sources. */
 typedef struct {
     double q_min[JOINTS], q_max[JOINTS], qd_max[JOINTS], qdd_max[JOINTS], qddd_max[JOINTS];
-    double opening_max, ctrl_open;
-    double servo_damping[JOINTS], joint_damping;
+    double slow_low[JOINTS], slow_high[JOINTS], slow_braking[JOINTS], slow_offset[JOINTS];
+    double joint_damping;
 } controller_robot;
 
-extern const controller_robot CONTROLLER_ROBOT;
+enum { ROBOTS = 2 };
+extern const controller_robot CONTROLLER_ROBOTS[ROBOTS];
+
+/* What all robots share: the hand and the servos. */
+typedef struct {
+    double opening_max, ctrl_open, servo_damping[JOINTS], speed_left;
+} controller_common;
+
+extern const controller_common CONTROLLER_COMMON;
 
 /* Sets all but gains and period to 0, the arm's targets to base_ctrl, and opens the gripper. */
 void controller_reset(controller *c);

@@ -10,6 +10,11 @@ static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double larger(double a, double b) { return b > a ? b : a; }
 static inline double clamp(double x, double low, double high) { return smaller(larger(x, low), high); }
 
+static inline const controller_robot *robot_of(const controller_gains *gains)
+{
+    return &CONTROLLER_ROBOTS[(int)gains->robot - 1];
+}
+
 /* controller_ik.c: controller/ik.py, linalg.py and singularity.py */
 void pose_error(const controller_functions *mj, const double cmd[POSE], const controller_inputs *in,
                 double error[TWIST]);
@@ -32,7 +37,8 @@ double singular_damping(double smallest, const controller_gains *gains);
 
 /* controller_limits.c: controller/limits.py */
 typedef struct {
-    double lead, period, speed[JOINTS], change[JOINTS], step[JOINTS], twice_braking[JOINTS];
+    const controller_robot *robot;
+    double share, lead, period, speed[JOINTS], change[JOINTS], step[JOINTS], twice_braking[JOINTS];
     double half_change[JOINTS], stop[JOINTS], slack[JOINTS];
 } joint_limits;
 
@@ -41,7 +47,7 @@ typedef struct {
     const double *q_ref, *qd_before, *qdd_before, *lag;
 } joint_course;
 
-double pull_from_ends(int joint, double q_ref);
+double pull_from_ends(const controller_robot *robot, int joint, double q_ref);
 void limits_of(const controller_gains *gains, double period, joint_limits *limits);
 bool limits_inactive(const joint_limits *limits, const double *qd, const joint_course *course);
 void velocity_box(const joint_limits *limits, const joint_course *course, double low[JOINTS],

@@ -32,6 +32,7 @@ static void observe(controller *c, const controller_mujoco *mujoco)
     const controller_functions *mj = &mujoco->call;
     const controller_inputs *x = &c->inputs;
     controller_outputs *y = &c->outputs;
+    const controller_robot *robot = robot_of(&c->gains);
     double *qd_before = c->state.touch.qd_before;
     double qdd[JOINTS], inertia[JOINTS], factor[TWIST * TWIST], force[TWIST];
     const double gain = c->gains.observer_gain * c->period, share = gain / (1.0 + gain);
@@ -41,9 +42,9 @@ static void observe(controller *c, const controller_mujoco *mujoco)
     }
     inertia_force(mujoco, x->qpos, qdd, inertia);
     for (int i = 0; i < JOINTS; i++) {
-        const double rotor = CONTROLLER_ROBOT.servo_damping[i] * PHYSICS_STEP;
+        const double rotor = CONTROLLER_COMMON.servo_damping[i] * PHYSICS_STEP;
         const double torque =
-            x->actuator_force[i] - rotor * qdd[i] - CONTROLLER_ROBOT.joint_damping * x->qvel[i];
+            x->actuator_force[i] - rotor * qdd[i] - robot->joint_damping * x->qvel[i];
         y->external_torque[i] += share * (inertia[i] + x->qfrc_bias[i] - torque - y->external_torque[i]);
         y->joint_contact[i] = contact_of(c, i);
     }
@@ -65,7 +66,7 @@ static void react(controller *c)
         y->qpos_ref[i] = q_stop[i];
         y->dq[i] = q_stop[i] - x->qpos[i];
         y->qvel_ref[i] = y->limit[i] = 0.0;
-        y->ctrl[i] = clamp(ctrl, CONTROLLER_ROBOT.q_min[i], CONTROLLER_ROBOT.q_max[i]);
+        y->ctrl[i] = clamp(ctrl, robot_of(&c->gains)->q_min[i], robot_of(&c->gains)->q_max[i]);
     }
 }
 

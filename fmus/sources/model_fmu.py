@@ -18,6 +18,8 @@ import mujoco
 import numpy as np
 
 from ...assets import asset_files
+from ...assets.arm import change_arm
+from ...assets.franka import DEFAULT_ROBOT
 from ..build.native import NativeFmu
 from ..errors import InputError
 from ..interface.variables import Interface, Variable
@@ -73,17 +75,18 @@ def model_fmu(
     return replace(fmu, again=partial(model_fmu, path, options, name))
 
 
-def model_part(path: Path) -> NativeFmu:
+def model_part(path: Path, robot: str = DEFAULT_ROBOT) -> NativeFmu:
     """Describe the FMU of a scenario's model, by the TOML file of the same name beside it.
 
     Without one, it has the default interface and starts at the keyframe `home`, if there is one.
+    The arm of `assets` in it is the robot's.
     """
-    model = load(path)
+    model = load(path, robot=robot)
     keys = [model.key(i).name for i in range(model.nkey)]
     options = ModelOptions("home" if "home" in keys else "")
     if (beside := path.with_suffix(".toml")).is_file():
         options = ModelOptions(interface=beside)
-    return replace(_fmu(path, model, options, path.stem), again=partial(model_part, path))
+    return replace(_fmu(path, model, options, path.stem), again=partial(model_part, path, robot))
 
 
 def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str:
@@ -163,7 +166,7 @@ def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
 # The model.
 
 
-def load(path: Path, warn: Warn | None = None) -> Any:
+def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> Any:
     """Load a model with all its files; an MJCF may include those of `assets` by their names."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
@@ -178,6 +181,10 @@ def load(path: Path, warn: Warn | None = None) -> Any:
             else:  # files beside the model go first: MuJoCo would take those that it is given
                 ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
                 model = mujoco.MjModel.from_xml_path(str(path), ours)
+                if robot != DEFAULT_ROBOT:
+                    spec = mujoco.MjSpec.from_file(str(path), include=ours, assets=ours)
+                    change_arm(spec, robot, asset_files())
+                    model = spec.compile()
                 _fill_keyframes(model, path, ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import SCENES
+from ...assets.franka import ROBOTS
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
 from ..build.description import STOP_TIME, Layout
@@ -138,7 +140,8 @@ class Own:
 
     interface: Interface
     slave: tuple[str, str]  # module and class of the slave in Python
-    assets: tuple[str, ...] = ("arm.xml", "panda.xml", "shells.xml")  # that the slave needs
+    # Files of `assets` that the slave needs.
+    assets: tuple[str, ...] = ("arm.xml", "panda.xml", "fr3.xml", "shells.xml")
     needs: tuple[str, ...] = ("numpy", "mujoco")  # packages that the slave needs
 
 
@@ -167,14 +170,16 @@ def own_fmu(
         from ...plant.scene import load_scene  # noqa: PLC0415 - see above
         from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above
 
-        models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
+        chosen = product(ROBOTS, SCENES)  # as the parameters `scene` and `robot` choose
+        models = {f"{r}_{s}": load_scene(PlantParameters(robot=r, scene=s)) for r, s in chosen}
         return replace(mujoco_fmu(PLANT, models, "", "home", STOP_TIME), again=again)
     from ..build.native import NativeFmu  # noqa: PLC0415 - see above
 
     if name == "controller":
         from ...controller.model import arm_mjb  # noqa: PLC0415 - see above
 
-        return NativeFmu(CONTROLLER, "controller", "", {"arm.mjb": arm_mjb()}, again=again)
+        arms = {f"{robot}.mjb": arm_mjb(robot) for robot in ROBOTS}
+        return NativeFmu(CONTROLLER, "controller", "", arms, again=again)
     return NativeFmu(TRAJECTORY, "player", "", table, (("table", TABLE_FILE),))
 
 
@@ -184,5 +189,6 @@ def own_code(name: str) -> dict[str, bytes]:
 
     own = OWN[name]
     code = code_of(ROOT / f"{own.slave[0].replace('.', '/')}.py", ROOT)
-    files = (file for pattern in own.assets for file in sorted((ROOT / "assets").glob(pattern)))
+    patterns = (*own.assets, "*.toml")
+    files = (file for pattern in patterns for file in sorted((ROOT / "assets").glob(pattern)))
     return code | {f"assets/{file.name}": file.read_bytes() for file in files}

@@ -8,9 +8,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets.franka import Q_MAX, Q_MIN
+from ...assets.franka import ROBOTS
+from ...assets.robots import RobotLimits
 from ..recording import Recording, by_rows
-from ..scenario.limits import LIMITS, METRICS, reference_rates, saturated, torque_rates
+from ..scenario.limits import (
+    LIMITS_OF,
+    METRICS,
+    reference_rates,
+    robot_of,
+    saturated,
+    torque_rates,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,7 +37,7 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
     """
     shares: dict[str, Any] = {}
     missing = {}
-    for key, (signal, _, _) in _USES.items():
+    for key, (signal, _) in _USES.items():
         if signal not in recording:
             missing[key] = f"{signal.partition('[')[0]} is not recorded"
         elif not len(recording.time):
@@ -41,11 +49,49 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
 
 def shares_over_time(recording: Recording, metric: str) -> Iterator[Array]:
     """Yield the use of a limit at each row (n,), joint by joint, 1 and -1 at the limit."""
-    _, limit, used = _USES[metric]
-    return (column / bound for column, bound in zip(used(recording), limit, strict=True))
+    return iter(_USES[metric][1](recording))
 
 
 Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
+
+
+def _robot(recording: Recording) -> RobotLimits:
+    return ROBOTS[robot_of(recording.metadata)]
+
+
+def _share(quantity: str, used: Elements) -> Elements:
+    """Return the shares of a limit that does not depend on the position."""
+
+    def shares(recording: Recording) -> Iterable[Array]:
+        limit = LIMITS_OF[robot_of(recording.metadata)][quantity].bound
+        return map(np.divide, used(recording), limit)
+
+    return shares
+
+
+def _positions(recording: Recording) -> Iterable[Array]:
+    """Yield how far each joint is from the middle of its range."""
+    low, high = _robot(recording).q_min, _robot(recording).q_max
+    centre = (high + low) / 2
+    away = map(np.subtract, _of("plant.qpos")(recording), centre)
+    return map(np.divide, away, high - centre)
+
+
+def _velocities(velocity: str, position: str) -> Elements:
+    """Return the shares of the velocity limits at positions, or at the measured ones."""
+
+    def shares(recording: Recording) -> Iterable[Array]:
+        robot = _robot(recording)
+        if not robot.approach:
+            return map(np.divide, _of(velocity)(recording), robot.velocity)
+        at = position if f"{position}[7]" in recording else "plant.qpos"
+
+        def used(q: Array, qd: Array) -> Array:
+            return qd[:, :7] / robot.speed(q[:, :7], qd[:, :7])
+
+        return by_rows(recording, used, at, velocity).T
+
+    return shares
 
 
 def _of(signal: str, first: int = 1, count: int = 7) -> Elements:
@@ -66,21 +112,18 @@ def _reference_rates(order: int) -> Elements:
     )
 
 
-_CENTRE: Final = (Q_MAX + Q_MIN) / 2
 _Q, _QD, _F, _REF = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]", f"{REFERENCE}[7]"
-# By metric: the signal that it needs, the limit, and what is compared with it, joint by joint.
-_USES: Final[Mapping[str, tuple[str, Array, Elements]]] = {
-    "position_share": (
-        _Q, Q_MAX - _CENTRE, lambda run: map(np.subtract, _of("plant.qpos")(run), _CENTRE)
-    ),
-    "velocity_share": (_QD, LIMITS["velocity"].bound, _of("plant.qvel")),
-    "torque_share": (_F, LIMITS["torque"].bound, _of(FORCE)),
-    "torque_rate_share": (_F, LIMITS["torque rate"].bound, _torque_rates),
-    "finger_speed_share": (_QD, LIMITS["finger speed"].bound, _of("plant.qvel", 8, 2)),
-    "reference_velocity_share": (_REF, LIMITS["velocity"].bound, _of(REFERENCE)),
-    "reference_acceleration_share": (_REF, LIMITS["acceleration"].bound, _reference_rates(0)),
-    "reference_jerk_share": (_REF, LIMITS["jerk"].bound, _reference_rates(1)),
-}  # fmt: skip
+# By metric: the signal that it needs, and the shares of the limit, joint by joint.
+_USES: Final[Mapping[str, tuple[str, Elements]]] = {
+    "position_share": (_Q, _positions),
+    "velocity_share": (_QD, _velocities("plant.qvel", "plant.qpos")),
+    "torque_share": (_F, _share("torque", _of(FORCE))),
+    "torque_rate_share": (_F, _share("torque rate", _torque_rates)),
+    "finger_speed_share": (_QD, _share("finger speed", _of("plant.qvel", 8, 2))),
+    "reference_velocity_share": (_REF, _velocities(REFERENCE, "controller.qpos_ref")),
+    "reference_acceleration_share": (_REF, _share("acceleration", _reference_rates(0))),
+    "reference_jerk_share": (_REF, _share("jerk", _reference_rates(1))),
+}
 
 
 def largest_share(shares: Mapping[str, Any]) -> float | None:

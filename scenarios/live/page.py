@@ -52,7 +52,7 @@ CURVES: Final = (
 def page_of(session: Session) -> str:
     """Return the page of a session as HTML."""
     columns, model = list(session.numbers()), _model(session)
-    bounds = story.bounds() if session.is_panda else {}
+    bounds = story.bounds(session.scenario.robot) if session.is_panda else {}
     content = {
         "name": session.scenario.name,
         "about": _about(session),
@@ -124,7 +124,7 @@ def _model(session: Session) -> Any:
             )
         return load_model(str(kept))
     plant: dict[str, Any] = session.parameters["plant"]
-    drawn = ("scene", "block_mass", "block_friction")
+    drawn = ("scene", "robot", "block_mass", "block_friction")
     return load_scene(PlantParameters(**{key: plant[key] for key in drawn}), drawn=True)
 
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...assets.franka import OPENING_MAX, QDDD_MAX
+from ...assets.franka import OPENING_MAX, ROBOTS
 from ..judging.holds import Hold, find_holds
 from ..judging.limits import shares_over_time
-from ..scenario.limits import reference_rates
+from ..scenario.limits import reference_rates, robot_of
 from .motion import SHAPES, FloatArray, check_signals
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ def _shares(metric: str) -> Callable[[Recording], Iterator[FloatArray]]:
 
 def _jerks(recording: Recording) -> Iterator[FloatArray]:
     """Yield the jerk of each joint's reference at each row, as a share of its limit."""
-    for joint, limit in enumerate(QDDD_MAX, 1):
+    for joint, limit in enumerate(ROBOTS[robot_of(recording.metadata)].jerk, 1):
         velocity = recording[f"controller.qvel_ref[{joint}]"]
         yield reference_rates(velocity, recording.metadata)[1] / limit
 

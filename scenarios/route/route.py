@@ -16,7 +16,7 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...plant.parameters import BLOCK_HALF_HEIGHT, block_start_height
 from ..scenario.scenario import Scenario
-from .scene import HIGH, HOME, LOW, PLANNED, SEED, Lines, Load, RouteScene, spacing
+from .scene import HOME, PLANNED, SEED, Lines, Load, RouteScene, spacing
 from .times import SPACING, Motion, rounded, timed
 
 Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ def _way(scene: RouteScene, start: Array, goals: Sequence[Array], load: Load) ->
         if not (ends and is_free(start)):
             continue
         for nearest, iterations in zip((ends[:1], ends), ITERATIONS, strict=True):
-            corners = _path(is_free, start, nearest, clearance, iterations)
+            corners = _path(scene, is_free, start, nearest, clearance, iterations)
             if corners is None:
                 continue
             for path, knots in (rounded(corners, rounding) for rounding in ROUNDINGS):
@@ -148,9 +148,9 @@ def _way(scene: RouteScene, start: Array, goals: Sequence[Array], load: Load) ->
     return None
 
 
-def _path(
-    is_free: Callable[[Array], bool], start: Array, goals: Sequence[Array], clearance: float,
-    iterations: int,
+def _path(  # noqa: PLR0913 - all that it depends on
+    scene: RouteScene, is_free: Callable[[Array], bool], start: Array, goals: Sequence[Array],
+    clearance: float, iterations: int,
 ) -> Array | None:  # fmt: skip
     """Return corners (n, 7) [rad] of a path to one of the goals with a clearance [m]; None: none.
 
@@ -173,8 +173,8 @@ def _path(
         return state
 
     for joint in range(7):
-        bounds.setLow(joint, float(LOW[joint]))
-        bounds.setHigh(joint, float(HIGH[joint]))
+        bounds.setLow(joint, float(scene.low[joint]))
+        bounds.setHigh(joint, float(scene.high[joint]))
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
     setup.setStateValidityChecker(lambda state: is_free(_joints(state)))

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets.franka import HOME_Q, HOME_XQUAT, Q_MAX, Q_MIN
+from ...assets.franka import DEFAULT_ROBOT, HOME_Q, HOME_XQUAT, ROBOTS
 from ...plant.parameters import ARM_AND_PALM, BLOCK, FINGERS
 from .. import rotations
 
@@ -21,7 +21,6 @@ Lines = tuple[Array, Array]  # down and up, (n, 7) each [rad]
 HOME: Final = np.array(HOME_Q)
 SEED: Final = 1
 ENDS: Final = 0.05  # [rad] that every posture keeps from the ends of the joints' ranges
-LOW, HIGH = Q_MIN + ENDS, Q_MAX - ENDS  # [rad]
 ROOM, FEW = 0.35, 0.1  # [rad] to the ends: more is no better, less the last choice
 CLEARANCE: Final = 0.004  # [m] of everything that moves from everything else, on the finished path
 PLANNED: Final = 0.02  # [m] the same where a path is planned, as its corners are rounded later
@@ -51,10 +50,12 @@ class RouteScene:
 
     `block` is the pose of the standing block, `held` its pose in the hand's frame: position (3,)
     [m] and quaternion (w, x, y, z), and `opening` that between the fingertips [m]. All else is
-    where `qpos` says.
+    where `qpos` says. Postures are between `low` and `high` (7,) [rad], away from the joints' ends.
     """
 
-    def __init__(self, model: Any, qpos: Array, block: Array) -> None:
+    def __init__(self, model: Any, qpos: Array, block: Array, robot: str = DEFAULT_ROBOT) -> None:
+        self.robot, ends = robot, ROBOTS[robot]
+        self.low, self.high = ends.q_min + ENDS, ends.q_max - ENDS
         self._model, self._data = model, mujoco.MjData(model)
         self._data.qpos[:] = qpos
         self._hand, self._jac = model.body("hand").id, np.zeros((6, model.nv))
@@ -88,7 +89,7 @@ class RouteScene:
 
     def is_free(self, q: Array, load: Load, clearance: float = CLEARANCE) -> bool:
         """Tell whether joint positions (7,) [rad] are in range, and keep the clearance [m]."""
-        if (q < LOW - 1e-3).any() or (q > HIGH + 1e-3).any():
+        if (q < self.low - 1e-3).any() or (q > self.high + 1e-3).any():
             return False
         is_held, surroundings, gripper = load.value
         block = _product(self.hand(q), self.held) if is_held else self.block
@@ -136,14 +137,14 @@ class RouteScene:
         turned to the place. Those far from the joints' ends and close to `home` are best.
         """
         random, rated = np.random.default_rng(SEED), []
-        near = np.clip([math.atan2(place[1], place[0]), *HOME[1:]], LOW, HIGH)
+        near = np.clip([math.atan2(place[1], place[0]), *HOME[1:]], self.low, self.high)
         for side in range(4):
             turn = rotations.about_z(math.remainder(yaw + side * math.pi / 2, 2 * math.pi))
             pose = np.concatenate((place, rotations.multiply(turn, np.array(HOME_XQUAT))))
-            for start in (near, *random.uniform(LOW, HIGH, (starts, 7))):
+            for start in (near, *random.uniform(self.low, self.high, (starts, 7))):
                 q = self.posture(start, pose)
                 if q is not None:
-                    room = float(np.minimum(q - Q_MIN, Q_MAX - q).min())
+                    room = ENDS + float(np.minimum(q - self.low, self.high - q).min())
                     effort = 0.05 * float(np.abs(q - HOME).sum())
                     rated.append((effort - min(room, ROOM) + (room < FEW), tuple(q)))
         return [np.array(q) for _, q in sorted(rated)]
@@ -179,7 +180,8 @@ class RouteScene:
             mujoco.mj_jacBody(self._model, self._data, jac[:3], jac[3:], self._hand)
             arm, damping = jac[:, :7], _FAR_DAMPING if size > _FAR else _DAMPING
             change = arm.T @ np.linalg.solve(arm @ arm.T + damping * np.eye(6), error)
-            q = np.clip(q + change * min(1.0, _STEP / float(np.abs(change).max())), LOW, HIGH)
+            change *= min(1.0, _STEP / float(np.abs(change).max()))
+            q = np.clip(q + change, self.low, self.high)
         return None
 
 

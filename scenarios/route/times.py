@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import Q_MAX, Q_MIN, QD_MAX
+from ...assets.franka import QD_MAX, ROBOTS
 from ...controller.limits import APPROACH_RATE
 from ...fmus.errors import InputError
 from ..scenario.table import TableRow, TrajectoryTable
@@ -74,7 +74,7 @@ def timed(
         ticks = STEP_SIZE * np.arange(round(times[-1] / STEP_SIZE) + 1)
         at = motion[np.clip(np.searchsorted(times, ticks) - 1, 0, len(motion) - 1)]
         before = slower.copy()
-        for name, used in _demands(trajectory, ticks, load).items():
+        for name, used in _demands(trajectory, ticks, load, scene.robot).items():
             for number, each in enumerate(motions):
                 limit = share * (1.0 if "torque" in name else each.share)
                 excess = float(used[at == number].max(initial=0.0)) / limit
@@ -90,11 +90,13 @@ def timed(
     raise InputError(f"no times within {share:.0%} of the limits were found")
 
 
-def _demands(trajectory: Trajectory, ticks: Array, load: float) -> dict[str, Array]:
+def _demands(trajectory: Trajectory, ticks: Array, load: float, robot: str) -> dict[str, Array]:
     """Return the largest share of each limit at each tick (n,)."""
     q, rate = np.split(trajectory.sample(ticks)[:, 14:], 2, axis=1)
-    used = demands(trajectory, JointReference(ticks, q, rate, np.zeros(len(ticks))), load)
-    room = np.where(rate > 0.0, Q_MAX - q, q - Q_MIN)  # the law brakes a joint before its end
+    reference = JointReference(ticks, q, rate, np.zeros(len(ticks)), robot)
+    used = demands(trajectory, reference, load)
+    ends = ROBOTS[robot]
+    room = np.where(rate > 0.0, ends.q_max - q, q - ends.q_min)  # where the law brakes a joint
     used["joint end"] = rate / (APPROACH_RATE * room)
     return {name: np.abs(shares).max(axis=1) for name, shares in used.items()}
 

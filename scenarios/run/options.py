@@ -31,6 +31,7 @@ MAX_TIME_LIMIT = 1e9  # [s]
 TOP: Final = (
     "duration",
     "scene",
+    "robot",
     "gains",
     "coupling",
     "interpolation",
@@ -112,12 +113,14 @@ def with_options(scenario: Scenario, options: Options) -> Scenario:
     others = {n: dict(v) for n, v in options.overrides.items()}
     plant, controller = others.pop("plant", {}), others.pop("controller", {})
     scene: Any = scenario.scene
+    robot: Any = scenario.robot
     if not scenario.is_system and "plant" not in scenario.fmus:
-        scene = plant.pop("scene", scene)
+        scene, robot = plant.pop("scene", scene), plant.pop("robot", robot)
     merged = {n: _merged(scenario.parameters.get(n, {}), v) for n, v in others.items()}
     return replace(
         scenario,
         scene=scene,
+        robot=robot,
         coupling=options.coupling or scenario.coupling,
         plant=_merged(scenario.plant, plant),
         controller=_merged(scenario.controller, controller),

@@ -90,6 +90,7 @@ def _metadata(prepared: Prepared) -> dict[str, Any]:
         ours["mujoco"] = scenario.mujoco
     if not scenario.is_system:
         ours |= {
+            "robot": scenario.robot,
             "gains": scenario.gains,
             "interpolation": scenario.interpolation,
             "row_times": [row.time for row in scenario.table.rows],

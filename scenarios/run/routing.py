@@ -29,8 +29,10 @@ def routed(prepared: Prepared) -> Scenario:
     centre = np.array(start.target_position) - np.array([0.0, 0.0, BLOCK_HALF_HEIGHT])
     block = np.concatenate((centre, rotations.about_z(start.block_yaw)))
     if "plant" not in scenario.fmus:
-        model = load_scene(PlantParameters())  # no route depends on what the scenes differ in
-        return route(scenario, RouteScene(model, model.key("home").qpos, block), mass)
+        # No route depends on what the scenes differ in.
+        model = load_scene(PlantParameters(robot=scenario.robot))
+        qpos = model.key("home").qpos
+        return route(scenario, RouteScene(model, qpos, block, scenario.robot), mass)
     outputs = prepared.assembly.interfaces["plant"]
     content = model_in(prepared.assembly.system.fmus["plant"])
     if not content or "block_mass" not in plant:
@@ -43,4 +45,4 @@ def routed(prepared: Prepared) -> Scenario:
     with prepared.open([]) as system:
         system.slaves["plant"].bind_get(names, qpos)(0)
     model = mujoco.MjModel.from_binary_path("plant.mjb", {"plant.mjb": content})
-    return route(scenario, RouteScene(model, qpos[0], block), mass)
+    return route(scenario, RouteScene(model, qpos[0], block, scenario.robot), mass)

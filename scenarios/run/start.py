@@ -41,15 +41,18 @@ def start_values(
     own: dict[str, Any] = {}
     if not scenario.is_system:
         if "plant" not in scenario.fmus:
-            own["plant"] = {"scene": scenario.scene}
+            own["plant"] = {"scene": scenario.scene, "robot": scenario.robot}
         if "controller" not in scenario.fmus:
             gains = replace(
                 PRESETS[scenario.gains],
                 reading_delay=scenario.mismatch.known_delay,
                 follow_posture=scenario.table.has_posture,
                 observer=not TOUCH.isdisjoint(scenario.asked),
+                robot=scenario.robot,
             )
             own["controller"] = asdict(gains)
+        if scenario.mismatch.has_sensors:
+            own["sensors"] = {"robot": scenario.robot}
     sections = {"plant": scenario.plant, "controller": scenario.controller}
     mismatch = scenario.mismatch.start_values()
     layers: list[Overrides] = [own, mismatch, sections, scenario.parameters, overrides or {}]
@@ -148,12 +151,13 @@ def _timed(  # noqa: PLR0913 - all that new times depend on
 
 def law_gains(scenario: Scenario, values: StartValues) -> Gains:
     """Gains of the scenario's controller; the default ones if it has no joint reference of ours."""
+    default = preset("default", robot=scenario.robot)
     if "controller" in scenario.fmus:
-        return preset("default")
+        return default
     parameters: Any = grouped(CONTROLLER, values["controller"])
     parameters.pop("period")
     gains = Gains(**parameters)
-    return gains if gains.use_reference else preset("default")
+    return gains if gains.use_reference else default
 
 
 def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:

@@ -159,7 +159,7 @@ class Mismatch:
         return {"plant": plant, "sensors": {"seed": float(self.seed), **sensors}}
 
 
-SENSOR_KEYS: Final = frozenset(v.name for v in SENSORS.of("parameter")) - {"seed"}
+SENSOR_KEYS: Final = frozenset(v.name for v in SENSORS.of("parameter")) - {"seed", "robot"}
 NOMINAL: Final = Mismatch()
 
 

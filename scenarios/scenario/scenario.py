@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
+from ...assets.franka import DEFAULT_ROBOT, ROBOTS
 from ...fmus.build.engines import check_engine
 from ...fmus.errors import InputError
 from ...fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
@@ -60,8 +61,10 @@ SYSTEM_DURATION = Quantity(0.0, 1e12, "s")
 TOUCH = frozenset(f"controller.{name}" for name in OBSERVED)
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
 # Keys that a system, which has no table, cannot use.
-_WITH_TABLE = ("scene", "gains", "interpolation", "timing", "timing_share", "align", "push")
-_TOP_LEVEL = {"plant": "scene", "controller": "gains"}  # keys of the scenario, not start values
+_WITH_TABLE = ("scene", "robot", "gains", "interpolation", "timing", "timing_share", "align",
+               "push")  # fmt: skip
+# Keys of the scenario, not start values.
+_TOP_LEVEL = {"plant": ("scene", "robot"), "controller": ("gains", "robot")}
 
 
 def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
@@ -124,6 +127,7 @@ class Scenario:
     duration: Annotated[float, SYSTEM_DURATION]  # a whole number of steps
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
+    robot: Annotated[str, Choice(tuple(ROBOTS))] = DEFAULT_ROBOT
     gains: Annotated[str, Choice(GAINS)] = "default"  # the controller's set of values
     coupling: Annotated[Coupling, Choice(COUPLINGS)] = "gauss-seidel"
     interpolation: Annotated[str, Choice(INTERPOLATIONS)] = "quintic"
@@ -218,7 +222,7 @@ class Scenario:
             )
         if self.mismatch.values and (self.is_system or "plant" in self.fmus):
             raise ValueError("mismatch: only valid with the project's own plant")
-        for section, key in _TOP_LEVEL.items():
+        for section, key in ((s, key) for s, keys in _TOP_LEVEL.items() for key in keys):
             if key in getattr(self, section):
                 raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")
 

@@ -54,7 +54,7 @@ _CODE: Final = (
     *(f"scenarios/sweep/{name}.py" for name in ("definition", "design", "row", "search")),
 )
 _PACKAGE: Final = Path(__file__).parents[2]
-_CODE_SUFFIXES: Final = (".py", ".xml", ".c", ".h", ".j2")
+_CODE_SUFFIXES: Final = (".py", ".toml", ".xml", ".c", ".h", ".j2")
 _MAX_BYTES: Final = 64 * 1024 * 1024
 
 

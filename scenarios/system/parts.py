@@ -137,7 +137,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
     if path.suffix != ".fmu":
         from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - see above
 
-        model = model_part(path)
+        model = model_part(path, scenario.robot)
 
         def make(target: Target | None = None) -> Path:
             return build_fmu(model, target=replace(target or Target(), mujoco=scenario.mujoco))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import BLOCK_WIDTH, SERVO_DAMPING
+from ...assets.franka import BLOCK_WIDTH, ROBOTS, SERVO_DAMPING
 from ...controller.model import load_arm
 from ..scenario.limits import shares
 from ..scenario.table import TrajectoryTable
@@ -41,10 +41,11 @@ class Timing:
 
 
 class ArmDynamics:
-    """Torques of the arm, with a point mass `load` [kg] between the fingertips."""
+    """Torques of a robot's arm, with a point mass `load` [kg] between the fingertips."""
 
-    def __init__(self, load: float) -> None:
-        self._model: Any = load_arm(load)
+    def __init__(self, load: float, robot: str) -> None:
+        self.robot = ROBOTS[robot]
+        self._model: Any = load_arm(load, robot)
         self._data: Any = mujoco.MjData(self._model)
         self._data.qpos[7:] = HALF_OPEN
 
@@ -76,7 +77,10 @@ def joint_demands(
     torque = np.where(closed[:, None], full, empty)
     torque_rate = np.where(closed[:, None], _rates(full), _rates(empty))
     used = {**rates, "torque": torque, "torque rate": torque_rate}
-    return {quantity: shares(quantity, values) for quantity, values in used.items()}
+    robot = reference.robot
+    demanded = {quantity: shares(quantity, values, robot) for quantity, values in used.items()}
+    velocity = reference.velocity / ROBOTS[robot].speed(reference.position, reference.velocity)
+    return demanded | {"velocity": velocity}
 
 
 def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:
@@ -86,9 +90,9 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
     acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
     return {
         **joint_demands(trajectory, reference, load),
-        "hand speed": shares("hand speed", _lengths(velocity)),
-        "hand acceleration": shares("hand acceleration", _lengths(acceleration)),
-        "hand turn": shares("hand turn", _lengths(commands[:, 10:13])),
+        "hand speed": shares("hand speed", _lengths(velocity), reference.robot),
+        "hand acceleration": shares("hand acceleration", _lengths(acceleration), reference.robot),
+        "hand turn": shares("hand turn", _lengths(commands[:, 10:13]), reference.robot),
     }
 
 
@@ -109,7 +113,7 @@ def _torques(
 
     They are computed for the instants (n,) that are asked for and those before them.
     """
-    arm, torques = ArmDynamics(load), np.zeros_like(acceleration)
+    arm, torques = ArmDynamics(load, reference.robot), np.zeros_like(acceleration)
     for i in np.flatnonzero(asked | np.append(asked[1:], False)):
         torques[i] = arm.torque(reference.position[i], reference.velocity[i], acceleration[i])
     return torques

@@ -39,6 +39,7 @@ class JointReference:
     # Distance of hand and command (n,) [m], less the lag behind commands without velocity (linear
     # interpolation).
     miss: Array
+    robot: str
 
     def derivatives(self) -> dict[str, Array]:
         """Return velocity, acceleration and jerk, each (n, 7), of the same instants."""
@@ -85,7 +86,7 @@ def joint_reference(
     inputs = [name for each in signals for name in interface.variable(each).names()]
     system = System({LAW: path}, (), [(LAW, name) for name in inputs])
     start = {LAW: expand(LAW, interface, values)}
-    arm, still, q = ArmModel(), np.zeros(7), np.array(HOME_Q)
+    arm, still, q = ArmModel(gains.robot), np.zeros(7), np.array(HOME_Q)
     commands = trajectory.sample(times)
     position, velocity = np.empty((2, len(times), 7))
     miss, given, answer = np.empty(len(times)), np.empty((1, len(inputs))), np.empty((1, 14))
@@ -105,4 +106,4 @@ def joint_reference(
             q = answer[0, :7] + STEP_SIZE * velocity[tick]
     untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
     lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
-    return JointReference(times, position, velocity, np.maximum(miss - lag, 0.0))
+    return JointReference(times, position, velocity, np.maximum(miss - lag, 0.0), gains.robot)

@@ -56,7 +56,7 @@ def retimed(
     `blends` are the distances from the rows within which corners may be rounded (n,) [m], `load`
     is what the fingers carry [kg], and `share` what may be used of each limit [1].
     """
-    parts, dynamics = motions(trajectory, blends), ArmDynamics(load)
+    parts, dynamics = motions(trajectory, blends), ArmDynamics(load, gains.robot)
     bounds = [Bounds.of(share)] * len(parts)
     laws = [_slow(part) for part in parts]
     within: list[Timing] = []
@@ -132,7 +132,7 @@ def _refusal(
     tick = int(used[name].argmax())
     row = min(int(course.rows[tick]) + 2, int(course.rows[-1]) + 1)
     what = f"row {row}: no timing within {share:.0%} of the limits was found"
-    if ended := end_reached(reference.position[tick]):
+    if ended := end_reached(reference, tick):
         return f"{what}: {ended}"
     if name == "reach":
         return f"{what}: the hand misses the command by {reference.miss[tick]:.3g} m; {AWAY}"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import Q_MAX, Q_MIN
+from ...assets.franka import ROBOTS
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
 from ..scenario.trajectory import Trajectory
@@ -95,8 +95,9 @@ def _rehearsed(
         if left > REACH_TOLERANCE:
             row, time = len(trajectory.times), float(reference.time[-1])
             violations.append(LimitViolation(row, time, 0, "reach", left, REACH_TOLERANCE))
-        room = np.minimum(reference.position - Q_MIN, Q_MAX - reference.position)
-        if violations or (room.min() > CLOSE and reference.miss.max() < SLOWLY_CORRECTED):
+        if violations or (
+            room_of(reference).min() > CLOSE and reference.miss.max() < SLOWLY_CORRECTED
+        ):
             break
     return reference, violations, shares
 
@@ -118,7 +119,7 @@ def _refuse_if_hopeless(
     row's segment in the round before, and is changed.
     """
     tick = round((violation.time - reference.time[0]) / STEP_SIZE)
-    if slower >= SLOW and (ended := end_reached(reference.position[tick])):
+    if slower >= SLOW and (ended := end_reached(reference, tick)):
         raise InputError(f"row {violation.row}: {ended} (t = {violation.time:.3f} s)")
     if violation.quantity == "reach":
         before = missed.get(violation.row, math.inf)
@@ -129,9 +130,15 @@ def _refuse_if_hopeless(
         raise InputError(f"{violation}, {slower:.0f} times slower; {remedy(violation.quantity)}")
 
 
-def end_reached(q: Array) -> str:
-    """Return which of the joints (7,) [rad] is at its end and what helps, or nothing."""
-    room = np.minimum(q - Q_MIN, Q_MAX - q)
+def room_of(reference: JointReference) -> Array:
+    """Return the distance of the joints from the ends of their ranges (n, 7) [rad]."""
+    robot, q = ROBOTS[reference.robot], reference.position
+    return np.minimum(q - robot.q_min, robot.q_max - q)
+
+
+def end_reached(reference: JointReference, tick: int) -> str:
+    """Return which joint is at its end and what helps, or nothing."""
+    room = room_of(reference)[tick]
     if room.min() >= AT_END:
         return ""
     return (

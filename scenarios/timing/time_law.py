@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Final, Self
@@ -131,7 +132,7 @@ def _parametrized(
     path = SplineInterpolator(nodes, np.hstack((joints, _hand(motion, nodes))))
     grid = np.linspace(0.0, motion.length, GRID + 1)
     solver = algorithm.TOPPRA(
-        _constraints(bounds, grid, dynamics),
+        _constraints(bounds, grid, dynamics, lambda place: path(place)[:7]),
         path,
         gridpoints=grid,
         parametrizer="ParametrizeSpline",
@@ -154,16 +155,20 @@ def _hand(motion: Motion, places: Array) -> Array:
     return np.column_stack((motion.poses(places)[:, :3], *along, places))
 
 
-def _constraints(bounds: Bounds, grid: Array, dynamics: ArmDynamics) -> list[Any]:
+def _constraints(
+    bounds: Bounds, grid: Array, dynamics: ArmDynamics, joints_at: Callable[[float], Array]
+) -> list[Any]:
     """Limits as toppra takes them, over the seven joints and the six of `_hand`."""
     from toppra import constraint  # noqa: PLC0415 - an extra
 
-    hand = bounds.hand_speed * franka.HAND_SPEED_MAX, bounds.hand_turn * franka.HAND_TURN_MAX
-    speeds = np.concatenate((bounds.velocity * franka.QD_MAX, np.full(3, FREE), hand))
+    robot = dynamics.robot
+    hand = bounds.hand_speed * robot.translation[0], bounds.hand_turn * robot.rotation[0]
 
     def speeds_at(place: float) -> Array:
-        most = np.append(speeds, np.interp(place, grid, bounds.ceiling))
-        return np.column_stack((-most, most))
+        q, other_way = joints_at(place), -np.ones(7)
+        down, up = (bounds.velocity * robot.speed(q, way) for way in (other_way, -other_way))
+        others = np.array([FREE, FREE, FREE, *hand, np.interp(place, grid, bounds.ceiling)])
+        return np.column_stack((np.append(-down, -others), np.append(up, others)))
 
     rows = np.zeros((28 + len(DIRECTIONS), 17))
     rows[:14, :7] = np.vstack((np.eye(7), -np.eye(7)))
@@ -171,9 +176,9 @@ def _constraints(bounds: Bounds, grid: Array, dynamics: ArmDynamics) -> list[Any
     rows[28:, 14:] = DIRECTIONS
     most = np.concatenate(
         (
-            np.tile(bounds.acceleration * franka.QDD_MAX, 2),
+            np.tile(bounds.acceleration * robot.acceleration, 2),
             np.tile(bounds.torque * franka.TORQUE_MAX, 2),
-            np.full(len(DIRECTIONS), bounds.hand_acceleration * franka.HAND_ACCELERATION_MAX),
+            np.full(len(DIRECTIONS), bounds.hand_acceleration * robot.translation[1]),
         )
     )
 

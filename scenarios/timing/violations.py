@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scenario.limits import LIMITS
+from ..scenario.limits import LIMITS, LIMITS_OF
 from ..scenario.trajectory import TIME_TOLERANCE, Trajectory
 from .demand import Shares, joint_demands, largest
 from .joint_reference import JointReference
@@ -73,8 +73,10 @@ def find_violations(
             part = np.abs(shares[ticks])
             tick, joint = np.unravel_index(part.argmax(), part.shape)
             if part[tick, joint] > share:
-                limit = share * float(LIMITS[quantity].bound[joint])
-                value = float(part[tick, joint] * LIMITS[quantity].bound[joint])
+                bound = float(LIMITS_OF[reference.robot][quantity].bound[joint])
+                if quantity == "velocity":  # it may depend on the position
+                    bound = abs(float(reference.velocity[ticks[tick], joint]) / part[tick, joint])
+                limit, value = share * bound, float(part[tick, joint] * bound)
                 time = float(reference.time[ticks[tick]])
                 violations.append(
                     LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)

@@ -77,7 +77,7 @@ def show_source(
 def plant_model(source: RunData) -> Any:
     """Compile the plant's model with a recording's scene, block mass and friction."""
     plant = source.metadata.get("parameters", {}).get("plant", {})
-    values = {key: plant[key] for key in ("block_mass", "block_friction") if key in plant}
+    values = {key: plant[key] for key in ("robot", "block_mass", "block_friction") if key in plant}
     scene = source.metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
     try:
         return load_scene(PlantParameters(scene=scene, **values), drawn=True)

@@ -15,6 +15,7 @@ from ...fmus.errors import InputError
 from .. import rotations
 from ..files import model_file
 from ..pictures.motion import Signals, describe_run
+from ..scenario.limits import robot_of
 from . import story
 from .columns import Thinning, describe_time, encode
 from .contacts import contact_forces, contact_rows
@@ -78,7 +79,9 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     title, about = describe_run(source)
     signals = _derived(source, thinning, against) + _signals(source, thinning, columns["qpos"])
     known = {name for signal in signals for name in signal["columns"]}
-    bounds = story.bounds() if model_file(source) is None else {}  # the robot's own
+    bounds = (
+        story.bounds(robot_of(source.metadata)) if model_file(source) is None else {}
+    )  # the robot's own
     contacts = _contacts(run)
     notes = (thinning.words(), ROUNDING, contacts["words"] if contacts else "", *run.notes)
     return {

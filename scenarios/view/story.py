@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
+from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ..judging.definitions import DEFINITIONS
 from ..pictures.motion import Signals, key_moments
 from ..scenario.limits import METRICS
@@ -75,12 +75,13 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def bounds() -> dict[str, list[float]]:
-    """Return lower and upper limits of single columns, for curves."""
+def bounds(name: str) -> dict[str, list[float]]:
+    """Return a robot's lower and upper limits of single columns, for curves."""
+    robot = ROBOTS[name]
     lines: dict[str, list[float]] = {"controller.grip_cmd": [0.0, OPENING_MAX]}
     for i in JOINTS:
-        lines[f"plant.qpos[{i}]"] = [float(Q_MIN[i - 1]), float(Q_MAX[i - 1])]
-        lines[f"plant.qvel[{i}]"] = [-float(QD_MAX[i - 1]), float(QD_MAX[i - 1])]
+        lines[f"plant.qpos[{i}]"] = [float(robot.q_min[i - 1]), float(robot.q_max[i - 1])]
+        lines[f"plant.qvel[{i}]"] = [-float(robot.velocity[i - 1]), float(robot.velocity[i - 1])]
         torque = float(TORQUE_MAX[i - 1])
         lines[f"plant.actuator_force[{i}]"] = [-torque, torque]
     return lines

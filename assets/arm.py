@@ -1,0 +1,38 @@
+"""The MJCF of arm and scenes, with the numbers of one of the robots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+
+from . import asset_files
+from .franka import DEFAULT_ROBOT
+
+NOT_USED = [float("nan")] * 6  # of `fullinertia`, where a body has principal axes
+
+
+def read_spec(name: str, robot: str) -> Any:
+    """Read an MJCF file (`mujoco.MjSpec`) with the arm of a robot."""
+    files = asset_files()
+    spec = mujoco.MjSpec.from_string(files[name].decode(), include=files, assets=files)
+    change_arm(spec, robot, files)
+    return spec
+
+
+def change_arm(spec: Any, robot: str, files: Mapping[str, bytes]) -> None:
+    """Put a robot's numbers, from its own MJCF file, in place of the Panda's, if there is one."""
+    if robot == DEFAULT_ROBOT or spec.body("link7") is None:
+        return
+    numbers = mujoco.MjSpec.from_string(files[f"{robot}.xml"].decode())
+    for i in range(1, 8):
+        body, own = spec.body(f"link{i}"), numbers.body(f"link{i}")
+        body.fullinertia = NOT_USED
+        body.mass, body.inertia, body.ipos, body.iquat = own.mass, own.inertia, own.ipos, own.iquat
+        joint, own = spec.joint(f"joint{i}"), numbers.joint(f"joint{i}")
+        joint.range, joint.armature = own.range, own.armature
+        joint.damping, joint.frictionloss = own.damping, own.frictionloss
+        servo = spec.actuator(f"actuator{i}")
+        if servo is not None and servo.biastype != mujoco.mjtBias.mjBIAS_NONE:
+            servo.ctrlrange = own.range

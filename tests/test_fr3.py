@@ -1,0 +1,149 @@
+"""The second arm, FR3: its numbers, its limits, and the shipped scenarios with it."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from panda_cosim import InputError, Recording, Scenario, load_scenario, run_scenario
+from panda_cosim.assets import asset_path
+from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.plant.plant import Plant, PlantParameters
+from panda_cosim.scenarios.check.check import feasibility
+from panda_cosim.scenarios.run.options import with_values
+from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
+from random_tasks import run_plain
+
+Array = NDArray[np.float64]
+
+TORQUE_TOLERANCE = 1e-6  # N.m
+ROUNDING = 1e-6  # of a limit
+# Scenarios that this arm does not manage.
+BEYOND = {
+    "pick_and_place_fast": "asks for 1.6 times its acceleration",
+    "draw_circle": "its springs of 500 N/m do not overcome the joints' friction",
+}
+# libfranka 0.21, rate_limiting.h: highest speed, offset, factor, ends.
+ENVELOPE = np.array(
+    [
+        (2.62, 0.30, 12.0, -2.7501, 2.7501),
+        (2.62, 0.20, 5.17, -1.7918, 1.7918),
+        (2.62, 0.20, 7.0, -2.9065, 2.9065),
+        (2.62, 0.30, 8.0, -3.0481, -0.1458),
+        (5.26, 0.35, 34.0, -2.8101, 2.8101),
+        (4.18, 0.35, 11.0, 0.54092, 4.5205),
+        (5.26, 0.35, 34.0, -3.0196, 3.0196),
+    ]
+).T
+
+
+def with_fr3(name: str) -> Scenario:
+    return with_values(load_scenario(name), {"robot": "fr3"})
+
+
+def velocity_shares(q: Array, qd: Array) -> Array:
+    most, offset, factor, low, high = ENVELOPE
+    room = np.where(qd < 0.0, q - low, high - q)
+    return np.abs(qd) / np.clip(np.sqrt(factor * np.maximum(room, 0.0)) - offset, 1e-3, most)
+
+
+def about(axis: int, angle: float) -> Array:
+    """Rotation matrix about x (0) or z (2)."""
+    (c, s), turn = (np.cos(angle), np.sin(angle)), np.eye(3)
+    one, other = [(1, 2), (), (0, 1)][axis]
+    turn[[one, other], [one, other]], turn[one, other], turn[other, one] = c, -s, s
+    return turn
+
+
+def gravity_torques(q: Array) -> Array:
+    """Torques that hold the arm (7,) [N.m], by modified Denavit-Hartenberg parameters."""
+    d, a = (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
+    tilts = np.radians((0.0, -90.0, 90.0, 90.0, -90.0, 90.0, 90.0))
+    inertials = list(ElementTree.parse(asset_path("fr3.xml")).iter("inertial"))
+    turn, origin, axes, masses = np.eye(3), np.zeros(3), [], []
+    for joint, inertial in enumerate(inertials):
+        tilt = turn @ about(0, tilts[joint])
+        origin = origin + turn @ (a[joint], 0.0, 0.0) + tilt @ (0.0, 0.0, d[joint])
+        turn = tilt @ about(2, q[joint])
+        axes.append((origin, turn[:, 2]))
+        centre = np.array(inertial.attrib["pos"].split(), dtype=float)
+        masses.append((float(inertial.attrib["mass"]), origin + turn @ centre, joint))
+    hand = turn @ about(2, -np.pi / 4)  # hand, and open fingers
+    for mass, centre in ((0.73, np.array([-0.01, 0.0, 0.137])), (0.03, [0.0, 0.0, 0.1654])):
+        masses.append((mass, origin + hand @ centre, 6))
+    return np.array(
+        [
+            sum(9.81 * mass * np.cross(axis, at - pivot)[2] for mass, at, of in masses if of >= i)
+            for i, (pivot, axis) in enumerate(axes)
+        ]
+    )
+
+
+def test_its_weight_is_that_of_its_links() -> None:
+    plant = Plant(PlantParameters(robot="fr3"))
+    expected = gravity_torques(np.array(HOME_Q))
+    assert np.abs(plant.outputs["qfrc_bias"] - expected).max() <= TORQUE_TOLERANCE
+    assert np.abs(Plant().outputs["qfrc_bias"] - expected).max() > 0.5  # the Panda's
+    assert plant.model.jnt_range[5].tolist() == [0.4398, 4.6216]
+
+
+@pytest.fixture(scope="module")
+def hasty() -> Recording:
+    """What asks for more than the arm's limits."""
+    return run_scenario(with_fr3("pick_and_place_fast")).recording
+
+
+@pytest.mark.own_process
+def test_the_law_keeps_its_limits(hasty: Recording) -> None:
+    q, qd = hasty["controller.qpos_ref"], hasty["controller.qvel_ref"]
+    acceleration = np.abs(np.diff(qd, axis=0)).max() / 1e-3  # rad/s^2
+    jerk = np.abs(np.diff(qd, 2, axis=0)).max() / 1e-6  # rad/s^3
+    assert 9.8 < acceleration <= 0.99 * 10.0 * (1.0 + ROUNDING)
+    assert 4800.0 < jerk <= 0.99 * 5000.0 * (1.0 + ROUNDING)
+    assert velocity_shares(q, qd).max() <= 1.0
+
+
+@pytest.mark.own_process
+def test_shares_of_limits_are_those_of_the_arm() -> None:
+    run = run_scenario(with_fr3("pick_and_place"))
+    recording, limits = run.recording, run.summary.limits
+    q, qd = recording["plant.qpos"][:, :7], recording["plant.qvel"][:, :7]
+    assert limits["velocity_share"] == pytest.approx(velocity_shares(q, qd).max(axis=0))
+    changes = np.abs(np.diff(recording["controller.qvel_ref"], axis=0)).max(axis=0) / 1e-3
+    assert limits["reference_acceleration_share"] == pytest.approx(changes / 10.0)
+
+
+def test_check_names_what_is_too_fast_for_it() -> None:
+    violations, shares = feasibility(with_fr3("pick_and_place_fast"))
+    assert any(v.quantity == "acceleration" and v.limit == 10.0 for v in violations)
+    assert shares["acceleration"] == pytest.approx(1.6, abs=0.05)
+
+
+@pytest.mark.own_process
+@pytest.mark.parametrize("name", ["pick_and_place", "elastic"])
+def test_native_fmus_give_the_bits_of_python(name: str) -> None:
+    scenario = with_values(with_fr3(name), {"duration": 2.0})
+    plain, recording = run_plain(scenario), run_scenario(scenario).recording
+    assert np.array_equal(recording["plant.qpos"], plain.plant["qpos"])
+    assert np.array_equal(recording["controller.ctrl"], plain.controller["ctrl"])
+
+
+@pytest.mark.long
+@pytest.mark.own_process
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_it_runs_the_shipped_scenarios(name: str) -> None:
+    assert run_scenario(with_fr3(name)).summary.success == (name not in BEYOND)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"robot": "fr4"}, "robot: value 'fr4'; must be one of panda, fr3"),
+        ({"controller.robot": "fr3"}, "robot: must stand at the top"),
+    ],
+)
+def test_other_robots_are_refused(values: dict[str, str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        with_values(load_scenario("pick_and_place"), values)
