@@ -41,6 +41,7 @@ ELSEWHERE = {
     "plot": "render:plot",
     "export": "inputs:export",
     "sweep report": "sweep:report",
+    "sweep sheet": "sweep:sheet",
     "sweep show": "sweep:show_one",
     "sweep promote": "sweep:promote",
 }

@@ -21,6 +21,7 @@ from ...sweep.again import promote_row, show_row
 from ...sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...sweep.engine import SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
+from ...sweep.iso9283 import SHEET, write_sheet
 from ...sweep.report import REPORT_FILE, write_report
 from ...sweep.results import missing
 from ...sweep.row import STATUSES, UNJUDGED
@@ -42,8 +43,8 @@ ROW = argument(
 def command(  # noqa: PLR0913 - one for each option
     sweep: str = argument(
         "SWEEP.toml",
-        "A sweep's TOML file, or the name of a shipped one: anywhere, behind_wall, calibrated or "
-        "random_box. With --vary, a scenario.",
+        "A sweep's TOML file, or the name of a shipped one: anywhere, behind_wall, calibrated, "
+        "iso9283 or random_box. With --vary, a scenario.",
         show_default=False,
     ),
     out: Path | None = option(
@@ -193,6 +194,19 @@ def report(
     for line in missing(Store(folder)):
         warn(line)
     show_file(path, open_page=open_page)
+
+
+def sheet(folder: Path = SWEEP, open_page: bool = OPEN_PAGE, overwrite: bool = OVERWRITE) -> None:
+    """Write the sheet of ISO 9283, iso9283.html and .json, of a sweep of its cycles.
+
+    ```
+    panda-cosim sweep iso9283 --out iso
+    panda-cosim sweep sheet iso
+    ```
+    """
+    check_replaceable(folder / f"{SHEET}.html", overwrite=overwrite)
+    check_replaceable(folder / f"{SHEET}.json", overwrite=overwrite)
+    show_file(write_sheet(folder), open_page=open_page)
 
 
 def show_one(folder: Path = SWEEP, index: int = ROW, open_page: bool = OPEN_PAGE) -> None:

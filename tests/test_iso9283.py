@@ -1,0 +1,108 @@
+"""The sheet of ISO 9283, computed again from the recordings, and by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from panda_cosim import InputError, Recording
+from panda_cosim.scenarios.sweep.definition import load_sweep
+from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.scenarios.sweep.iso9283 import Cycle, repeatability, stabilization, write_sheet
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+# Rows of the shipped table: the last 0.1 s of each dwell, and the line [ticks].
+DWELLS = {"P5": 3200, "P4": 5200, "P3": 7200, "P2": 9200, "P1": 11200}
+LINE = slice(12500, 13700)
+
+
+def angles(recording: Recording, rows: slice) -> Array:
+    """Rotation vectors [deg] from the commanded to the true orientation, world axes."""
+    true, command = (
+        Rotation.from_quat(recording[name][rows], scalar_first=True)
+        for name in ("plant.hand_xquat", "controller.quat_cmd")
+    )
+    vectors: Array = np.degrees((true * command.inv()).as_rotvec())
+    return vectors
+
+
+def mean_of(recording: Recording, end: int) -> Array:
+    """Attained pose less the command (6,) [mm, deg]."""
+    rows = slice(end - 100, end)
+    away = recording["plant.hand_xpos"][rows] - recording["controller.pos_cmd"][rows]
+    return np.append(1e3 * away.mean(axis=0), angles(recording, rows).mean(axis=0))
+
+
+def spread(values: Array) -> float:
+    """Mean and three standard deviations of the distances from the barycentre of values (n, 3)."""
+    distances = [np.sqrt(sum((v - c) ** 2 for v, c in zip(row, values.mean(0), strict=True)))
+                 for row in values]  # fmt: skip
+    middle = sum(distances) / len(distances)
+    return float(
+        middle + 3 * np.sqrt(sum((d - middle) ** 2 for d in distances) / (len(values) - 1))
+    )
+
+
+@pytest.mark.long
+def test_the_sheet_is_that_of_the_recordings(tmp_path: Path) -> None:
+    sweep(load_sweep("iso9283"), tmp_path / "iso")
+    page = write_sheet(tmp_path / "iso")
+    sheet = json.loads(page.with_suffix(".json").read_text())
+    runs = [Recording.open(tmp_path / "iso" / "runs" / f"{i:07d}") for i in range(30)]
+    for name, end in DWELLS.items():
+        poses, told = np.array([mean_of(run, end) for run in runs]), sheet["poses"][name]
+        expected = dict(
+            zip(("AP_x", "AP_y", "AP_z", "AP_a", "AP_b", "AP_c"), poses.mean(0), strict=True)
+        )
+        expected |= {
+            "AP_p": np.linalg.norm(poses[:, :3].mean(axis=0)),
+            "RP_l": spread(poses[:, :3]),
+        }
+        expected |= {f"RP_{k}": 3 * poses[:, 3 + i].std(ddof=1) for i, k in enumerate("abc")}
+        assert told == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    start, end = runs[0]["controller.pos_cmd"][[LINE.start, LINE.stop]]
+    worst = {"AT_p": 0.0, "RT_p": 0.0}
+    for share in np.linspace(0.1, 0.9, 81):
+        plane = start + share * (end - start)
+        crossings = []
+        for run in runs[:10]:
+            hand = run["plant.hand_xpos"][LINE]
+            side = (hand - plane) @ (end - start)
+            k = int(np.flatnonzero(side < 0.0)[-1])
+            part = side[k] / (side[k] - side[k + 1])
+            crossings.append(1e3 * (hand[k] + part * (hand[k + 1] - hand[k]) - plane))
+        worst["AT_p"] = max(worst["AT_p"], np.linalg.norm(np.mean(crossings, axis=0)))
+        worst["RT_p"] = max(worst["RT_p"], spread(np.array(crossings)))
+    assert {name: sheet["path"][name] for name in worst} == pytest.approx(worst, rel=1e-3)
+    assert "assumed errors" in page.read_text()
+
+
+def test_repeatability_by_hand() -> None:
+    """Four poses on a circle of 1 mm: no distance differs; angles of +-1 mrad twice."""
+    poses = np.zeros((4, 6))
+    poses[:, :2] = [(1e-3, 0.0), (-1e-3, 0.0), (0.0, 1e-3), (0.0, -1e-3)]
+    poses[:, 5] = [1e-3, -1e-3, 1e-3, -1e-3]
+    values = repeatability(poses)
+    assert values["RP_l"] == pytest.approx(1.0)
+    assert values["RP_c"] == pytest.approx(3.0 * np.degrees(np.sqrt(4.0 / 3.0) * 1e-3))
+    assert values["RP_a"] == 0.0
+
+
+def test_overshoot_begins_with_the_first_crossing() -> None:
+    time = 0.001 * np.arange(7)
+    cycle = Cycle(
+        np.zeros(0), np.zeros(0), time, 1e-3 * np.array([9.0, 0.5, 2.0, 3.0, 0.5, 0.1, 0.0])
+    )
+    assert stabilization(cycle, 1.0) == pytest.approx((3.0, 0.003))
+    assert stabilization(cycle, 4.0) == (0.0, 0.0)
+
+
+def test_a_sweep_without_recordings_has_no_sheet(tmp_path: Path) -> None:
+    (tmp_path / "sweep.json").write_text("{}")
+    with pytest.raises(InputError, match=r"0 kept cycles; must be 30|sweep\.json"):
+        write_sheet(tmp_path)
