@@ -54,11 +54,12 @@ class ArmDynamics:
 
         A servo's torque is measured with the velocity at the beginning of a step, but acts with
         the one at its end: what is measured has damping times the change between them on top.
+        Dry friction is left out: its sign would change at once here, however slow the joint is.
         """
         data = self._data
         data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, qd, qdd
         mujoco.mj_inverse(self._model, data)
-        torque: Array = data.qfrc_inverse[:7] + _STEP_DAMPING * qdd
+        torque: Array = data.qfrc_inverse[:7] + data.qfrc_constraint[:7] + _STEP_DAMPING * qdd
         return torque
 
 
