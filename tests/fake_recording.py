@@ -19,6 +19,7 @@ class FakeRecording:
     time: FloatArray
     signals: dict[str, FloatArray]
     metadata: dict[str, Any] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
 
     @property
     def columns(self) -> list[str]:

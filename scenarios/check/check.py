@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from itertools import islice
 from pathlib import Path
@@ -22,6 +22,7 @@ from ...fmus.master.system import conversions, notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.criterion import miss_text
+from ..judging.refusals import outcome
 from ..run.options import Options, with_options, with_values
 from ..run.prepare import Prepared, prepare
 from ..run.result import Run
@@ -50,7 +51,7 @@ from ..timing.joint_reference import joint_reference
 from ..timing.violations import LimitViolation, find_violations
 from .rehearsal import findings, rehearse, weakest_grip
 
-Level = Literal["wrong", "hint", "good"]
+Level = Literal["wrong", "refused", "hint", "good"]
 
 SYSTEM: Final = ".ssp"
 SHOWN: Final = 4  # limit violations that are listed
@@ -63,7 +64,9 @@ _SIDE: Final = re.compile(r"[_.]?(input|output|in|out|cmd|meas|measured)$", re.I
 class Diagnostic:
     """One remark about a scenario."""
 
-    level: Level  # `wrong`: it cannot run; `hint`: it runs, but perhaps not as intended; `good`
+    # `wrong`: it cannot run; `refused` by the real robot; `hint`: it runs, but perhaps not as
+    # intended; `good`.
+    level: Level
     text: str  # what is wrong, where, and what would be right
 
 
@@ -72,13 +75,18 @@ def check_folder(
     overrides: Overrides | None = None,
     settings: Mapping[str, ParameterValue] | None = None,
     parts: Mapping[str, str] | None = None,
+    robot: str = "",
 ) -> list[Diagnostic]:
-    """Check a scenario's folder, or an .ssp file, as `run` prepares it; say what is wrong."""
+    """Check a scenario's folder, or an .ssp file, as `run` prepares it; say what is wrong.
+
+    With a `robot`, that is also what its interface would refuse.
+    """
     if folder.suffix != SYSTEM and not folder.is_dir():
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
         scenario = with_options(read_checked(folder), Options(parts=parts or {}))
         scenario = with_values(scenario, settings or {})
+        scenario = replace(scenario, preflight=robot or scenario.preflight)
         prepared = prepare(scenario, Options(overrides=overrides or {}), run_code=False)
         is_foreign = prepared.scenario.has_own_parts
         diagnostics = _foreign(prepared) if is_foreign else _rehearsed(prepared)
@@ -123,6 +131,9 @@ def _foreign(prepared: Prepared) -> list[Diagnostic]:
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
     unseen = "limits, collisions and grip are checked only with the project's plant and controller"
+    if scenario.preflight:
+        text = f"run it with `--set preflight={scenario.preflight}` to see what that robot refuses"
+        hints.append(Diagnostic("hint", text))
     if len(assembly.interfaces) > 1 and not count:
         text = f"{about}; it can be started, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
@@ -173,12 +184,13 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     Plant(PlantParameters(**grouped(PLANT, prepared.values["plant"])))  # refuses its block's place
     scenario, run = prepared.scenario, rehearse(prepared)
     trouble = _diagnostics("hint", [*_located(run, prepared), *_limits(prepared)])
+    real = [Diagnostic(*each) for each in outcome(run.summary.preflight)]
     criteria = run.summary.criteria if run.summary.complete else ()
     unmeasured = [miss_text(criterion) for criterion in criteria if not criterion.measured]
     if unmeasured:  # what they wait for never happens
         file = f"{scenario.folder}/{SCENARIO_FILE}"
         wrong = _diagnostics("wrong", [f"{file}: [success] {text}" for text in unmeasured])
-        return [*wrong, *trouble]
+        return [*wrong, *trouble, *real]
     about = _about(scenario)
     if trouble:
         count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
@@ -187,7 +199,7 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
         if grip := weakest_grip(run.recording, prepared):
             about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
         last = Diagnostic("good", f"{about}; it can run")
-    return [*trouble, last]
+    return [*trouble, *real, last]
 
 
 def _about(scenario: Scenario) -> str:

@@ -24,6 +24,7 @@ from ...fmus.sources.targets import Kind, Target
 from ..judging.contacts import Touch
 from ..judging.criterion import bound_text, margin_text, missed_text, quantity, unmeasured_text
 from ..judging.limits import exceeded
+from ..judging.refusals import outcome
 from ..pictures.gl import RenderError
 from ..pictures.motion import refuse_without_model
 from ..recording import Recording
@@ -51,6 +52,7 @@ GAIN_REMEDIES = {  # besides, if the controller is our own
     "torque": "; with friction, elastic joints or weak servos, lower controller.kp and "
     "controller.ik_gain",
 }
+STYLES = {"wrong": "bold red", "refused": "bold red", "hint": "yellow", "good": "green"}
 SHOWN = 3  # unwanted contacts that are named
 NO_VERDICT = "Neither success nor failure, as not all criteria could be measured"
 NOT_FAILED = "Success, although a failure is expected"
@@ -248,6 +250,7 @@ def outcome_lines(
             if at is None
             else (f"{name} ended early, at t = {at:.3f} s", "")
         )
+    yield from ((text, STYLES[level]) for level, text in outcome(summary.preflight))
     for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
         yield line, "yellow"
     if realtime:

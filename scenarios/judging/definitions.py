@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
+from .refusals import CHECKS
+
 Better = Literal["lower", "higher", ""]
 
 
@@ -33,6 +35,9 @@ class Definition:
 
 
 D = Definition
+SENT: Final = ("controller.qpos_ref",)
+POSE: Final = ("controller.pos_cmd", "controller.quat_cmd")
+ARM: Final = ("plant.qpos", "plant.qvel", "plant.actuator_force", "plant.qfrc_bias", "plant.jac")
 POSITION: Final = ("plant.hand_xpos", "controller.pos_cmd")
 ROTATION: Final = ("plant.hand_xquat", "controller.quat_cmd")
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
@@ -44,6 +49,9 @@ LANDED: Final = (*HELD, "controller.grip_cmd")
 TORQUE: Final = ("plant.actuator_force",)
 SPEED: Final = ("plant.qvel",)
 REFERENCE: Final = ("controller.qvel_ref",)
+
+SIGNALS: Final = {"joint": SENT, "cartesian": POSE, "torque": ARM, "arm": ARM}
+WINDOWS: Final = {"start": "the first row", "end": "the last row"}
 
 MOVING: Final = "rows at which the command moves"
 CARRIED: Final = "from lift to release command of each hold"
@@ -167,6 +175,31 @@ _ROWS: Final = (
       "`velocity`, `acceleration` or `jerk` of the joint reference; `torque`: the servo has none "
       "left)",
       ("controller.limit", *TORQUE), unmeasured="none bound"),
+    # Preflight: the run over the interface of a real robot
+    D("preflight.robot", "the robot, `fer` or `fr3`"),
+    D("preflight.interface", "how the run is sent: `joint` positions, or `torque` where the arm "
+      "has motors"),
+    D("preflight.refusals", "conditions that are not kept, of that interface and of the arm "
+      "itself; each aborts the motion", (*SENT, *ARM), unit="1", better="lower"),
+    D("preflight.first_s", "the first of them", unit="s", unmeasured="all are kept"),
+    *(D(f"preflight.{name}_refusals", f"conditions of {what} that are not kept", unit="1",
+        better="lower")
+      for name, what in (("joint", "joint positions"), ("cartesian", "poses of the hand"),
+                         ("torque", "torques"), ("arm", "the arm itself"))),
+    D("preflight.lost_packets", "most commands in a row that may be lost, anywhere; the robot "
+      "keeps its acceleration meanwhile", SENT, unit="1", better="higher",
+      unmeasured="torques are sent"),
+    D("preflight.delay_ms", "most ms by which the commands may begin to be late, anywhere; the "
+      "robot keeps its acceleration until the next comes", SENT, unit="ms", better="higher",
+      unmeasured="torques are sent"),
+    *(D(f"preflight.{key}_share", f"{check.what}: largest share of its limit"
+        f"{'' if check.necessary else ' (recommended)'}", SIGNALS[check.interface],
+        WINDOWS.get(key.partition("_")[0], "all rows"), "1", "lower")
+      for key, check in CHECKS.items()),
+    D("preflight.findings", "of each condition that is not kept `name`, `interface`, libfranka's "
+      "`error`, `what`, `unit`, `remedy`, whether it is `necessary`, and of the first time "
+      "`time_s`, `row` of the table, `joint`, `value` and `bound`"),
+    D("preflight.late", "the same of one lost packet, or ms of delay, more"),
     # Energy
     D("energy.arm_work_J", "work of the arm's servos: positive power summed over joints and time; "
       "braking returns nothing", (*TORQUE, *SPEED), unit="J", better="lower"),
@@ -206,6 +239,7 @@ _CRITERIA: Final = {
     "max_drop": ("block.drop_mm", "m"),
     "max_set_down_force": ("block.set_down_force_N", "N"),
     "max_unwanted_force": ("contact.unwanted_force_N", "N"),
+    "max_refusals": ("preflight.refusals", "1"),
 }
 
 _METRICS: Final = {row.key: row for row in _ROWS}

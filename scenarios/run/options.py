@@ -40,6 +40,7 @@ TOP: Final = (
     "route",
     "align",
     "mujoco",
+    "preflight",
     "input_scale",
 )
 _SECTIONS: Final = ("table.", "push[", "success.", "mismatch.", "inputs.")

@@ -36,7 +36,7 @@ class Output:
         columns = prepared.assembly.recorded(prepared.scenario.coupling)
         self.signals = tuple(column.name for column in columns)
         provenance = _provenance(system, prepared.scenario.mujoco) if writes else {}
-        metadata = {**_metadata(prepared), **provenance} if writes else {}
+        metadata = {**_metadata(prepared), **provenance}
         metadata |= {"session": JOURNAL_FILE} if journals else {}
         make = Recorder if writes else MemoryRecorder
         self.recorder: AnyRecorder = make(folder, columns, metadata)

@@ -56,6 +56,7 @@ class Summary:
     contact: Metrics
     limits: Metrics
     first_limit: Metrics | None
+    preflight: Metrics  # empty: the scenario names no robot
     energy: Metrics
     timing: Metrics
     format: int = field(default=FORMAT, init=False)
@@ -90,6 +91,7 @@ def summarize(
             **measured_if([UNWANTED], lambda: unwanted_contacts(recording)),
         },
         "limits": limit_shares(recording),
+        "preflight": _preflight(recording, scenario.preflight),
         "energy": measured_if(
             ("plant.actuator_force[7]", "plant.qvel[9]"), lambda: _energy(recording)
         ),
@@ -117,6 +119,14 @@ def summarize(
         first_limit=first_limit(recording),
         **measured,
     )
+
+
+def _preflight(recording: Recording, robot: str) -> Metrics:
+    if not robot:
+        return {}
+    from ..judging.preflight import preflight  # noqa: PLC0415 - imports MuJoCo, which is slow
+
+    return preflight(recording, robot)
 
 
 def _rms(values: Array) -> float | None:

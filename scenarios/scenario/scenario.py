@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...assets.franka import DEFAULT_ROBOT, ROBOTS
+from ...assets.robots import ROBOTS as REAL_ROBOTS
 from ...fmus.build.engines import check_engine
 from ...fmus.errors import InputError
 from ...fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
@@ -146,6 +147,8 @@ class Scenario:
     # Version of MuJoCo in the FMUs that are made of models, and in our controller's; empty: the
     # installed one.
     mujoco: Annotated[str, PlainValidator(check_engine)] = ""
+    # The real robot whose interface the run is judged by; empty: none.
+    preflight: Annotated[str, Choice(("", *REAL_ROBOTS))] = ""
     # Factor on all inputs of the FMU `plant`; 1.00000000000001 shows how rounding errors grow.
     input_scale: Annotated[float, Quantity(0.99, 1.01, "1")] = 1.0
     expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"

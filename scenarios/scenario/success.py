@@ -87,6 +87,8 @@ class Success:
     max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
     # Largest sum of the forces of contacts that nobody wants, `plant.unwanted_contact_force` [N].
     max_unwanted_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
+    # What the real robot that `preflight` names would refuse, see there.
+    max_refusals: Annotated[float, Quantity(0.0, 100.0, "1")] | None = None
 
     # Criteria over recorded signals, [[success.signal]].
     signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()

@@ -44,7 +44,8 @@ _OWN_PLANT: Final = (
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
 # Keys that are written if they say something.
-_RARE = ("system", "step", "timing", "timing_share", "route", "mujoco", "input_scale")
+_RARE = ("system", "step", "timing", "timing_share", "route", "mujoco", "preflight",
+         "input_scale")  # fmt: skip
 
 
 def make_scenario(

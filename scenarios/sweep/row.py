@@ -35,7 +35,8 @@ STATUSES: Final = ("success", "missed", "unexpected", "unmeasured", "failed", "t
 UNJUDGED: Final = ("unmeasured", "failed", "timeout")  # of which there is no margin
 # These differ from run to run, like the wall clock.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
-_GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
+_GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "preflight", "energy",
+                  "timing")  # fmt: skip
 
 JOB_FILE: Final = "job"
 

@@ -84,6 +84,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     )  # the robot's own
     contacts = _contacts(run)
     notes = (thinning.words(), ROUNDING, contacts["words"] if contacts else "", *run.notes)
+    notes = (*story.refusals_of(run.summary), *notes)
     return {
         "format": FORMAT,
         "name": run.name,

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ..judging.definitions import DEFINITIONS
+from ..judging.refusals import CHECKS, outcome
 from ..pictures.motion import Signals, key_moments
 from ..scenario.limits import METRICS
 
@@ -68,11 +69,28 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the largest shares of the robot's limits that the run used."""
     limits = summary.get("limits")
     shares = limits if isinstance(limits, Mapping) else {}
+    rows = [("limits", key, name, shares) for key, name in METRICS.items()]
+    real = summary.get("preflight")
+    if isinstance(real, Mapping):
+        judged = (real.get("interface"), "arm")
+        keys = [key for key, check in CHECKS.items() if check.interface in judged]
+        rows += [
+            ("preflight", f"{key}_share", f"{real.get('robot')}: {key.replace('_', ' ')}", real)
+            for key in keys
+        ]
     return [
-        {"name": name, "words": meaning(f"limits.{key}"), "shares": list(map(number, shares[key]))}
-        for key, name in METRICS.items()
-        if isinstance(shares.get(key), list)
+        {"name": name, "words": meaning(f"{group}.{key}"), "shares": list(map(number, used[key]))}
+        for group, key, name, used in rows
+        if isinstance(used.get(key), list)
     ]
+
+
+def refusals_of(summary: Mapping[str, Any]) -> list[str]:
+    """Return what the real robot would refuse, in lines."""
+    try:
+        return [text for level, text in outcome(summary["preflight"]) if level == "refused"]
+    except (LookupError, TypeError, ValueError):  # there is none, or it is another's
+        return []
 
 
 def bounds(name: str) -> dict[str, list[float]]:

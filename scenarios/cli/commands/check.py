@@ -14,17 +14,16 @@ from ...check.experiments import check_experiments
 from ...run.options import TOP, split_settings
 from ...system.assembly import instances
 from ..console import show, show_json
-from ..options import CONTROLLER, JSON, PLANT, SETTINGS, argument, named_parts, overrides
-from ..outcome import NOT_A_SUCCESS
-
-STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
+from ..options import CONTROLLER, JSON, PLANT, SETTINGS, argument, named_parts, option, overrides
+from ..outcome import NOT_A_SUCCESS, STYLES
 
 
-def command(
+def command(  # noqa: PLR0913 - one for each option
     folder: Path = argument("FOLDER", "Folder of a scenario, or an .fmu or .ssp file."),
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
+    robot: str = option("--robot NAME", "Real robot whose interface judges it: fer or fr3.", ""),
     json: bool = JSON,
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
@@ -34,8 +33,11 @@ def command(
     left, a high torque rate, a weak grip, a block that is let go too late, and missed criteria. A
     scenario with FMUs of its own is only read: none of their code runs.
 
+    With `--robot fer` (Panda) or `--robot fr3`, also what the interface of that robot would refuse:
+    libfranka's name of the error, the first time, value, limit, and what to change.
+
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
-    criterion could not be measured.
+    criterion could not be measured. Exit code 3: the robot would refuse it.
 
     Of an .fmu, the reference experiments are run that are in it (FMI-LS-REF; `build` and `mjcf2fmu`
     put one in), and the largest difference is printed. Exit code 3: it is beyond the tolerance.
@@ -43,14 +45,16 @@ def command(
 
     ```
     panda-cosim check my-scenarios/lift
+    panda-cosim check my-scenarios/lift --robot fr3
     panda-cosim check my-scenarios/lift --set plant.block_mass=2 --set mismatch.preset=worn
     panda-cosim check Feedthrough.fmu
     panda-cosim check Panda.ssp
     ```
     """
     if folder.suffix == ".fmu":
-        if assignments:
-            raise InputError("--set: not with an .fmu, whose experiments have their own values")
+        if assignments or robot:
+            option = "--set" if assignments else "--robot"
+            raise InputError(f"{option}: not with an .fmu, whose experiments have their own values")
         _check_fmu(folder, as_json=json)
         return
     settings, parameters = split_settings(assignments or ())
@@ -59,7 +63,7 @@ def command(
     with suppress(InputError):  # a scenario that cannot be read: the check explains why
         names = tuple(instances(read_checked(folder)))
     changed = overrides(parameters, (*names, *parts), TOP)
-    diagnostics = check_folder(folder, changed, settings, parts)
+    diagnostics = check_folder(folder, changed, settings, parts, robot)
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
         show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})
@@ -68,6 +72,8 @@ def command(
             show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
     if wrong:
         raise typer.Exit(InputError.exit_code)
+    if any(diagnostic.level == "refused" for diagnostic in diagnostics):
+        raise typer.Exit(NOT_A_SUCCESS)
 
 
 def _check_fmu(path: Path, *, as_json: bool) -> None:

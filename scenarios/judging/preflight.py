@@ -1,0 +1,313 @@
+"""What the interface of the real robot would refuse of a run, in libfranka's own error names.
+
+The robot differentiates what it is sent by backward differences at 1 kHz, and stands still before
+the first command. A recording is read once, in blocks, so that a long one takes little memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE, TORQUE_DRIVEN
+from ...assets.franka import JOINT_DAMPING
+from ...assets.robots import RobotLimits, robot_limits
+from ...controller.gains import DEFAULT
+from ...controller.model import FINGERTIPS, ArmModel
+from ...controller.touch import ROTOR
+from .. import rotations
+from ..recording import Recording
+from ..scenario.limits import robot_of
+from ..scenario.trajectory import TIME_TOLERANCE
+from .refusals import ARMS, CHECKS, DERIVATIVES, LATE, MORE_TIME, NO_REFERENCE, PERIOD
+
+Array = NDArray[np.float64]
+Refusal = dict[str, Any]  # as `findings` of summary.json has them
+Rates = Sequence[Array]  # positions (n, k) and their three derivatives
+# Key of `CHECKS`, values (n, k), largest sizes (k,) or (n, k), and what both are counted from (k,).
+Measure = tuple[str, Array, Array, Array | float]
+
+BEFORE: Final = 23  # rows that a row is judged with: 19 lost packets, and differences before
+AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
+COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
+HAND: Final = ("plant.hand_xpos", "plant.hand_xquat")
+Q, QD, FORCE, BIAS, JAC = (
+    f"plant.{name}" for name in ("qpos", "qvel", "actuator_force", "qfrc_bias", "jac")
+)
+MEASURED: Final = (Q, QD, FORCE, BIAS, JAC)
+SENSED: Final = "sensors.qpos_measured"
+REGULAR: Final = 1e-12  # [m^2] keeps J J^T regular where the arm is singular
+
+
+class _Judge:
+    """Keeps the largest share of each limit, and the first time that it is reached."""
+
+    def __init__(self, robot: str, recording: Recording) -> None:
+        self.shares: dict[str, Array] = {}
+        self.first: dict[str, Refusal] = {}  # of each check
+        self._arm, self._cause = ARMS[robot], _cause(recording)
+        self._row_times = np.array(recording.metadata.get("row_times", ()), dtype=float)
+
+    def see(self, time: Array, measures: Iterable[Measure]) -> None:
+        """Compare values with their bounds in the last rows, whose instants are (n,) [s]."""
+        for key, values, bounds, origin in measures:
+            rows = slice(len(values) - len(time), None)
+            sizes = np.broadcast_to(bounds, values.shape)[rows]
+            shares = np.abs(values[rows]) / sizes
+            self.shares[key] = np.maximum(self.shares.get(key, 0.0), shares.max(axis=0))
+            refused = np.flatnonzero((shares >= AT_LIMIT).any(axis=1))
+            if len(refused) and key not in self.first:
+                row, k = refused[0], int(shares[refused[0]].argmax())
+                value, size = float(values[rows][row, k]), float(sizes[row, k])
+                zero = float(np.broadcast_to(origin, values.shape[1:])[k])
+                at, check = float(time[row]), CHECKS[key]
+                remedy = self._cause if check.remedy == MORE_TIME else ""
+                ahead = int(np.searchsorted(self._row_times, at - TIME_TOLERANCE)) + 1
+                self.first[key] = {
+                    "name": key,
+                    **vars(check),
+                    "remedy": (remedy or check.remedy).format(robot=self._arm),
+                    "time_s": at,
+                    "row": min(ahead, len(self._row_times)) or None,
+                    "joint": k + 1 if values.shape[1] > 1 else None,
+                    "value": zero + value,
+                    "bound": zero + math.copysign(size, value),
+                }
+
+
+class _Late:
+    """How many packets may be lost in a row, or late, at any time of the motion.
+
+    Meanwhile the robot keeps the last acceleration. Lost: then it gets the command of its time.
+    Delayed: then it gets the one that was due first, and all later ones as late.
+    """
+
+    def __init__(self, limits: RobotLimits, judge: Callable[[], _Judge], *, delayed: bool) -> None:
+        self._limits, self._new_judge, self._delayed = limits, judge, delayed
+        self.borne = limits.lost_packets - 1
+        self.refusal: Refusal | None = None  # of one more
+
+    def see(self, time: Array, rates: Rates) -> None:
+        """Judge the last rows, at which the packets arrive again."""
+        for count in range(1, self.borne + 1):
+            judge = self._new_judge()
+            judge.see(time, _rate_measures(self._received(count, rates), self._limits))
+            if judge.first:
+                self.borne = count - 1
+                self.refusal = min(judge.first.values(), key=lambda each: each["time_s"])
+                return
+
+    def _received(self, count: int, rates: Rates) -> Rates:
+        q, v, a, _ = (rate[: -count - 1] for rate in rates)  # of the last packet before
+        command = rates[0][1:-count] if self._delayed else rates[0][count + 1 :]
+        v_kept = v + count * STEP_SIZE * a
+        q_kept = q + count * STEP_SIZE * (v + 0.5 * (count + 1) * STEP_SIZE * a)
+        velocity = (command - q_kept) / STEP_SIZE
+        acceleration = (velocity - v_kept) / STEP_SIZE
+        fastest = np.where(np.abs(v_kept) > np.abs(velocity), v_kept, velocity)
+        return command, fastest, acceleration, (acceleration - a) / STEP_SIZE
+
+
+class _Arm:
+    """Torques that are commanded, and those that others exert, as the controller's observer finds.
+
+    The robot adds gravity itself, of the arm without load. External torques are those of `Touch`,
+    with its default gain, and the force is the one at the hand that would exert them.
+    """
+
+    def __init__(self, recording: Recording, limits: RobotLimits) -> None:
+        robot = robot_of(recording.metadata)
+        self._limits, self._model, self._damping = limits, ArmModel(robot), JOINT_DAMPING[robot]
+        self._rotor = 0.0 if _has_motors(recording) else ROTOR
+        gain = DEFAULT.observer_gain * STEP_SIZE
+        self._share = gain / (1.0 + gain)
+        self._torque, self._external = np.zeros(7), np.zeros(7)  # of the last row
+
+    def measures(self, signals: Mapping[str, Array], count: int) -> Iterator[Measure]:
+        """Yield what is measured of the last rows."""
+        last = slice(-count - 1, None)
+        q, qd, force, bias = (signals[name][last, :7] for name in (Q, QD, FORCE, BIAS))
+        limits, still = self._limits, np.zeros(7)
+        middle: Array = 0.5 * (limits.q_min + limits.q_max)
+        yield "arm_position", q - middle, limits.q_max - middle, middle
+        yield "arm_velocity", qd, limits.speed(q, qd), 0.0
+        yield "torque", force, limits.torque, 0.0
+        qdd = np.diff(qd, axis=0) / STEP_SIZE
+        q, qd, force, bias = q[1:], qd[1:], force[1:], bias[1:]
+        commanded, needed = np.empty((2, count, 7))
+        for row in range(count):
+            commanded[row] = force[row] - self._model.hand(q[row], still).bias
+            needed[row] = self._model.inertia_force(q[row], qdd[row])
+        needed += bias - (force - self._rotor * qdd - self._damping * qd)
+        begins = ~force.any(axis=1)  # before the first step, the servos give nothing
+        commanded[begins], needed[begins] = 0.0, 0.0
+        rate: Array = np.diff(commanded, axis=0, prepend=self._torque[None]) / STEP_SIZE
+        self._torque = commanded[-1]
+        yield "torque_rate", rate, limits.torque_rate, 0.0
+        external = needed
+        for row in range(count):
+            self._external += self._share * (needed[row] - self._external)
+            external[row] = self._external
+        yield "external_torque", external, limits.collision_torque, 0.0
+        jac = signals[JAC][-count:]
+        square = jac @ jac.transpose(0, 2, 1) + REGULAR * np.eye(6)
+        at_hand = np.linalg.solve(square, (jac @ external[:, :, None]))[:, :, 0].astype(float)
+        yield "external_force", at_hand[:, :3], limits.collision_force[:3], 0.0
+        yield "external_moment", at_hand[:, 3:], limits.collision_force[3:], 0.0
+        twist = (jac @ qd[:, :, None])[:, :, 0]
+        lever: Array = _fingertips(signals[HAND[1]][-count:])
+        speed = _length(twist[:, :3] + np.cross(twist[:, 3:], lever))
+        yield "hand_velocity", speed, limits.translation[:1], 0.0
+
+
+def preflight(recording: Recording, robot: str) -> dict[str, Any]:
+    """Return what one of `ROBOTS` would refuse, and the largest share of each of its limits [1]."""
+    if not recording.rows:
+        return {}
+    new_judge = partial(_Judge, robot, recording)
+    limits, judge, reference = robot_limits(robot), new_judge(), _reference(recording)
+    late = {key: _Late(limits, new_judge, delayed=key == "delay_ms") for key in LATE}
+    arm = _Arm(recording, limits)
+    names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED) if n in recording]
+    kept: dict[str, Array] = {}
+    for time, *block in recording.in_blocks("time", *names):
+        signals = dict(zip(names, block, strict=True))
+        if not kept and recording.metadata.get("coupling") == "jacobi" and reference in signals:
+            computed = np.clip(np.arange(len(time)), 1, len(time) - 1)  # the first row is not yet
+            signals[reference] = signals[reference][computed]
+        if not kept:  # the robot stands still before
+            judge.see(time[:1], _start_measures(signals, reference, limits))
+            kept = {name: np.repeat(signal[:1], BEFORE, axis=0) for name, signal in signals.items()}
+        signals = {name: np.concatenate((kept[name], signals[name])) for name in names}
+        kept = {name: signal[-BEFORE:] for name, signal in signals.items()}
+        if reference in signals:
+            rates = _rates(signals[reference][:, :7], 3)
+            judge.see(time, _joint_measures(rates, limits))
+            for each in late.values():
+                each.see(time, rates)
+        if signals.keys() >= {*COMMAND}:
+            judge.see(time, _hand_measures(signals, limits))
+        if signals.keys() >= {*HAND, *MEASURED}:
+            judge.see(time, arm.measures(signals, len(time)))
+    if reference in signals:
+        judge.see(time[-1:], _end_measures(rates, limits))
+    return _result(robot, reference, judge, late)
+
+
+def _result(robot: str, reference: str, judge: _Judge, late: Mapping[str, _Late]) -> dict[str, Any]:
+    """Return the section of summary.json."""
+    own = "joint" if reference else "torque"
+    findings = sorted(judge.first.values(), key=lambda each: each["time_s"])
+    refused = [each for each in findings if each["necessary"]]
+    counts = {
+        f"{interface}_refusals": sum(each["interface"] == interface for each in refused)
+        for interface in ("joint", "cartesian", "torque", "arm")
+    }
+    needed = {key for key, check in CHECKS.items() if check.interface in (own, "arm")}
+    is_measured = needed <= judge.shares.keys()
+    first = next((each for each in refused if each["interface"] in (own, "arm")), None)
+    return {
+        "robot": robot,
+        "interface": own,
+        "refusals": counts[f"{own}_refusals"] + counts["arm_refusals"] if is_measured else None,
+        "first_s": first and first["time_s"],
+        **counts,
+        **{key: each.borne if reference else None for key, each in late.items()},
+        **{f"{key}_share": judge.shares.get(key, np.empty(0)).tolist() or None for key in CHECKS},
+        "findings": findings,
+        "late": {key: each.refusal for key, each in late.items() if each.refusal},
+    }
+
+
+def _reference(recording: Recording) -> str:
+    """Return the signal that a joint motion generator would be sent; "": torques are commanded."""
+    if _has_motors(recording):
+        return ""
+    gains = recording.metadata.get("parameters", {}).get("controller", {})
+    return "controller.qpos_ref" if gains.get("use_reference", True) else "controller.ctrl"
+
+
+def _has_motors(recording: Recording) -> bool:
+    """Whether torques are commanded, in our scene or by a law of its own."""
+    scene, unit = recording.metadata.get("scene"), recording.units.get("controller.ctrl[1]")
+    return scene == TORQUE_DRIVEN or unit == "N.m"
+
+
+def _cause(recording: Recording) -> str:
+    """Return what to change besides rows of the table if joints are too fast, or ""."""
+    parameters = recording.metadata.get("parameters", {}).get("controller", {})
+    if parameters.get("period", STEP_SIZE) > STEP_SIZE:
+        return PERIOD
+    return "" if parameters.get("use_reference", True) else NO_REFERENCE
+
+
+def _rates(values: Array, count: int) -> list[Array]:
+    """Return values (n, k) and so many of their derivatives, by backward differences."""
+    rates = [values]
+    for _ in range(count):
+        rates.append(np.diff(rates[-1], axis=0, prepend=rates[-1][:1]) / STEP_SIZE)
+    return rates
+
+
+def _rate_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    q, velocity, acceleration, jerk = rates
+    yield "joint_velocity", velocity, limits.speed(q, velocity), 0.0
+    yield "joint_acceleration", acceleration, limits.acceleration, 0.0
+    yield "joint_jerk", jerk, limits.jerk, 0.0
+
+
+def _joint_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    middle: Array = 0.5 * (limits.q_min + limits.q_max)
+    yield "joint_position", rates[0] - middle, limits.q_max - middle, middle
+    yield from _rate_measures(rates, limits)
+    elbow = limits.q_max[2:3] - middle[2]
+    yield "elbow_position", rates[0][:, 2:3] - middle[2], elbow, middle[2]
+    for name, rate, bound in zip(DERIVATIVES, rates[1:], limits.elbow, strict=True):
+        yield f"elbow_{name}", rate[:, 2:3], bound, 0.0
+
+
+def _hand_measures(signals: Mapping[str, Array], limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what the commanded pose asks of the end effector, between the fingertips."""
+    position, orientation = (signals[name] for name in COMMAND)
+    turns = rotations.multiply(orientation[1:], rotations.conjugate(orientation[:-1]))
+    turning = np.concatenate((np.zeros((1, 3)), rotations.log(turns))) / STEP_SIZE
+    moving = _rates(position + _fingertips(orientation), 3)[1:]
+    for name, rate, bound in zip(DERIVATIVES, moving, limits.translation, strict=True):
+        yield f"translation_{name}", _length(rate), bound, 0.0
+    for name, rate, bound in zip(DERIVATIVES, _rates(turning, 2), limits.rotation, strict=True):
+        yield f"rotation_{name}", _length(rate), bound, 0.0
+
+
+def _start_measures(
+    signals: Mapping[str, Array], reference: str, limits: RobotLimits
+) -> Iterator[Measure]:
+    """Yield how far the first command is from where the robot stands, per tick at full speed."""
+    measured = signals.get(SENSED, signals.get(Q))
+    if reference in signals and measured is not None:
+        away = signals[reference][:1, :7] - measured[:1, :7]
+        yield "start_pose", away, limits.velocity * STEP_SIZE, 0.0
+    if signals.keys() >= {*COMMAND, *HAND}:
+        poses = ((signals[pose[0]][:1], signals[pose[1]][:1]) for pose in (COMMAND, HAND))
+        command, hand = (position + _fingertips(turn) for position, turn in poses)
+        yield "start_place", _length(command - hand), limits.translation[:1] * STEP_SIZE, 0.0
+
+
+def _end_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what is left of the motion, of which the robot can stop so much within a tick."""
+    yield "end_velocity", rates[1], limits.acceleration * STEP_SIZE, 0.0
+    yield "end_acceleration", rates[2], limits.jerk * STEP_SIZE, 0.0
+
+
+def _fingertips(orientation: Array) -> Array:
+    """Return where the fingertips' centre is from the hand's origin (n, 3) [m], world axes."""
+    return rotations.rotate(orientation, np.broadcast_to(FINGERTIPS, (len(orientation), 3)))
+
+
+def _length(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return lengths
