@@ -65,9 +65,8 @@ class Parameters:
     def _read(self, binding: ET.Element, owner: str) -> None:
         """Note the values of a binding at the ends that it names."""
         values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", self._document)
-        units = self._document.units | read_units(
-            label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES)
-        )
+        own_units = read_units(label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES))
+        units = {**self._document.units, **own_units}
         entries, unused = _entries(binding, self._document), []
         for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
             name, typed = binding.get("prefix", "") + parameter.get("name", ""), choice(parameter)

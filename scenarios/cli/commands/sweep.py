@@ -100,8 +100,10 @@ def command(  # noqa: PLR0913 - one for each option
             "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
         )
     definition = _definition(sweep, vary, mujoco)
-    gate = {"min_success": min_success, "confidence": confidence}
-    definition = replace(definition, **{k: v for k, v in gate.items() if v is not None})
+    if min_success is not None:
+        definition = replace(definition, min_success=min_success)
+    if confidence is not None:
+        definition = replace(definition, confidence=confidence)
     if junit is not None:
         if not definition.min_success:
             raise InputError("--junit: needs --min-success; without it, there is no verdict")
