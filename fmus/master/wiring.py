@@ -68,8 +68,8 @@ class BoundSlave:
             self.get_outputs = slave.bind_get(list(outputs), block)
         if inputs:
             self.set_inputs = _bind_inputs(slave, inputs, rows, conversions)
-            linear = getattr(self.set_inputs, "conversions", None)
-            self.linear = {} if linear is None else dict(zip(inputs, linear, strict=True))
+            if isinstance(self.set_inputs, Moved) and self.set_inputs.linear is not None:
+                self.linear = dict(zip(inputs, self.set_inputs.linear, strict=True))
         self.leads = False  # its outputs act within the step, see step.py
         if multiple > 1:
             slow = _Slow(self, multiple, rows)
