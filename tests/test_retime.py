@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panda_cosim import run_scenario
 from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios import rotations
@@ -111,6 +112,14 @@ def test_rows_that_exceed_nothing_keep_their_time_and_place(slow: Scenario) -> N
     feasible = replace(hasty, timing="feasible", timing_share=SHARE, duration=made.duration)
     times = np.arange(0.0, made.duration, 0.1)
     assert np.array_equal(commands(feasible, times), commands(made, times))
+
+
+def test_a_recording_has_the_times_of_its_rows_as_they_are_played(
+    slow: Scenario, fast: Scenario, tmp_path: Path
+) -> None:
+    optimal = replace(slow, timing="optimal", timing_share=SHARE)
+    run = run_scenario(optimal, tmp_path / "run")
+    assert run.recording.metadata["row_times"] == [row.time for row in fast.table.rows]
 
 
 def _at_times(scenario: Scenario, times: tuple[float, ...]) -> TrajectoryTable:

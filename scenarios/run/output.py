@@ -19,6 +19,7 @@ from ..scenario.scenario import is_shipped
 from .folder import SCENARIO_FOLDER, SUMMARY_FILE, keep_scenario
 from .journal import JOURNAL_FILE, Action, append_action, begin_journal
 from .prepare import Prepared
+from .start import played_rows
 from .summary import Summary, summarize
 
 PACKAGES: Final = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
@@ -89,12 +90,13 @@ def _metadata(prepared: Prepared) -> dict[str, Any]:
     if scenario.mujoco:
         ours["mujoco"] = scenario.mujoco
     if not scenario.is_system:
+        times, names = played_rows(scenario, values)
         ours |= {
             "robot": scenario.robot,
             "gains": scenario.gains,
             "interpolation": scenario.interpolation,
-            "row_times": [row.time for row in scenario.table.rows],
-            "row_names": [row.name for row in scenario.table.rows],
+            "row_times": times,
+            "row_names": names,
         }
     if scenario.folder is not None and not is_shipped(scenario):
         ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is

@@ -119,6 +119,15 @@ def new_timing(scenario: Scenario, values: StartValues) -> Timing:
     return timing
 
 
+def played_rows(scenario: Scenario, values: StartValues) -> tuple[list[float], list[str]]:
+    """Return times and names of the rows that are played, with the new times of `timing`."""
+    if scenario.timing == "table":
+        return [row.time for row in scenario.table.rows], [row.name for row in scenario.table.rows]
+    timing = new_timing(scenario, values)
+    rows = (timing.table or scenario.table).rows
+    return timing.trajectory.times.tolist(), [row.name for row in rows]
+
+
 def _check_duration(scenario: Scenario, cycle: float) -> None:
     if cycle > scenario.duration + TIME_TOLERANCE:
         raise InputError(
