@@ -56,9 +56,7 @@ REPORTS = {
         ("panda-cosim regress push tutorial --set controller.kp=7.6 --report report",),
     ),
 }
-SHOWN = """---
-hide: [toc]
----
+SHOWN = """
 {%- macro shown(path, title) %}
 {% if path.endswith("html") %}<iframe class="page" src="{{ path }}"
  title="{{ title }}" loading="lazy"></iframe>
@@ -66,7 +64,12 @@ hide: [toc]
 [Open it on a page of its own]({{ path }})
 {% elif path.endswith("mp4") %}<video class="wide" controls src="{{ path }}"></video>
 {% else %}![{{ title }}]({{ path }}){ .wide }
-{% endif %}{% endmacro %}"""
+{% endif %}{% endmacro -%}
+---
+hide: [toc]
+---
+
+"""
 REPORT = Template(
     SHOWN
     + """# {{ title }}

@@ -201,3 +201,9 @@ def test_the_site_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     }.items():
         page.write_text(f"{head}{fault}")
         assert any(message in problem for problem in check(tmp_path)), fault
+
+
+def test_a_page_of_the_gallery_has_a_title() -> None:
+    report = runpy.run_path(str(ROOT / ".ci" / "gallery.py"))["REPORT"]
+    page = report.render(title="T", text="For all", paths=["a.html"], lines=["panda-cosim run"])
+    assert page.startswith("---\nhide: [toc]\n---\n\n# T\n\nFor all\n")
