@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..assets.franka import CTRL_OPEN, OPENING_MAX
 from .gains import DEFAULT, Gains
+from .impedance import ImpedanceLaw
 from .reference_law import ReferenceLaw
 from .signals import INPUTS, OUTPUTS, Buffer, Law
 from .touch import Touch
@@ -17,7 +18,11 @@ from .tutorial_law import TutorialLaw
 Vector = NDArray[np.float64]
 
 # By the names that `Gains.law` gives.
-LAWS: Final[dict[str, type[Law]]] = {"reference": ReferenceLaw, "tutorial": TutorialLaw}
+LAWS: Final[dict[str, type[Law]]] = {
+    "reference": ReferenceLaw,
+    "tutorial": TutorialLaw,
+    "impedance": ImpedanceLaw,
+}
 STATE: Final = np.dtype(
     [
         ("law", float),  # place of the active one in `LAWS`, from 1; 0: none has started
@@ -31,10 +36,10 @@ STATE: Final = np.dtype(
 class Controller:
     """Computes servo targets of arm and gripper from a commanded hand pose, once per period.
 
-    The law is chosen by `gains.law`; see `ReferenceLaw` and `TutorialLaw` for the formulas. The
-    period between two updates is in s. `update` reads `inputs` and writes `outputs`, by name and in
-    the layouts `INPUTS` and `OUTPUTS`; `input_values` (106,), `output_values` (58,) and
-    `state_values` are the flat arrays, of which the caller may bring the first two.
+    The law is chosen by `gains.law`; see the classes in `LAWS` for the formulas. The period between
+    two updates is in s. `update` reads `inputs` and writes `outputs`, by name and in the layouts
+    `INPUTS` and `OUTPUTS`; `input_values` (109,), `output_values` (65,) and `state_values` are the
+    flat arrays, of which the caller may bring the first two.
     """
 
     def __init__(

@@ -20,6 +20,8 @@ from ..assets.franka import (
     Seven,
 )
 
+Six = tuple[float, float, float, float, float, float]
+
 
 def _seven(value: float) -> Seven:
     return (value,) * 7
@@ -32,6 +34,10 @@ INTEGRAL_LIMIT: Final = _seven(0.05)  # [rad]
 # and outwards need joints 2, 4 and 6 only, and the elbow on its side. Joint 4 hardly moves in the
 # null space; near singularities its pull keeps the stretched arm from folding the wrong way.
 POSTURE_GAIN: Final = (0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0)  # [1/s]
+
+# Of the hand: the most that libfranka documents for `setCartesianImpedance`.
+STIFFNESS: Final[Six] = (3000.0, 3000.0, 3000.0, 300.0, 300.0, 300.0)  # [N/m, N.m/rad]
+OFFSET_LIMIT: Final[Six] = (20.0, 20.0, 20.0, 5.0, 5.0, 5.0)  # [N, N.m]
 
 # External torques at which a contact and a collision begin. A calibrated robot that sets a block
 # down too low presses with up to 18 N.m on joint 2.
@@ -68,6 +74,14 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "grip_force": (0.0, GRIP_FORCE_MAX),
     "grip_width": (0.0, OPENING_MAX),
     "grip_stiffness": (1.0, 1e6),
+    "stiffness": (1.0, 1e5),
+    "spring_force": (0.0, 1e4),
+    "spring_torque": (0.0, 1e4),
+    "damping_ratio": (0.0, 10.0),
+    "offset_rate": (0.0, 100.0),
+    "offset_limit": (0.0, 1e3),
+    "posture_stiffness": (0.0, 1e4),
+    "posture_damping": (0.0, 1e3),
     "reading_delay": (0.0, 0.02),
     "posture_follow_gain": (0.0, 1e4),
     "observer_gain": (0.0, 1e4),
@@ -126,10 +140,21 @@ class Gains:
     upper_torque_threshold: Seven = COLLISION_TORQUE  # [N.m] that is a collision
     reaction: str = "none"  # to a collision, one of `REACTIONS`
     robot: str = DEFAULT_ROBOT  # whose arm and limits it is, one of `franka.ROBOTS`
+    impedance: bool = False  # torques of `ImpedanceLaw` for motors, instead of servo targets
+    stiffness: Six = STIFFNESS  # [N/m, N.m/rad] of the hand, along and about the world's axes
+    spring_force: float = 60.0  # [N] largest force of these springs
+    spring_torque: float = 10.0  # [N.m] largest torque
+    damping_ratio: float = 1.0  # [1] of each mode of the hand on these springs
+    offset_rate: float = 4.0  # [1/s] at which the wrench that the model lacks is found
+    offset_limit: Six = OFFSET_LIMIT  # [N, N.m] largest such wrench
+    posture_stiffness: float = 20.0  # [N.m/rad] of each joint in the null space
+    posture_damping: float = 4.0  # [N.m.s/rad] the same
 
     @property
     def law(self) -> str:
         """Name of the control law, see `controller.LAWS`."""
+        if self.impedance:
+            return "impedance"
         return "reference" if self.use_reference else "tutorial"
 
     def __post_init__(self) -> None:
@@ -138,9 +163,10 @@ class Gains:
                 raise ValueError(f"{name}: {choice!r} is not one of {', '.join(names)}")
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
-            is_vector = isinstance(getattr(Gains, name), tuple)
-            if isinstance(value, tuple) != is_vector or (is_vector and len(value) != 7):
-                form = "a tuple of 7 numbers, one per joint" if is_vector else "a number"
+            start = getattr(Gains, name)
+            is_vector = isinstance(start, tuple)
+            if isinstance(value, tuple) != is_vector or (is_vector and len(value) != len(start)):
+                form = f"a tuple of {len(start)} numbers" if is_vector else "a number"
                 raise ValueError(f"{name}: {value!r}; must be {form}")
             for i, number in enumerate(value if is_vector else (value,), start=1):
                 if not low <= number <= high:
@@ -176,7 +202,12 @@ TUTORIAL: Final = Gains(
 # smoothed. docs/reference/mismatch.md has the margins beside those of other values.
 ROBUST: Final = Gains(kp=_seven(0.5), ik_gain=5.0, error_filter=0.02)
 
-PRESETS: Final[Mapping[str, Gains]] = {"default": DEFAULT, "robust": ROBUST, "tutorial": TUTORIAL}
+PRESETS: Final[Mapping[str, Gains]] = {
+    "default": DEFAULT,
+    "robust": ROBUST,
+    "tutorial": TUTORIAL,
+    "impedance": Gains(impedance=True),
+}
 
 
 def preset(name: str, **changes: float | bool | str | Seven) -> Gains:

@@ -84,3 +84,13 @@ class ArmModel:
         mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
         pose = data.xpos[self._hand], data.xquat[self._hand]
         return HandState(*pose, self._jac[:, :7], self._force[:7])
+
+    def moved_by(self, jac: Vector) -> Vector:
+        """Return J M^-1 (6, 7) of a Jacobian J (6, 7), where `hand` was last called."""
+        rows, moved = np.zeros((2, 6, self._model.nv))
+        rows[:, :7] = jac
+        mujoco.mj_makeM(self._model, self._data)
+        mujoco.mj_factorM(self._model, self._data)
+        mujoco.mj_solveM(self._model, self._data, moved, rows)
+        product: Vector = moved[:, :7].copy()
+        return product

@@ -32,6 +32,7 @@ INPUTS = np.dtype(
         ("qvel", float, 7),
         ("qfrc_bias", float, 7),
         ("actuator_force", float, 8),
+        ("force_cmd", float, 3),
     ]
 )
 OUTPUTS = np.dtype(
@@ -46,6 +47,7 @@ OUTPUTS = np.dtype(
         ("external_torque", float, 7),
         ("external_force", float, 6),
         ("joint_contact", float, 7),
+        ("motor_torque", float, 7),
     ]
 )
 

@@ -64,6 +64,8 @@ class Touch:
     def takes_over(self) -> bool:
         """Observe and react; whether the arm is moved from here instead of by its law."""
         state, reaction = self._state, self._gains.reaction
+        if self._gains.impedance:  # reactions move servos
+            reaction = "none"
         if reaction == "none" and not self._gains.observer:
             state.observes[...] = 0.0
             return False
@@ -83,7 +85,8 @@ class Touch:
             return
         qdd = (x.qvel - state.qd_before) / self._period
         state.qd_before[:] = x.qvel
-        torque = x.actuator_force[:7] - ROTOR * qdd - JOINT_DAMPING[self._gains.robot] * x.qvel
+        rotor = 0.0 if self._gains.impedance else ROTOR
+        torque = x.actuator_force[:7] - rotor * qdd - JOINT_DAMPING[self._gains.robot] * x.qvel
         needed = self._arm.inertia_force(x.qpos, qdd) + x.qfrc_bias
         external = y.external_torque
         external += self._share * (needed - torque - external)

@@ -14,7 +14,7 @@ from fmu_instance import mujoco_library
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import ROBOTS
 from panda_cosim.controller.controller import STATE, Controller
-from panda_cosim.controller.gains import REACTIONS, Gains
+from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.build.libraries import CONTROLLER_LAW, FLAGS, SOURCES
@@ -31,11 +31,12 @@ FUNCTIONS = (
     "mju_subQuat", "mju_rotVecQuat", "mju_norm3", "mju_normalize", "mju_mulMatVec",
     "mju_mulMatTVec", "mju_mulMatMatT", "mju_mulMatTMat", "mju_cholFactor", "mju_cholSolve",
     "mju_boxQP", "mj_kinematics", "mj_comPos", "mj_makeM", "mj_mulM",
+    "mj_comVel", "mj_rne", "mj_factorM", "mj_solveM",
 )  # fmt: skip
 
 # The struct `controller` of controller_law.h: doubles only.
 GAINS = np.dtype(
-    [(f.name, float, 7) if isinstance(f.default, tuple) else (f.name, float) for f in fields(Gains)]
+    [(f.name, float, np.shape(f.default) if f.name in RANGES else ()) for f in fields(Gains)]
 )
 LAYOUT = np.dtype(
     [
@@ -116,8 +117,8 @@ def replay(law: Controller | LawInC, rows: Array) -> Array:
 
 
 def inputs_of(course: Course) -> Array:
-    """Return what the controller has read at each tick (n, 106)."""
-    rows = np.empty((len(course.time), INPUTS.itemsize // 8))
+    """Return what the controller has read at each tick (n, 109)."""
+    rows = np.zeros((len(course.time), INPUTS.itemsize // 8))
     named = rows.view(INPUTS)[:, 0]
     rows[:, : course.commands.shape[1]] = course.commands
     for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias", "actuator_force"):

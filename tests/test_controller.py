@@ -24,7 +24,7 @@ PERIOD = 0.001  # s
 
 
 def recorded_inputs() -> Array:
-    """Return the inputs of a controller that follows a winding command (n, 106)."""
+    """Return the inputs of a controller that follows a winding command (n, 109)."""
     plant, controller = started()
     home = plant.outputs["hand_xpos"].copy()
     rows = []

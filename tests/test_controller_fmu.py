@@ -28,7 +28,7 @@ def it(request: pytest.FixtureRequest) -> Unpacked:
 
 @pytest.fixture(scope="module")
 def inputs() -> Array:
-    """Inputs of a controller in the middle of its task (n, 106)."""
+    """Inputs of a controller in the middle of its task (n, 109)."""
     return inputs_of(run_plain(load_scenario("pick_and_place")))[900 : 900 + ROWS]
 
 
@@ -92,7 +92,7 @@ def test_quaternions_are_scaled_and_zeros_are_not_taken(it: Unpacked, inputs: Ar
     rows[4, 17:21] = 0.0
     instance = Instance(it).start()
     got = outputs(instance, rows)
-    assert got[0].tolist() == [*Gains().base_ctrl, 255.0, *[0.0] * 50]
+    assert got[0].tolist() == [*Gains().base_ctrl, 255.0, *[0.0] * 57]
     expected = inputs[1:6].copy()
     expected[1, 3:7] = rows[2, 3:7] / np.linalg.norm(rows[2, 3:7])
     expected[3, 17:21] = rows[3, 17:21]

@@ -76,12 +76,13 @@ def test_the_gains_of_every_scenario_have_the_same_bits(library: Path, name: str
 
 def random_gains(rng: np.random.Generator) -> Gains:
     """Return gains near those that are shipped, some of them anywhere in their range."""
-    gains = preset(rng.choice(["default", "tutorial"]), robot=str(rng.choice([*franka.ROBOTS])))
+    names = ["default", "tutorial", "impedance"]
+    gains = preset(rng.choice(names), robot=str(rng.choice([*franka.ROBOTS])))
     for name in rng.choice(PLAIN_FIELDS, 4):
         low, high = RANGES[name]
         value = getattr(gains, name)
         if isinstance(value, tuple):
-            gains = replace(gains, **{name: tuple(rng.uniform(low, high, 7).tolist())})
+            gains = replace(gains, **{name: tuple(rng.uniform(low, high, len(value)).tolist())})
         else:
             gains = replace(gains, **{name: float(rng.uniform(low, high))})
     # Switches, and how often each is on.
@@ -91,7 +92,7 @@ def random_gains(rng: np.random.Generator) -> Gains:
 
 
 def random_inputs(rng: np.random.Generator, size: float) -> Array:
-    """Return inputs of a few updates (n, 106), smooth or wild."""
+    """Return inputs of a few updates (n, 109), smooth or wild."""
     rows = np.empty((SEVERAL, INPUTS.itemsize // 8))
     named = rows.view(INPUTS)[:, 0]
     walk = size * rng.normal(size=rows.shape).cumsum(axis=0)
@@ -99,6 +100,8 @@ def random_inputs(rng: np.random.Generator, size: float) -> Array:
     named["qpos"] = rng.uniform(franka.Q_MIN, franka.Q_MAX) + walk[:, :7]
     for name in ("quat_cmd", "hand_xquat"):
         named[name] /= np.linalg.norm(named[name], axis=1, keepdims=True)
+    if rng.random() < 0.5:
+        named["force_cmd"] = 0.0
     if rng.random() < 0.3:
         named["jac"][:, rng.integers(6)] = 0.0  # singular
     return rows
@@ -130,4 +133,5 @@ def test_the_robots_limits_are_those_of_the_assets(library: Path) -> None:
         expected += [franka.JOINT_DAMPING[name]]
     assert list((ctypes.c_double * len(expected)).in_dll(law, "CONTROLLER_ROBOTS")) == expected
     common = [franka.OPENING_MAX, franka.CTRL_OPEN, *franka.SERVO_DAMPING, robots.LEAST]
+    common += [*franka.TORQUE_MAX, franka.TORQUE_RATE_MAX[0]]
     assert list((ctypes.c_double * len(common)).in_dll(law, "CONTROLLER_COMMON")) == common

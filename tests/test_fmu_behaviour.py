@@ -236,7 +236,7 @@ def test_an_input_out_of_range_is_clamped_with_one_warning(plant: Unpacked) -> N
 @pytest.mark.parametrize("kind", ["native", "python"])
 def test_zeros_for_all_inputs_are_survived(kind: Kind) -> None:
     it = Instance(unpacked(kind, "controller", 2)).start()
-    it.set_inputs([0.0] * 106)
+    it.set_inputs([0.0] * 109)
     it.steps(2)
     assert all(abs(x) < 1e3 for x in it.outputs())
     assert "input quat_cmd is zero; the last valid one is used" in it.messages()

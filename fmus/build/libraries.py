@@ -31,7 +31,7 @@ FMI_LAYER: Final = (
 )
 CONTROLLER_LAW: Final = (
     "controller_law.c", "controller_ik.c", "controller_limits.c", "controller_pid.c",
-    "controller_touch.c",
+    "controller_touch.c", "controller_impedance.c",
 )  # fmt: skip
 STEPPER: Final = "stepper"  # no FMU's library, but the master's
 BACKENDS: Final = MappingProxyType({

@@ -5,12 +5,13 @@ from __future__ import annotations
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX, ROBOTS
 from ...controller.gains import RANGES, REACTIONS, Gains
-from .plant import CTRL_PARTS, FORCE_PARTS, JAC_PARTS, ROBOT
+from .plant import CTRL_PARTS, FORCE_MAX, FORCE_PARTS, JAC_PARTS, ROBOT
 from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
 
 # The inputs that command the hand's motion, and those of the posture; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
 POSTURE_COMMANDS = ("posture_cmd", "posture_vel_cmd")
+FORCE_COMMAND = "force_cmd"
 
 # Outputs of the observer.
 OBSERVED = ("external_torque", "external_force", "joint_contact")
@@ -20,17 +21,26 @@ _EXTERNAL_PARTS = (
 )  # fmt: skip
 
 _GAINS = Gains()
+_WRENCH_UNITS = (*["N"] * 3, *["N.m"] * 3), (*["N/m"] * 3, *["N.m/rad"] * 3)
 # Upper bounds below those of `controller.gains.RANGES`: the FMU never exceeds the robot's limits.
 MOST = {"limit_share": 1.0}
 
 
-def _gain(name: str, unit: str, description: str, variability: Variability = "tunable") -> Variable:
+def _gain(
+    name: str,
+    unit: str | tuple[str, ...],
+    description: str,
+    variability: Variability = "tunable",
+    parts: tuple[tuple[str, int, str], ...] = (),
+) -> Variable:
     """Return a parameter that starts at its value in the default gains."""
     start = getattr(_GAINS, name)
-    shape = (7,) if isinstance(start, tuple) else ()
+    shape = (len(start),) if isinstance(start, tuple) else ()
     low, high = RANGES[name]
     high = MOST.get(name, high)
-    return Variable(name, shape, unit, "parameter", variability, description, start, low, high)
+    return Variable(
+        name, shape, unit, "parameter", variability, description, start, low, high, parts=parts
+    )
 
 
 CONTROLLER = Interface(
@@ -63,6 +73,8 @@ CONTROLLER = Interface(
         input_("actuator_force", (8,), joints("N.m", "N"), "Torques of the servos during the last "
                "step, then the force of the gripper's tendon; only the observer reads it", 0.0,
                parts=FORCE_PARTS),
+        input_("force_cmd", (3,), "N", "Force that the hand adds to its springs if impedance is "
+               "true, world frame", 0.0, -FORCE_MAX, FORCE_MAX),
         held("ctrl", (8,), joints("rad", "1"), "Servo targets: seven joint angles, then the "
              "gripper, 0 (closed) to 255 (open)", parts=CTRL_PARTS),
         held("dq", (7,), "rad", "Joint error that the PIDs act on"),
@@ -71,7 +83,8 @@ CONTROLLER = Interface(
         held("manipulability", (), "1", "Yoshikawa's manipulability sqrt(det(J J^T))"),
         held("singular", (), "1", "1 while damping is raised near a singularity, else 0"),
         held("limit", (7,), "1", "Limit that binds each joint's reference: 0 none, 1 position, "
-              "2 velocity, 3 acceleration, 4 jerk"),
+              "2 velocity, 3 acceleration, 4 jerk; with impedance, of its motor: 5 torque, 6 "
+              "torque rate"),
         held("external_torque", (7,), "N.m", "Torques of others on the joints, by a momentum "
              "observer; 0 without observer and reaction", on_request=True),
         held("external_force", (6,), (*["N"] * 3, *["N.m"] * 3), "Force and torque at the hand "
@@ -79,6 +92,8 @@ CONTROLLER = Interface(
              parts=_EXTERNAL_PARTS),
         held("joint_contact", (7,), "1", "Of each joint: 0 free, 1 contact, external_torque above "
              "the lower threshold, 2 collision, it has been above the upper one", on_request=True),
+        held("motor_torque", (7,), "N.m", "Torques of the arm's motors if impedance is true, else "
+             "0", on_request=True),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
                  "held in between", STEP_SIZE, STEP_SIZE, 1.0, multiple_of=STEP_SIZE),
         Variable("use_reference", (), "", "parameter", "tunable", "Integrate a joint reference; "
@@ -130,11 +145,26 @@ CONTROLLER = Interface(
         _gain("upper_torque_threshold", "N.m", "External torque above which a joint collides"),
         Variable("reaction", (), "", "parameter", "tunable", "What the arm does once a joint has "
                  "collided, until it is none: none; stop (hold the joints where they are); yield "
-                 "(give way, held up against gravity alone)", _GAINS.reaction,
-                 kind="Enumeration", choices=REACTIONS),
+                 "(give way, held up against gravity alone); with impedance always none",
+                 _GAINS.reaction, kind="Enumeration", choices=REACTIONS),
         Variable("robot", (), "", "parameter", "fixed", "Arm whose model and limits are used: "
                  "panda (Franka Emika Panda) or fr3 (Franka Research 3)", _GAINS.robot,
                  kind="Enumeration", choices=tuple(ROBOTS)),
+        Variable("impedance", (), "", "parameter", "fixed", "Torques of a Cartesian impedance for "
+                 "the scene motors, instead of servo targets", _GAINS.impedance, kind="Boolean"),
+        _gain("stiffness", _WRENCH_UNITS[1], "Of the hand, along and about the world's axes",
+              parts=(("stiffness", 3, "Of the hand, along the world's axes"),
+                     ("angular_stiffness", 3, "Of the hand, about the world's axes"))),
+        _gain("spring_force", "N", "Largest force of these springs"),
+        _gain("spring_torque", "N.m", "Largest torque of these springs"),
+        _gain("damping_ratio", "1", "Of each mode of the hand on these springs"),
+        _gain("offset_rate", "1/s", "Rate at which the wrench that the law's model lacks is found, "
+              "but not along axes of a commanded force"),
+        _gain("offset_limit", _WRENCH_UNITS[0], "Largest such wrench",
+              parts=(("offset_limit", 3, "Largest such force"),
+                     ("offset_moment_limit", 3, "Largest such moment"))),
+        _gain("posture_stiffness", "N.m/rad", "Of each joint to the posture, in the null space"),
+        _gain("posture_damping", "N.m.s/rad", "Of each joint, in the null space"),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

@@ -24,10 +24,10 @@ static const field FIELDS[] = {
     FIELD(inputs., pos_cmd), FIELD(inputs., quat_cmd), FIELD(inputs., vel_cmd), FIELD(inputs., omega_cmd),
     FIELD(inputs., grip_cmd), FIELD(inputs., posture_cmd), FIELD(inputs., posture_vel_cmd),
     FIELD(inputs., hand_xpos), FIELD(inputs., hand_xquat), FIELD(inputs., jac),
-    FIELD(inputs., qpos), FIELD(inputs., qvel), FIELD(inputs., qfrc_bias), FIELD(inputs., actuator_force),
+    FIELD(inputs., qpos), FIELD(inputs., qvel), FIELD(inputs., qfrc_bias), FIELD(inputs., actuator_force), FIELD(inputs., force_cmd),
     FIELD(outputs., ctrl), FIELD(outputs., dq), FIELD(outputs., qpos_ref), FIELD(outputs., qvel_ref),
     FIELD(outputs., manipulability), FIELD(outputs., singular), FIELD(outputs., limit),
-    FIELD(outputs., external_torque), FIELD(outputs., external_force), FIELD(outputs., joint_contact),
+    FIELD(outputs., external_torque), FIELD(outputs., external_force), FIELD(outputs., joint_contact), FIELD(outputs., motor_torque),
     FIELD(gains., use_reference), FIELD(gains., kp), FIELD(gains., ki), FIELD(gains., kd),
     FIELD(gains., derivative_filter), FIELD(gains., integral_limit), FIELD(gains., base_ctrl),
     FIELD(gains., ik_gain), FIELD(gains., error_filter), FIELD(gains., ik_damping),
@@ -40,9 +40,12 @@ static const field FIELDS[] = {
     FIELD(gains., grip_force), FIELD(gains., grip_width), FIELD(gains., grip_stiffness),
     FIELD(gains., reading_delay), FIELD(gains., follow_posture), FIELD(gains., posture_follow_gain),
     FIELD(gains., observer), FIELD(gains., observer_gain), FIELD(gains., lower_torque_threshold),
-    FIELD(gains., upper_torque_threshold), FIELD(gains., reaction), FIELD(gains., robot),
+    FIELD(gains., upper_torque_threshold), FIELD(gains., reaction), FIELD(gains., robot), FIELD(gains., impedance),
+    FIELD(gains., stiffness), FIELD(gains., spring_force), FIELD(gains., spring_torque), FIELD(gains., damping_ratio),
+    FIELD(gains., offset_rate), FIELD(gains., offset_limit), FIELD(gains., posture_stiffness),
+    FIELD(gains., posture_damping),
     FIELD(, period)};
-enum { INPUTS = 0, OUTPUTS = 14, GAINS = 24, PERIOD = 61, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
+enum { INPUTS = 0, OUTPUTS = 15, GAINS = 26, PERIOD = 72, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
 _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 
 /* ---- an instance ---- */

@@ -1,4 +1,4 @@
-/* Both control laws, and the gripper. */
+/* Two control laws, what all share, and the gripper. */
 #include "controller_law.h"
 
 #include <math.h>
@@ -6,12 +6,12 @@
 
 #include "controller_parts.h"
 
-static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0;
+static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0, IMPEDANCE_LAW = 3.0;
 static const double PULL_DAMPING = 0.05; /* see controller/ik.py */
 
 /* ---- late readings: controller/late.py ---- */
 
-static void reset_late(double rows[KEPT][JOINTS], const double now[JOINTS])
+void reset_late(double rows[KEPT][JOINTS], const double now[JOINTS])
 {
     for (int i = 0; i < KEPT; i++) memcpy(rows[i], now, sizeof rows[i]);
 }
@@ -26,15 +26,15 @@ static void recall(const controller *c, double rows[KEPT][JOINTS], const double 
     memcpy(rows[0], now, sizeof *rows);
 }
 
-static void get_pose_cmd(const controller_inputs *in, double pose[POSE])
+void get_pose_cmd(const controller_inputs *in, double pose[POSE])
 {
     memcpy(pose, in->pos_cmd, sizeof in->pos_cmd);
     memcpy(pose + 3, in->quat_cmd, sizeof in->quat_cmd);
 }
 
 /* Pose error (TWIST), by the command of the readings' time. */
-static void late_pose_error(controller *c, const controller_functions *mj, double poses[KEPT][POSE],
-                            double error[TWIST])
+void late_pose_error(controller *c, const controller_functions *mj, double poses[KEPT][POSE],
+                     double error[TWIST])
 {
     double now[POSE], due[POSE];
     get_pose_cmd(&c->inputs, now);
@@ -44,7 +44,7 @@ static void late_pose_error(controller *c, const controller_functions *mj, doubl
 
 /* ---- the reference law: controller/reference_law.py ---- */
 
-static void get_twist_cmd(const controller_inputs *in, double twist[TWIST])
+void get_twist_cmd(const controller_inputs *in, double twist[TWIST])
 {
     memcpy(twist, in->vel_cmd, sizeof in->vel_cmd);
     memcpy(twist + 3, in->omega_cmd, sizeof in->omega_cmd);
@@ -238,12 +238,13 @@ static void move_gripper(controller *c)
 }
 
 /* Starts the chosen law, and the gripper if nothing ran before. */
-static void start(controller *c, const controller_functions *mj, double law)
+static void start(controller *c, const controller_mujoco *mj, double law)
 {
     if (c->state.law == 0.0) c->state.opening = grip_cmd(c);
     c->state.law = law;
     c->state.touch.reacts = 0.0;
-    if (law == REFERENCE_LAW) start_reference_law(c, mj);
+    if (law == REFERENCE_LAW) start_reference_law(c, &mj->call);
+    else if (law == IMPEDANCE_LAW) start_impedance_law(c, mj);
     else start_tutorial_law(c);
 }
 
@@ -256,12 +257,19 @@ void controller_reset(controller *c)
     c->outputs.ctrl[JOINTS] = CONTROLLER_COMMON.ctrl_open;
 }
 
+static double law_of(const controller_gains *gains)
+{
+    if (gains->impedance != 0.0) return IMPEDANCE_LAW;
+    return gains->use_reference != 0.0 ? REFERENCE_LAW : TUTORIAL_LAW;
+}
+
 void controller_update(controller *c, const controller_mujoco *mj)
 {
-    const double law = c->gains.use_reference != 0.0 ? REFERENCE_LAW : TUTORIAL_LAW;
+    const double law = law_of(&c->gains);
     if (touch_takes_over(c, mj)) return;
-    if (c->state.law != law || c->state.touch.reacts != 0.0) start(c, &mj->call, law);
+    if (c->state.law != law || c->state.touch.reacts != 0.0) start(c, mj, law);
     move_gripper(c);
     if (law == REFERENCE_LAW) update_reference_law(c, mj);
+    else if (law == IMPEDANCE_LAW) update_impedance_law(c, mj);
     else update_tutorial_law(c, &mj->call);
 }

@@ -19,7 +19,7 @@ typedef struct {
     double posture_cmd[JOINTS], posture_vel_cmd[JOINTS];
     double hand_xpos[3], hand_xquat[4], jac[TWIST * JOINTS];
     double qpos[JOINTS], qvel[JOINTS], qfrc_bias[JOINTS];
-    double actuator_force[JOINTS + 1];
+    double actuator_force[JOINTS + 1], force_cmd[3];
 } controller_inputs;
 
 /* controller/signals.py: OUTPUTS */
@@ -27,6 +27,7 @@ typedef struct {
     double ctrl[JOINTS + 1], dq[JOINTS], qpos_ref[JOINTS], qvel_ref[JOINTS];
     double manipulability, singular, limit[JOINTS];
     double external_torque[JOINTS], external_force[TWIST], joint_contact[JOINTS];
+    double motor_torque[JOINTS];
 } controller_outputs;
 
 /* controller/gains.py: Gains, in its order; use_reference and observer are 0 or 1, reaction counts from 1. */
@@ -42,6 +43,8 @@ typedef struct {
     double reading_delay, follow_posture, posture_follow_gain; /* follow_posture is 0 or 1 */
     double observer, observer_gain, lower_torque_threshold[JOINTS], upper_torque_threshold[JOINTS], reaction;
     double robot; /* counts from 1 */
+    double impedance, stiffness[TWIST], spring_force, spring_torque, damping_ratio; /* impedance is 0 or 1 */
+    double offset_rate, offset_limit[TWIST], posture_stiffness, posture_damping;
 } controller_gains;
 
 typedef struct {
@@ -51,7 +54,7 @@ typedef struct {
 /* State of the controller: all that the next update depends on besides inputs and gains. Same order as
  * STATE in controller/controller.py; copied as bytes. */
 typedef struct {
-    double law;     /* 1: reference law, 2: tutorial law, 0: none started */
+    double law;     /* 1: reference law, 2: tutorial law, 3: impedance law, 0: none started */
     double opening; /* commanded opening between the fingertips */
     struct {
         double q_ref[JOINTS], qd_before[JOINTS], qdd_before[JOINTS];
@@ -63,6 +66,10 @@ typedef struct {
         controller_pid_state pid;
         double poses[KEPT][POSE];
     } tutorial;
+    struct {
+        double torque_before[JOINTS], twist_before[TWIST], jac_before[TWIST * JOINTS], offset[TWIST];
+        double poses[KEPT][POSE];
+    } impedance;
     struct {
         double observes, reacts, qd_before[JOINTS], q_stop[JOINTS];
     } touch;
@@ -80,7 +87,7 @@ typedef struct {
 #define CONTROLLER_FUNCTIONS(X)                                                                          \
     X(mju_subQuat) X(mju_rotVecQuat) X(mju_norm3) X(mju_normalize) X(mju_mulMatVec) X(mju_mulMatTVec)    \
     X(mju_mulMatMatT) X(mju_mulMatTMat) X(mju_cholFactor) X(mju_cholSolve) X(mju_boxQP)                  \
-    X(mj_kinematics) X(mj_comPos) X(mj_makeM) X(mj_mulM)
+    X(mj_kinematics) X(mj_comPos) X(mj_makeM) X(mj_mulM) X(mj_comVel) X(mj_rne) X(mj_factorM) X(mj_solveM)
 
 typedef struct {
 #define X(name) __typeof__(&name) name;
@@ -107,7 +114,7 @@ extern const controller_robot CONTROLLER_ROBOTS[ROBOTS];
 
 /* What all robots share: the hand and the servos. */
 typedef struct {
-    double opening_max, ctrl_open, servo_damping[JOINTS], speed_left;
+    double opening_max, ctrl_open, servo_damping[JOINTS], speed_left, torque_max[JOINTS], torque_rate_max;
 } controller_common;
 
 extern const controller_common CONTROLLER_COMMON;

@@ -34,6 +34,8 @@ const controller_common CONTROLLER_COMMON = {
     .ctrl_open = 255.0,
     .servo_damping = {450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0},
     .speed_left = 1e-3,
+    .torque_max = {87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0},
+    .torque_rate_max = 1000.0,
 };
 
 static const double POSITION = 1.0, VELOCITY = 2.0, ACCELERATION = 3.0, JERK = 4.0;

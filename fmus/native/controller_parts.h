@@ -62,7 +62,16 @@ void pid_update(controller_pid_state *pid, const controller_gains *gains, double
                 const double error[JOINTS], double correction[JOINTS]);
 
 /* controller_law.c */
+void reset_late(double rows[KEPT][JOINTS], const double now[JOINTS]);
+void get_pose_cmd(const controller_inputs *in, double pose[POSE]);
+void get_twist_cmd(const controller_inputs *in, double twist[TWIST]);
+void late_pose_error(controller *c, const controller_functions *mj, double poses[KEPT][POSE],
+                     double error[TWIST]);
 void inertia_force(const controller_mujoco *mj, const double *q, const double *qdd, double force[JOINTS]);
+
+/* controller_impedance.c: controller/impedance.py */
+void start_impedance_law(controller *c, const controller_mujoco *mj);
+void update_impedance_law(controller *c, const controller_mujoco *mj);
 
 /* controller_touch.c: controller/touch.py */
 bool touch_takes_over(controller *c, const controller_mujoco *mujoco);

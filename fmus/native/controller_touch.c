@@ -42,7 +42,8 @@ static void observe(controller *c, const controller_mujoco *mujoco)
     }
     inertia_force(mujoco, x->qpos, qdd, inertia);
     for (int i = 0; i < JOINTS; i++) {
-        const double rotor = CONTROLLER_COMMON.servo_damping[i] * PHYSICS_STEP;
+        const double damping = c->gains.impedance != 0.0 ? 0.0 : CONTROLLER_COMMON.servo_damping[i];
+        const double rotor = damping * PHYSICS_STEP;
         const double torque =
             x->actuator_force[i] - rotor * qdd[i] - robot->joint_damping * x->qvel[i];
         y->external_torque[i] += share * (inertia[i] + x->qfrc_bias[i] - torque - y->external_torque[i]);
@@ -72,7 +73,7 @@ static void react(controller *c)
 
 bool touch_takes_over(controller *c, const controller_mujoco *mujoco)
 {
-    const bool reacts = c->gains.reaction != NONE;
+    const bool reacts = c->gains.reaction != NONE && c->gains.impedance == 0.0; /* they move servos */
     bool collided = false;
     if (!reacts && c->gains.observer == 0.0) {
         c->state.touch.observes = 0.0;

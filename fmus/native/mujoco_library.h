@@ -12,7 +12,7 @@
     X(mj_setConst) X(mj_step) X(mj_step1) X(mj_step2) X(mj_jacBody) X(mj_jacBodyCom) X(mj_jacGeom)   \
     X(mj_jacSite) X(mj_fullM) X(mj_contactForce) X(mj_stateSize) X(mj_getState) X(mj_setState)       \
     X(mju_dot) X(mju_rayGeom) X(mj_rayMesh) X(mj_rayHfield)                                          \
-    X(mj_comPos) X(mj_makeM) X(mj_mulM) X(mju_boxQP) X(mju_cholFactor) X(mju_cholSolve)              \
+    X(mj_comPos) X(mj_makeM) X(mj_mulM) X(mj_comVel) X(mj_rne) X(mj_factorM) X(mj_solveM) X(mju_boxQP) X(mju_cholFactor) X(mju_cholSolve)              \
     X(mju_mulMatMatT) X(mju_mulMatTMat) X(mju_mulMatTVec) X(mju_mulMatVec) X(mju_norm) X(mju_norm3)  \
     X(mju_normalize) X(mju_rotVecQuat) X(mju_subQuat)
 

@@ -45,6 +45,7 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "acceleration": f"give that row more time ({MORE_TIME})",
     "jerk": f"give that row more time ({MORE_TIME}), or keep the path away from the stretched arm",
     "torque": f"give that row more time ({MORE_TIME}), or carry less",
+    "torque rate": f"give that row more time ({MORE_TIME}), or touch bodies more gently",
 }
 NOISE = "; with noisy readings, lower controller.ik_gain"
 GAIN_REMEDIES = {  # besides, if the controller is our own

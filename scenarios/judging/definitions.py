@@ -173,7 +173,7 @@ _ROWS: Final = (
     D("limits.not_measured", "why shares are missing, by name"),
     D("first_limit", "the first limit that bound: `time_s`, `joint`, `kind` (`position`, "
       "`velocity`, `acceleration` or `jerk` of the joint reference; `torque`: the servo has none "
-      "left)",
+      "left; with impedance `torque` or `torque rate` of the motor)",
       ("controller.limit", *TORQUE), unmeasured="none bound"),
     # Preflight: the run over the interface of a real robot
     D("preflight.robot", "the robot, `fer` or `fr3`"),

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 FORCE: Final = "plant.actuator_force"  # of the servos [N.m, N]
 REFERENCE: Final = "controller.qvel_ref"
-# Values 1 to 4 of `controller.limit`.
-KINDS: Final = ("position", "velocity", "acceleration", "jerk")
+# Values 1 to 6 of `controller.limit`.
+KINDS: Final = ("position", "velocity", "acceleration", "jerk", "torque", "torque rate")
 
 
 def limit_shares(recording: Recording) -> dict[str, Any]:
@@ -37,8 +37,11 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
     """
     shares: dict[str, Any] = {}
     missing = {}
+    controller = recording.metadata.get("parameters", {}).get("controller", {})
     for key, (signal, _) in _USES.items():
-        if signal not in recording:
+        if key.startswith("reference_") and controller.get("impedance"):
+            missing[key] = "the impedance law has no joint reference"
+        elif signal not in recording:
             missing[key] = f"{signal.partition('[')[0]} is not recorded"
         elif not len(recording.time):
             missing[key] = "no row is recorded"
@@ -151,7 +154,7 @@ def exceeded(shares: Mapping[str, Any]) -> list[str]:
 def first_limit(recording: Recording) -> dict[str, Any] | None:
     """Return `time_s`, `joint` (from 1) and `kind` of the limit that bound first; None: none did.
 
-    The kind is one of the controller's `KINDS`, or "torque" of a servo.
+    The kind is one of the controller's `KINDS`; "torque" also of a servo.
     """
     plant = recording.metadata.get("parameters", {}).get("plant", {})
     scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
@@ -159,12 +162,12 @@ def first_limit(recording: Recording) -> dict[str, Any] | None:
     for time, *signals in recording.in_blocks("time", *names):
         by_name, kinds = dict(zip(names, signals, strict=True)), np.zeros((len(time), 7))
         if FORCE in by_name:
-            kinds[saturated(by_name[FORCE][:, :7], scale)] = len(KINDS) + 1
+            kinds[saturated(by_name[FORCE][:, :7], scale)] = 1 + KINDS.index("torque")
         if "controller.limit" in by_name:
             limit = by_name["controller.limit"]
             kinds = np.where(limit > 0.0, limit, kinds)
         for row in np.flatnonzero(kinds.any(axis=1))[:1]:
             joint = int(np.flatnonzero(kinds[row])[0])
-            kind = (*KINDS, "torque")[int(kinds[row, joint]) - 1]
+            kind = KINDS[int(kinds[row, joint]) - 1]
             return {"time_s": float(time[row]), "joint": joint + 1, "kind": kind}
     return None

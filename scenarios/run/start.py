@@ -166,7 +166,7 @@ def law_gains(scenario: Scenario, values: StartValues) -> Gains:
     parameters: Any = grouped(CONTROLLER, values["controller"])
     parameters.pop("period")
     gains = Gains(**parameters)
-    return gains if gains.use_reference else default
+    return gains if gains.law == "reference" else default
 
 
 def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:

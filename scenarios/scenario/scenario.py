@@ -37,7 +37,7 @@ from .table import TableRow, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
-GAINS = ("default", "robust", "tutorial")
+GAINS = ("default", "robust", "tutorial", "impedance")
 TIMINGS = ("table", "feasible", "optimal")
 ROUTES = ("", "auto")
 Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
@@ -223,7 +223,7 @@ class Scenario:
                 'until: is in the table; must have interpolation "quintic" or "linear", and timing '
                 '"table"'
             )
-        if self.mismatch.values and (self.is_system or "plant" in self.fmus):
+        if self.mismatch.values and self.is_system:
             raise ValueError("mismatch: only valid with the project's own plant")
         for section, key in ((s, key) for s, keys in _TOP_LEVEL.items() for key in keys):
             if key in getattr(self, section):
@@ -231,11 +231,21 @@ class Scenario:
 
     def _check_scene(self) -> None:
         """Check what the scene's arm and gripper can do."""
-        if self.is_torque_driven and "controller" not in self.fmus:
+        impedance = self.controller.get("impedance", self.gains == "impedance")
+        ours = not self.is_system and "controller" not in self.fmus
+        if self.is_torque_driven and ours and not impedance:
             raise ValueError(
                 f"scene: value {self.scene!r}; must come with a controller that gives torques, "
-                'such as [fmus] controller = "my_law.py:MyLaw"'
+                'such as gains = "impedance", or [fmus] controller = "my_law.py:MyLaw"'
             )
+        if impedance and ours and not self.is_torque_driven:
+            raise ValueError(
+                f'gains: value {self.gains!r}; must come with scene = "{TORQUE_DRIVEN}"'
+            )
+        reaction = self.controller.get("reaction", "none")
+        if impedance and reaction != "none":
+            raise ValueError(f"[controller] reaction: value {reaction!r} moves servos; with "
+                             'impedance, it must be "none"')  # fmt: skip
         if self.scene == "tutorial" and any(row.grip_force for row in self.table.rows):
             raise ValueError(
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from ...fmus.errors import InputError
-from ...fmus.interface.controller import POSTURE_COMMANDS
+from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
@@ -29,7 +29,7 @@ from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Coupling, Scenario
 from .connector import Connector
 from .driven import DrivenInput, driven_inputs
-from .parts import Part, read_parts
+from .parts import Part, measures_a_panda, read_parts
 
 
 @dataclass(frozen=True)
@@ -178,6 +178,8 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
         connector.connect(target, source)
     if scenario.is_torque_driven:
         connector.connect_torques()
+    if scenario.mismatch.values and not measures_a_panda(connector.parts["plant"].interface):
+        raise InputError("mismatch: only valid with the project's plant, or one that extends it")
     external = [] if scenario.is_system else _external(scenario, connector, from_outside)
     interfaces = {part.name: part.interface for part in parts}
     driven = driven_inputs(scenario, interfaces)
@@ -218,7 +220,10 @@ def _unfed(
 ) -> list[Name]:
     """Inputs that nothing feeds, but for those of ours that act only in other scenarios."""
     without = {connection.target for connection in connections} | {*external}
-    for instance, inputs in (("plant", ("torque",)), ("controller", POSTURE_COMMANDS)):
+    for instance, inputs in (
+        ("plant", ("torque",)),
+        ("controller", (*POSTURE_COMMANDS, FORCE_COMMAND)),
+    ):
         ours = INTERFACES[instance]
         if interfaces.get(instance) is ours:
             without |= {(instance, n) for name in inputs for n in ours.variable(name).names()}

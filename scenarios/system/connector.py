@@ -9,7 +9,7 @@ from typing import Final
 
 from ...fmus.build.description import BASE_UNITS
 from ...fmus.errors import InputError
-from ...fmus.interface.controller import POSTURE_COMMANDS
+from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import Connection
 from ...fmus.interface.types import can_convert, is_lossless, type_of
@@ -21,7 +21,7 @@ from ...plant.parameters import ARM_JOINTS
 from .parts import Part, measures_a_panda
 
 # Inputs of PandaPlant and PandaController that may stay unconnected.
-OPTIONAL: Final = (*FORCES.values(), "torque", *POSTURE_COMMANDS)
+OPTIONAL: Final = (*FORCES.values(), "torque", *POSTURE_COMMANDS, FORCE_COMMAND)
 OUR_UNITS: Final[Units] = {
     name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
     for name, exponents in BASE_UNITS.items()
@@ -88,6 +88,9 @@ class Connector:
         outputs = {v.name for v in self.parts["controller"].interface.of("output")}
         inputs = {v.name for v in self.parts["plant"].interface.of("input")}
         if "ctrl" not in outputs or not {"ctrl", "torque"} <= inputs:
+            return
+        if "motor_torque" in outputs:  # our own, whose ctrl moves the gripper alone
+            self.connect("plant.torque", "controller.motor_torque")
             return
         if self.is_fed("plant", "torque") or self.is_fed("plant", "ctrl"):
             return
