@@ -1,7 +1,8 @@
 """Measures what docs/measured.md says, and writes it: python .ci/measure.py [SECTION ...].
 
 Without a section it measures all of them, which takes an hour on two idle cores. `--from DIR` takes
-a finished sweep's folder instead of running the sweep again.
+a finished sweep's folder instead of running the sweep again; of `contact`, the folder of a sweep of
+each scenario.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ DELAYS = (0.0, 0.001, 0.003, 0.006, 0.008, 0.012)  # [s]
 ENGINES = ("3.10.0", "3.11.0", "3.14.0", "3.17.0")  # beside the installed MuJoCo
 LARGEST = 12  # packages that are listed
 LOOKS = (("640x480", "60"), ("640x480", "30"), ("640x480", "15"), ("320x240", "60"))
+TASKS = ("pick_and_place_impedance", "wipe", "peg_in_hole", "stack_impedance", "open_door")
 ERRORS = ("", "joint_noise=1e-5", "delay=0.001", "joint_offset=3.5e-4")
 
 
@@ -173,6 +175,29 @@ def box(folder: Path | None) -> str:
 def calibrated(folder: Path | None) -> str:
     """Random robots and cameras, calibrated well: `panda-cosim sweep calibrated`."""
     return _swept("calibrated", folder)
+
+
+def contact(folder: Path | None) -> str:
+    """Tasks in contact by 100 calibrated robots each.
+
+    `panda-cosim sweep SCENARIO --vary mismatch.seed=1:100:100`. A margin is the distance to a
+    criterion's bound as a share of it.
+    """
+    lines = []
+    for name in TASKS:
+        with tempfile.TemporaryDirectory() as new:
+            if folder is None:
+                seeds = ("--vary", "mismatch.seed=1:100:100", "--out", f"{new}/{name}")
+                _said([*RUN, "sweep", name, *seeds])
+            rows = ds.dataset((folder or Path(new)) / name / "results").to_table()
+        succeeded, margins = rows["status"].to_numpy() == "success", rows["margin"].to_numpy()
+        missed = ", ".join(sorted({m for m in rows["missed"].to_pylist() if m})) or "none"
+        rates = _largest(rows, "torque_rate_share")
+        share = f"{np.median(rates):.2f}, {rates.max():.2f}"
+        spread = f"{np.nanmedian(margins):.2f}, {np.nanmin(margins):.2f}"
+        lines.append([f"`{name}`", f"{succeeded.sum()} of {len(rows)}", missed, spread, share])
+    head = ["scenario", "successful", "criteria missed", "smallest margin: median, lowest"]
+    return _table([*head, "torque rate, times the robot's limit: median, largest"], lines)
 
 
 def moves(_: Path | None) -> str:
@@ -328,6 +353,7 @@ def video(_: Path | None) -> str:
 
 SECTIONS: dict[str, Callable[[Path | None], str]] = {
     "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
+    "contact": contact,
     "moves": moves, "mink": mink, "cost": cost, "install": install, "video": video,
     "engines": engines,
 }  # fmt: skip
