@@ -87,9 +87,10 @@ void inertia_force(const controller_mujoco *mj, const double *q, const double *q
     memcpy(force, all, JOINTS * sizeof *force);
 }
 
-/* Solves the damped least squares for qd (without limits). With damping, the drift is projected out of the
- * task, unless it follows a posture, which moves the hand as the task does. */
-static void solve(controller *c, const controller_functions *mj, const double *twist,
+/* Solves the damped least squares for qd (without limits), and returns the damping. If that is
+ * above 0, the drift is projected out of the task, unless it follows a posture, which moves the hand
+ * as the task does. */
+static double solve(controller *c, const controller_functions *mj, const double *twist,
                     double drift[JOINTS], double qd[JOINTS])
 {
     double factor[TWIST * TWIST];
@@ -104,11 +105,12 @@ static void solve(controller *c, const controller_functions *mj, const double *t
             keep_null_space_part(mj, c->inputs.jac, PULL_DAMPING * damping, drift);
     }
     damped_least_squares(mj, c->inputs.jac, factor, twist, drift, qd);
+    return damping;
 }
 
-/* Slows the hand down if a joint limit binds. */
-static void limit(controller *c, const controller_functions *mj, const double *twist, const double *dq,
-                  double qd[JOINTS])
+/* Solves again within the joint limits if one binds. */
+static void limit(controller *c, const controller_functions *mj, const double *twist, const double *drift,
+                  const double *dq, double damping, double qd[JOINTS])
 {
     joint_limits limits;
     double low[JOINTS], high[JOINTS];
@@ -119,7 +121,8 @@ static void limit(controller *c, const controller_functions *mj, const double *t
     if (limits_inactive(&limits, qd, &course)) return;
     velocity_box(&limits, &course, low, high);
     if (within(qd, low, high)) return;
-    scaled_least_squares(mj, c->inputs.jac, twist, c->state.reference.error, c->gains.ik_damping, low, high, qd);
+    damping = sqrt(damping * damping + c->gains.ik_damping * c->gains.ik_damping);
+    box_least_squares(mj, c->inputs.jac, twist, drift, damping, low, high, qd);
     for (int i = 0; i < JOINTS; i++)
         c->outputs.limit[i] = binding_limit(&limits, i, qd[i], &course, low[i], high[i]);
 }
@@ -159,8 +162,8 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
         drift[i] = drift_of(c, i);
         dq[i] = q_due[i] - x->qpos[i];
     }
-    solve(c, mj, twist, drift, qd);
-    limit(c, mj, twist, dq, qd);
+    const double damping = solve(c, mj, twist, drift, qd);
+    limit(c, mj, twist, drift, dq, damping, qd);
 
     /* Feed-forward of servo lag, gravity and inertia; the PID. */
     double qdd[JOINTS], force[JOINTS], pid[JOINTS];
