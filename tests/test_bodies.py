@@ -104,7 +104,7 @@ def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path: Path)
     (tmp_path / "cup.xml").write_text(SCENE)
     (tmp_path / "cup.toml").write_text('name = "Cup"\nextends = "PandaPlant"\nkeyframe = "home"\n')
     found = {v.name: v for v in model_part(tmp_path / "cup.xml").interface.variables}
-    ours = {v.name for v in PLANT.variables} - {"scene"}
+    ours = {v.name for v in PLANT.variables} - {"scene", "robot"}
     assert found.keys() == ours | {"cup_xpos", "cup_xquat", "obj_xpos", "obj_xquat"}
     assert (found["qpos"].shape, found["qvel"].shape) == ((23,), (21,))
     assert found["qpos"].unit[16:20] == ("m", "m", "m", "1")

@@ -24,7 +24,7 @@ class InputTable:
 
     times: tuple[float, ...] = ()  # of each row [s]; two rows of one time are a jump
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by FMU.INPUT
-    place: str = ""  # of the file, for messages
+    place: str = field(default="", compare=False)  # of the file, for messages
 
     @classmethod
     def read(cls, path: Path) -> Self:
