@@ -41,7 +41,6 @@ from ..scenario.scenario import (
     TABLE_FILE,
     Scenario,
     is_shipped,
-    shipped_scenarios,
 )
 from ..scenario.trajectory import TIME_TOLERANCE
 from ..system.assembly import Assembly, system_scenario
@@ -113,10 +112,7 @@ def _diagnostics(level: Level, texts: Iterable[str]) -> list[Diagnostic]:
 
 
 def _no_folder(folder: Path) -> str:
-    """Return what helps where there is no folder: that of the shipped scenario, or a new one."""
-    shipped = shipped_scenarios().get(str(folder))
-    if shipped is not None:
-        return f"{folder}: no such folder; the shipped scenario of that name is in {shipped}"
+    """Return what helps where there is no folder."""
     return f"{folder}: no such folder; `panda-cosim new {as_argument(folder)}` makes one that runs"
 
 

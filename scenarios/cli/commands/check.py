@@ -12,14 +12,26 @@ from ....fmus.errors import InputError
 from ...check.check import check_folder, read_checked
 from ...check.experiments import check_experiments
 from ...run.options import TOP, split_settings
+from ...scenario.scenario import shipped_scenarios
 from ...system.assembly import instances
 from ..console import show, show_json
-from ..options import CONTROLLER, JSON, PLANT, SETTINGS, argument, named_parts, option, overrides
+from ..options import (
+    CONTROLLER,
+    JSON,
+    PLANT,
+    SETTINGS,
+    named_parts,
+    option,
+    overrides,
+    scenario_argument,
+)
 from ..outcome import NOT_A_SUCCESS, STYLES
 
 
 def command(  # noqa: PLR0913 - one for each option
-    folder: Path = argument("FOLDER", "Folder of a scenario, or an .fmu or .ssp file."),
+    folder: Path = scenario_argument(
+        "Name of a shipped scenario, a scenario's folder, or an .fmu or .ssp file."
+    ),
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
@@ -45,12 +57,14 @@ def command(  # noqa: PLR0913 - one for each option
 
     ```
     panda-cosim check my-scenarios/lift
-    panda-cosim check my-scenarios/lift --robot fr3
+    panda-cosim check pick_and_place --robot fr3
     panda-cosim check my-scenarios/lift --set plant.block_mass=2 --set mismatch.preset=worn
     panda-cosim check Feedthrough.fmu
     panda-cosim check Panda.ssp
     ```
     """
+    if not folder.exists():
+        folder = shipped_scenarios().get(str(folder), folder)
     if folder.suffix == ".fmu":
         if assignments or robot:
             option = "--set" if assignments else "--robot"
