@@ -180,3 +180,21 @@ def test_what_was_not_measured_is_neither_success_nor_the_expected_failure(
     assert not summary.success
     assert not summary.as_expected
     assert summary.margin is None
+
+
+def test_tracking_of_a_law_without_orientation_is_measured(tmp_path: Path) -> None:
+    names = [
+        f"{name}[{i}]" for name in ("plant.hand_xpos", "controller.pos_cmd") for i in (1, 2, 3)
+    ]
+    time, rows = 1e-3 * np.arange(101.0), np.zeros((101, 7))
+    rows[:, 0], rows[:, 1], rows[:, 4] = time, 0.003, 0.0
+    rows[50:, [1, 4]] += 0.1  # the command moves at one tick, by as much as the hand
+    rows[50, 1] += 0.004
+    with Recorder(tmp_path / "run", [Column(n) for n in ("time", *names)], {}) as out:
+        out.append(rows)
+        out.close(complete=True, reason=None)
+    summary = summarize(Recording.open(tmp_path / "run"), scenario(tracking_max=0.01))
+    assert summary.tracking["max_mm"] == pytest.approx(7.0, abs=MILLIMETRE)
+    assert summary.tracking["moving_rms_mm"] == pytest.approx(math.sqrt((9.0 + 49.0) / 2.0))
+    assert summary.orientation == {}
+    assert summary.success

@@ -160,12 +160,13 @@ def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:
 def moving_rows(recording: Recording) -> NDArray[np.bool_]:
     """Return whether the command moves at each row: both rows of each change."""
     moving = np.zeros(recording.rows, dtype=bool)
-    if all(name in recording for name in COMMAND):
+    commands = [name for name in COMMAND if name in recording]
+    if commands:
 
         def step(*pose: Array) -> Any:
             return np.abs(np.diff(np.hstack(pose), axis=0)).max(axis=1)
 
-        moving[1:] = by_rows(recording, step, *COMMAND, before=1) > 0.0
+        moving[1:] = by_rows(recording, step, *commands, before=1) > 0.0
         moving[:-1] |= moving[1:]
     return moving
 

@@ -81,8 +81,8 @@ def summarize(
 
     target = scenario.success.block_position
     measured = {
-        "tracking": measured_if((hand[0], *COMMAND), lambda: _tracking(recording)),
-        "orientation": measured_if((hand[1], *COMMAND), lambda: _orientation(recording)),
+        "tracking": measured_if((hand[0], COMMAND[0]), lambda: _tracking(recording)),
+        "orientation": measured_if((hand[1], COMMAND[1]), lambda: _orientation(recording)),
         "block": measured_if(
             (force, "plant.qpos[16]", *hand), lambda: measure_block(recording, held, target)
         ),
