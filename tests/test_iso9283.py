@@ -100,6 +100,9 @@ def test_overshoot_begins_with_the_first_crossing() -> None:
     )
     assert stabilization(cycle, 1.0) == pytest.approx((3.0, 0.003))
     assert stabilization(cycle, 4.0) == (0.0, 0.0)
+    cycle.distance[-1] = 0.002  # m
+    with pytest.raises(InputError, match="P1: the hand is outside its limit band of 1 mm"):
+        stabilization(cycle, 1.0)
 
 
 def test_a_sweep_without_recordings_has_no_sheet(tmp_path: Path) -> None:

@@ -396,6 +396,8 @@ def test_where_the_arm_has_motors_the_torques_count() -> None:
     told = preflight(run, "fr3")
     assert (told["interface"], told["refusals"], told["first_s"]) == ("torque", 1, (AT + 1) * DT)
     assert (told["lost_packets"], told["joint_jerk_share"]) == (None, None)
+    assert told["joint_refusals"] is told["cartesian_refusals"] is None
+    assert (told["torque_refusals"], told["arm_refusals"]) == (1, 0)
 
 
 # --- what a user sees

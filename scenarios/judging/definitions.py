@@ -183,7 +183,7 @@ _ROWS: Final = (
       "itself; each aborts the motion", (*SENT, *ARM), unit="1", better="lower"),
     D("preflight.first_s", "the first of them", unit="s", unmeasured="all are kept"),
     *(D(f"preflight.{name}_refusals", f"conditions of {what} that are not kept", unit="1",
-        better="lower")
+        better="lower", unmeasured="one of them was not measured")
       for name, what in (("joint", "joint positions"), ("cartesian", "poses of the hand"),
                          ("torque", "torques"), ("arm", "the arm itself"))),
     D("preflight.lost_packets", "most commands in a row that may be lost, anywhere; the robot "
@@ -193,7 +193,8 @@ _ROWS: Final = (
       "robot keeps its acceleration until the next comes", SENT, unit="ms", better="higher",
       unmeasured="torques are sent"),
     *(D(f"preflight.{key}_share", f"{check.what}: largest share of its limit"
-        f"{'' if check.necessary else ' (recommended)'}", SIGNALS[check.interface],
+        f"{'' if check.necessary else ' (recommended)'}",
+        SENT if key.startswith("elbow") else SIGNALS[check.interface],
         WINDOWS.get(key.partition("_")[0], "all rows"), "1", "lower")
       for key, check in CHECKS.items()),
     D("preflight.findings", "of each condition that is not kept `name`, `interface`, libfranka's "

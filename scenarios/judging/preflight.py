@@ -204,19 +204,19 @@ def _result(robot: str, reference: str, judge: _Judge, late: Mapping[str, _Late]
     own = "joint" if reference else "torque"
     findings = sorted(judge.first.values(), key=lambda each: each["time_s"])
     refused = [each for each in findings if each["necessary"]]
-    counts = {
-        f"{interface}_refusals": sum(each["interface"] == interface for each in refused)
-        for interface in ("joint", "cartesian", "torque", "arm")
-    }
-    needed = {key for key, check in CHECKS.items() if check.interface in (own, "arm")}
-    is_measured = needed <= judge.shares.keys()
+    counts: dict[str, int | None] = {}  # None: a condition of the interface was not measured
+    for name in ("joint", "cartesian", "torque", "arm"):
+        needed = {key for key, check in CHECKS.items() if check.interface == name}
+        count = sum(each["interface"] == name for each in refused)
+        counts[name] = count if needed <= judge.shares.keys() else None
+    both = counts[own], counts["arm"]
     first = next((each for each in refused if each["interface"] in (own, "arm")), None)
     return {
         "robot": robot,
         "interface": own,
-        "refusals": counts[f"{own}_refusals"] + counts["arm_refusals"] if is_measured else None,
+        "refusals": None if None in both else sum(filter(None, both)),
         "first_s": first and first["time_s"],
-        **counts,
+        **{f"{name}_refusals": count for name, count in counts.items()},
         **{key: each.borne if reference else None for key, each in late.items()},
         **{f"{key}_share": judge.shares.get(key, np.empty(0)).tolist() or None for key in CHECKS},
         "findings": findings,

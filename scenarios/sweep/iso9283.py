@@ -110,13 +110,15 @@ def path_figures(cycles: Sequence[Cycle]) -> dict[str, float]:
 def stabilization(cycle: Cycle, band: float) -> tuple[float, float]:
     """Return OV [mm] and t_s [s] at P1: after the first crossing into the band [mm]."""
     inside = 1e3 * cycle.distance <= band
+    if not inside[-1]:
+        where = f"P1: the hand is outside its limit band of {band:.4g} mm at the end of the dwell"
+        raise InputError(f"{where}; must dwell longer")
     first = int(inside.argmax())
     outside = first + np.flatnonzero(~inside[first:])
     if not len(outside):
         return 0.0, 0.0
     over = 1e3 * float(cycle.distance[outside].max())
-    stays = min(int(outside[-1]) + 1, len(inside) - 1)
-    return over, float(cycle.time[stays] - cycle.time[first])
+    return over, float(cycle.time[outside[-1] + 1] - cycle.time[first])
 
 
 def figures(cycles: Sequence[Cycle]) -> dict[str, Any]:
