@@ -41,7 +41,7 @@ class _Ending:
             self._error, self._since = SystemExit(), time.monotonic()
 
     def is_meant(self) -> None:
-        """Take a signal as the way to end this command: errors after it are told."""
+        """Take a signal as the way to end this command: errors after it are reported."""
         self._error = SystemExit()
 
     @property

@@ -64,10 +64,10 @@ PLANT = option(
 )
 JSON = option("--json", "Print the result as JSON instead of tables.", False)
 OPEN_PAGE = option("--open", "Open the page in the browser.", False)
-OVERWRITE = option("--overwrite", "Replace existing files, whoever made them.", False)
+OVERWRITE = option("--overwrite", "Also replace files that panda-cosim did not write.", False)
 MESHES = option(
     "--meshes",
-    "Draw the arm with the meshes of MuJoCo Menagerie; auto: only if they are found.",
+    "Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are installed.",
     "never",
 )
 OUT_RUN = option("--out -o DIR", "New folder for the run. Default: one in runs/.")
@@ -81,7 +81,7 @@ PLATFORM = option(
 )
 
 
-MUJOCO = option("--mujoco VERSION", "MuJoCo in the FMUs, such as 3.11.0. Default: this one.", "")
+MUJOCO = option("--mujoco VERSION", "MuJoCo version, as 3.11.0. Default: the installed one.", "")
 ENGINES = option("--mujoco LIST", "Versions of MuJoCo to run with, such as 3.10.0,3.17.0.", "")
 SCALARS = option(
     "--scalars", "FMI 3.0 without arrays, for importers that read only scalars.", False

@@ -55,8 +55,8 @@ GAIN_REMEDIES = {  # besides, if the controller is our own
 }
 STYLES = {"wrong": "bold red", "refused": "bold red", "hint": "yellow", "good": "green"}
 SHOWN = 3  # unwanted contacts that are named
-NO_VERDICT = "Neither success nor failure, as not all criteria could be measured"
-NOT_FAILED = "Success, although a failure is expected"
+NO_VERDICT = "No verdict, as not all criteria could be measured"
+NOT_FAILED = "Unexpected success: the scenario expects a failure"
 Progress = Callable[[int, int], None]  # completed and total steps
 Fault = tuple[Literal["failure", "error"], str, str]  # problem, kind and message of a JUnit case
 
@@ -291,7 +291,7 @@ def _speed_line(summary: Summary) -> str:
 
 
 def _contact_lines(summary: Summary) -> Iterator[str]:
-    """Name the contacts that nobody wants, which are often the cause of all that follows."""
+    """Name the unwanted contacts, which often cause all that follows."""
     contacts = [str(Touch(**contact)) for contact in summary.contact.get("unwanted", [])]
     if contacts:
         more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
@@ -312,7 +312,7 @@ def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
         remedy = REMEDIES[first["kind"]] + (GAIN_REMEDIES.get(first["kind"], "") if ours else "")
         remedy = "after the contact above" if touched else remedy
         yield (
-            f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "
+            f"The {first['kind']} limit of joint {first['joint']} first limited the motion at "
             f"t = {first['time_s']:.3f} s: {remedy}"
         )
     elif not contacts and any(limit.startswith("torque rate") for limit in beyond):

@@ -69,7 +69,7 @@ def command(  # noqa: PLR0913 - one for each option
 ) -> None:
     """Measure the control loops: margins, Bode plots, a state-space model.
 
-    Takes any scenario whose FMUs can go back to a state: own laws, plants and systems, too. Small
+    Takes any scenario whose FMUs can save and restore their state (canGetAndSetFMUState). Small
     pulses are added to each servo target, or torque, at one instant of the run. For the margins of
     a joint, its loop is opened there, with the others closed. The disk margin lets all loops vary
     at once. The folder gets loops.png, analysis.json, and the model in analysis.npz.
@@ -129,7 +129,7 @@ def _show_variant(margins: Margins) -> None:
     """Show the loops' table and the disk margin of one period and coupling."""
     head = f"period {margins.period * 1e3:g} ms, {margins.coupling}"
     if not margins.linear:
-        show(f"{head}: NOT LINEAR, twice a pulse gives another response; no margins\n")
+        show(f"{head}: NOT LINEAR, a doubled pulse does not double the response; no margins\n")
     elif not margins.stable:
         show(f"{head}: UNSTABLE, a pole of modulus {margins.pole_modulus:.4f}\n")
     else:

@@ -39,7 +39,7 @@ def command(
 
     Compares our master's step with MuJoCo alone, stepping the scene as it is drawn and the model
     that the FMU steps, and with a plain FMPy loop over the same FMUs. Takes a minute or two; with
-    --all, half an hour and 10 GB in the folder for temporary files.
+    --all, half an hour and 10 GB in the temporary folder.
 
     With --history, a ratio that is more than 5 % worse than the median of the last ten runs on this
     machine ends the command with exit code 3.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import Literal
 
 import typer
 
@@ -35,14 +36,16 @@ def command(  # noqa: PLR0913 - one for each option
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
-    robot: str = option("--robot NAME", "Real robot whose interface judges it: fer or fr3.", ""),
+    robot: Literal["fer", "fr3"] | None = option(
+        "--robot NAME", "Real robot whose interface judges the run: fer (Panda) or fr3."
+    ),
     json: bool = JSON,
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
 
     The table is compared with the robot's limits of velocity, acceleration, jerk, torque and torque
-    rate. Then it is run in memory, which shows contacts that nobody wants, servos without torque
-    left, a high torque rate, a weak grip, a block that is let go too late, and missed criteria. A
+    rate. Then it is run in memory, which shows unwanted contacts, saturated servos, a high torque
+    rate, a weak grip, a hand that moves on before the block is free, and missed criteria. A
     scenario with FMUs of its own is only read: none of their code runs.
 
     With `--robot fer` (Panda) or `--robot fr3`, also what the interface of that robot would refuse:
@@ -51,8 +54,8 @@ def command(  # noqa: PLR0913 - one for each option
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
     criterion could not be measured. Exit code 3: the robot would refuse it.
 
-    Of an .fmu, the reference experiments are run that are in it (FMI-LS-REF; `build` and `mjcf2fmu`
-    put one in), and the largest difference is printed. Exit code 3: it is beyond the tolerance.
+    For an .fmu, its reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
+    and the largest difference is printed. Exit code 3: it is beyond the tolerance.
     Exit code 2: nothing could be compared.
 
     ```
@@ -68,7 +71,7 @@ def command(  # noqa: PLR0913 - one for each option
     if folder.suffix == ".fmu":
         if assignments or robot:
             option = "--set" if assignments else "--robot"
-            raise InputError(f"{option}: not with an .fmu, whose experiments have their own values")
+            raise InputError(f"{option}: not for an .fmu, whose experiments set their own values")
         _check_fmu(folder, as_json=json)
         return
     settings, parameters = split_settings(assignments or ())
@@ -77,7 +80,7 @@ def command(  # noqa: PLR0913 - one for each option
     with suppress(InputError):  # a scenario that cannot be read: the check explains why
         names = tuple(instances(read_checked(folder)))
     changed = overrides(parameters, (*names, *parts), TOP)
-    diagnostics = check_folder(folder, changed, settings, parts, robot)
+    diagnostics = check_folder(folder, changed, settings, parts, robot or "")
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
         show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})

@@ -39,7 +39,7 @@ def command(
     ```
     """
     if len(runs) < 2:
-        raise InputError("RUN: one run is given; must be at least two")
+        raise InputError("RUN: only one; must be at least two runs")
     comparison = compare(runs[0], *runs[1:])
     if out is not None:
         check_replaceable(out / PAGE, overwrite=overwrite)

@@ -127,7 +127,7 @@ def _stepper() -> str:
     from ....fmus.master.kernel import load_stepper  # noqa: PLC0415 - numpy may be missing
 
     if load_stepper() is None:
-        raise CosimError("its library cannot be loaded, so that steps are taken in Python")
+        raise CosimError("its library cannot be loaded, so steps are taken in Python")
     return "in C"
 
 

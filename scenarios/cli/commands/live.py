@@ -34,7 +34,7 @@ def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO_OR_DEFAULT,
     out: Path | None = OUT_RUN,
     assignments: list[str] | None = PARAMETERS,
-    speed: float = option("--speed", "Simulated time per wall time.", 1.0, min=0.01, max=10.0),
+    speed: float = option("--speed", "Speed, relative to real time.", 1.0, min=0.01, max=10.0),
     port: int = option("--port", "Port to listen on; 0: any free one.", 0, min=0, max=65535),
     host: str = option(
         "--host",

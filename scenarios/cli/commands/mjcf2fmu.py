@@ -63,7 +63,7 @@ def command(  # noqa: PLR0913 - one for each option
     ),
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Make an FMU from any MuJoCo model, without run-time dependencies.
+    """Build an FMU from any MuJoCo model, without run-time dependencies.
 
     Inputs are the controls; outputs are the positions, velocities, forces and sensors. Meshes and
     textures are included. Add variables with --input, --output and --parameter, or choose and name

@@ -14,7 +14,7 @@ from ..options import JSON, argument, option
 
 
 def command(
-    name: Path = argument("NAME", "Folder to make."),
+    name: Path = argument("NAME", "Folder to create."),
     source: str | None = option(
         "--from SCENARIO",
         "Copy a shipped scenario, without its reference; or run the experiment in an X.fmu.",
@@ -27,7 +27,7 @@ def command(
     ),
     sweep: bool = option("--sweep", "Add a sweep, which `regress` judges, too.", False),
 ) -> None:
-    """Make a scenario of your own, ready to run.
+    """Create a scenario of your own, ready to run.
 
     A scenario is a folder with a table of waypoints, trajectory.csv, and a file of settings,
     scenario.toml.

@@ -49,7 +49,7 @@ def command(  # noqa: PLR0913 - one for each option
     ),
     update: bool = option(
         "--update",
-        "Make the results the new references. Shows what changes, in a page, too, and asks first.",
+        "Record the results as new references. Lists the changes, also in a page, and asks first.",
         False,
     ),
     assignments: list[str] | None = PARAMETERS,
@@ -103,16 +103,16 @@ def command(  # noqa: PLR0913 - one for each option
     if engines and (update or exact):
         raise InputError("--mujoco: cannot be combined with --update or --exact")
     if yes and not update:
-        raise InputError("--yes: only goes with --update")
+        raise InputError("--yes: needs --update")
     if overwrite and report is None:
-        raise InputError("--overwrite: only goes with --report")
+        raise InputError("--overwrite: needs --report")
     chosen = find_scenarios(scenarios or (), folder)
     runs_of = [v for s in chosen for v in (variants(s, engines) if engines else [s])]
     suite = Suite(runs_of, overrides(assignments), exact, jobs or cores())
     # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
     swept = find_sweeps(chosen) if sweeps and not update and not engines else []
     if swept and assignments:
-        raise InputError(f"--set: does not go with {swept[0].file}; must have --no-sweeps, too")
+        raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
         check_kept_runs(report / "runs", (each.name for each in (*runs_of, *swept)))
@@ -251,6 +251,6 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
 def _refuse_without_terminal(question: str) -> None:
     if sys.stdin is None or not sys.stdin.isatty():
         raise InputError(
-            f"--update: nothing was overwritten: {question} must be answered with --yes, because "
-            "standard input is not a terminal"
+            f"--update: nothing was overwritten: {question} Answer with --yes, as standard input "
+            "is not a terminal"
         )

@@ -36,7 +36,7 @@ def command(  # noqa: PLR0913 - one for each option
     video: bool = option("--video/--no-video", "Draw the video as well.", True),
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Draw a run's video and contact sheet again.
+    """Redraw a run's video and contact sheet.
 
     The files video.mp4 and contact_sheet.png are drawn from the recording, without a simulation.
 

@@ -39,7 +39,7 @@ def command(
     length; corners are rounded where the table has a `blend` [m]. The new scenario's table has a
     row at least every 10 ms, in the world frame: it fits only the block's present pose.
 
-    With `--keep-times`, the rows stay as they are. Those that ask too much of the robot get more
+    With `--keep-times`, the rows stay as they are. Those that exceed the robot's limits get more
     time; the others keep theirs.
 
     ```

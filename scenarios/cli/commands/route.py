@@ -22,8 +22,8 @@ def command(
 
     The new scenario grasps the block where it stands, carries it past everything in the scene, and
     sets it down at `[success] block_position`. Arm, hand and block keep 4 mm from everything else.
-    Its table says which posture the arm takes (`q1` to `q7`), and keeps `timing_share` of the
-    limits. The same input gives the same table. It takes OMPL: pip install 'panda-cosim[route]'.
+    Its table also sets the arm's posture (`q1` to `q7`), and uses at most `timing_share` of the
+    limits. The same input gives the same table. Needs OMPL: pip install 'panda-cosim[route]'.
 
     ```
     panda-cosim route pick_and_place --out behind --set plant.block_pos=-0.4,0.3

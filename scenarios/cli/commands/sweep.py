@@ -62,7 +62,7 @@ def command(  # noqa: PLR0913 - one for each option
         "machine: local.",
     ),
     time_limit: float | None = option(
-        "--time-limit SECONDS", "Wall time after which a run is ended."
+        "--time-limit SECONDS", "Wall time after which a run is stopped."
     ),
     min_success: float | None = option(
         "--min-success SHARE",
@@ -106,7 +106,7 @@ def command(  # noqa: PLR0913 - one for each option
         definition = replace(definition, confidence=confidence)
     if junit is not None:
         if not definition.min_success:
-            raise InputError("--junit: needs --min-success; without it, there is no verdict")
+            raise InputError("--junit: needs --min-success, without which there is no verdict")
         check_replaceable(junit)
     check_sweep(definition, out)  # before anything is built
     announce_build()
@@ -220,7 +220,7 @@ def show_one(folder: Path = SWEEP, index: int = ROW, open_page: bool = OPEN_PAGE
 def promote(
     folder: Path = SWEEP,
     index: int = ROW,
-    new: Path = argument("NEW", "Folder to make.", show_default=False),
+    new: Path = argument("NEW", "Folder to create.", show_default=False),
     expect: Literal["failure"] | None = option(
         "--expect failure",
         "The row misses a criterion, and that is a known limit: the scenario expects it. "
@@ -229,8 +229,8 @@ def promote(
 ) -> None:
     """Make a scenario of one row, for `panda-cosim regress`.
 
-    A row with success gets a reference. A row without is a red test: `regress` fails until it is
-    mended. With `--expect failure` it is a known limit: `regress` passes as long as it fails.
+    A row with success gets a reference. A row without is a red test: `regress` fails until its
+    criteria hold. With `--expect failure` it is a known limit, and `regress` passes while it fails.
 
     ```
     panda-cosim sweep promote box 17 my-scenarios/too-heavy --expect failure
