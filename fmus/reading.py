@@ -39,7 +39,7 @@ def open_regular(path: Path) -> Iterator[BufferedReader]:
     """Open a regular file to read bytes."""
     try:
         if not path.exists():
-            raise InputError(f"{path}: there is no such file")
+            raise InputError(f"{path}: no such file")
         if not path.is_file():  # a pipe or device could block or never end
             raise InputError(f"{path}: not a regular file")
         with path.open("rb") as file:
@@ -101,6 +101,6 @@ def read_xml(path: Path, label: str) -> ET.Element:
         # ElementTree reads no external entities, and expat limits how far internal ones expand.
         return ET.parse(path).getroot()  # noqa: S314
     except FileNotFoundError:
-        raise InputError(f"{label}: there is no such file") from None
+        raise InputError(f"{label}: no such file") from None
     except (OSError, ET.ParseError, ValueError, LookupError) as error:
         raise InputError(f"{label}: not well-formed XML: {one_line(error)}") from None

@@ -1,4 +1,4 @@
-"""Kinds of contacts: those that nobody wants, and those that support the block.
+"""Kinds of contacts: unwanted ones, and those that support the block.
 
 Each shape has a rank, and the higher rank of the two decides: the arm and its palm should touch
 nothing; fingers nothing that cannot move, such as table, floor and walls; and the block, apart from

@@ -103,7 +103,8 @@ class Choice(_Field):
         if isinstance(value, str) and value in self.valid:
             return value
         hint = did_you_mean(value, self.valid) if isinstance(value, str) else ""
-        raise ValueError(f"value {excerpt(value)}; must be one of {', '.join(self.valid)}{hint}")
+        valid = ", ".join(filter(None, self.valid))  # "" stands for none
+        raise ValueError(f"value {excerpt(value)}; must be one of {valid}{hint}")
 
 
 class Line(_Field):

@@ -293,7 +293,7 @@ def test_what_cannot_be_analysed_is_refused_in_one_line(slide: Path) -> None:
         return refused(slide)
 
     assert "controller: ctrl differs after it went back to a state" in with_law("Forgetful")
-    assert "plant.ctrl: nothing of what is added there comes back" in with_law("Deaf")
+    assert "plant.ctrl: a pulse there causes no response within" in with_law("Deaf")
     (slide / "scenario.toml").write_text(SYSTEM)
     assert refused(slide, loop="plant.ctr").endswith("plant.ctrl; did you mean 'plant.ctrl'?")
     assert "from 0 to 0.1 s" in refused(slide, 0.2)
@@ -312,7 +312,7 @@ def test_an_fmu_that_cannot_go_back_is_named(slide: Path) -> None:
     (slide / "slide.fmu").write_bytes(memory.getvalue())
     (slide / "scenario.toml").write_text(SYSTEM.replace("slide.xml", "slide.fmu"))
     message = refused(slide)
-    assert "slide.fmu: plant cannot go back to a state; its FMU must have " in message
+    assert "slide.fmu: plant cannot restore its state; its FMU must have " in message
     assert "\n" not in message
 
 

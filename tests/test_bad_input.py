@@ -90,7 +90,7 @@ def move_library(members: dict[str, bytes]) -> None:
 
 # Changes of the plant's FMU, and the message that each must give.
 BAD_FMUS: dict[str, tuple[Change, str]] = {
-    "no description": (drop(XML), r"modelDescription.xml: there is no such file"),
+    "no description": (drop(XML), r"modelDescription.xml: no such file"),
     "truncated description": (lambda m: put(XML, m[XML][:999])(m), "not well-formed XML"),
     "another XML": (put(XML, b"<html/>"), "'html' of fmiVersion None; must be a fmiModel"),
     "not UTF-8": (put(XML, b'<?xml version="1.0"?><a b="\xff"/>'), "not well-formed XML"),

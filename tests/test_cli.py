@@ -87,7 +87,7 @@ BAD_USE = [
     (["rnu"], "did you mean 'run'"),
     (["run", "--vdeo"], "--video"),
     (["run", "--coupling", "jacoby"], "did you mean 'jacobi'"),
-    (["run", "no\nsuch"], "there is no such folder"),
+    (["run", "no\nsuch"], "no such folder"),
     (["run", "nowhere.ssp"], "nowhere.ssp"),
     (["run", "--out", Path(__file__).parent], "must be a new or an empty folder"),
     (["run", "--set", "plant.block_mas=1"], "did you mean 'block_mass'"),
@@ -104,7 +104,7 @@ BAD_USE = [
     (["build", "--platform", "linux46"], "did you mean 'linux64'"),
     (["sweep", "push"], "or a scenario with --vary KEY=LOW:HIGH:STEPS"),
     (["sweep", "push", "--vary", "align=1,2", "--vary", "align=3,4"], "align is varied twice"),
-    (["regress", "--yes"], "--yes: only goes with --update"),
+    (["regress", "--yes"], "--yes: needs --update"),
     (["live", "--speed", "100"], "'--speed': '100'; must be less than or equal to 10"),
     (["--verison"], "--version"),
 ]

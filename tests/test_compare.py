@@ -196,7 +196,7 @@ def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared: Compar
     other = {"versions": {"numpy": "2"}, "platform": "y"}
     comparison = compared(values, exact=True, metadata=other)
     assert texts(comparison) == (
-        "bits differ: plant.jac (made with another platform, another numpy)"
+        "bits differ: plant.jac (recorded with another platform, another numpy)"
     )
 
 

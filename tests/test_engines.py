@@ -232,7 +232,7 @@ def test_without_a_package_source_one_line_says_so(tmp_path: Path) -> None:
     command = ("run", "push", "--mujoco", "3.99.0", "--out", tmp_path / "r")
     done = cli(*command, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
     assert done.returncode == 1
-    (line,) = (line for line in done.stderr.splitlines() if "cannot be got" in line)
+    (line,) = (line for line in done.stderr.splitlines() if "cannot be installed" in line)
     assert "MuJoCo 3.99.0" in line
     assert not (tmp_path / "r" / "recording.parquet").exists()
 

@@ -73,5 +73,5 @@ def test_a_check_says_what_the_block_takes() -> None:
 
 
 def test_a_scene_without_that_gripper_refuses_the_column() -> None:
-    with pytest.raises(InputError, match='does not go with scene "tutorial"'):
+    with pytest.raises(InputError, match='the gripper of scene "tutorial" is too weak'):
         replace(gripping(FORCE), scene="tutorial")

@@ -181,7 +181,7 @@ def test_check_names_what_run_would_warn_of(tmp_path: Path) -> None:
     assert checked.returncode == 0
     assert "its FMUs are not connected" in said
     assert "good" not in said
-    warning = "one: takes one step size, 0.01 s; steps of 0.001 s may be refused"
+    warning = "one: supports a single step size, 0.01 s; steps of 0.001 s may be refused"
     assert warning in said
     assert warning in " ".join(run_of(scenario).stderr.split())
 

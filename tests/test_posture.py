@@ -140,10 +140,10 @@ def test_columns_that_are_no_posture_are_refused(tmp_path: Path, text: str, mess
 
 def test_what_postures_do_not_go_with_is_refused(tmp_path: Path) -> None:
     first, second, *others = rows()
-    with pytest.raises(InputError, match="row 2: posture; must be given in all rows or in none"):
+    with pytest.raises(InputError, match="row 2: q1 to q7; must be set in all rows or in none"):
         TrajectoryTable((first, replace(second, posture=None), *others))
     for keys in ({"gains": "tutorial"}, {"timing": "optimal"}):
-        with pytest.raises(InputError, match="q1 to q7: do not go with"):
+        with pytest.raises(InputError, match="q1 to q7: must be left out of the table with"):
             scenario(**keys)
     write_scenario(scenario(), tmp_path / "new")
     refused = command("retime", "--out", tmp_path / "fast", tmp_path / "new")

@@ -230,7 +230,7 @@ SLIPS = [
     (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
     (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
-    (("regress", "push", "--overwrite"), "--overwrite: only goes with --report"),
+    (("regress", "push", "--overwrite"), "--overwrite: needs --report"),
 ]
 
 

@@ -155,8 +155,8 @@ def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow: Scenario
 
 @pytest.mark.parametrize(
     ("keep_times", "said"),
-    [(False, r"no timing .*joint 2 stays at \d\d\.\d% of its limit; that is the weight of arm"),
-     (True, r"torque of joint 2 is .* 12 times slower; that is the weight of arm and load")],
+    [(False, r"no timing .*joint 2 stays at \d\d\.\d% of its limit; gravity alone needs it"),
+     (True, r"torque of joint 2 is .* 12 times slower; gravity alone needs it")],
     ids=["shortest", "feasible"],
 )  # fmt: skip
 def test_a_torque_that_rest_takes_already_is_told_as_weight(

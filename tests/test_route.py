@@ -132,7 +132,7 @@ def test_what_does_not_follow_a_route_is_refused() -> None:
         Scenario(name="a", table=scenario.table, duration=1.0, route="auto")
     with pytest.raises(InputError, match="the project's own controller"):
         replace(scenario, route="auto", fmus={"controller": "law.py:Law"})
-    with pytest.raises(InputError, match="do not go with gains"):
+    with pytest.raises(InputError, match="must be left out of the table with gains"):
         prepare(replace(scenario, route="auto", gains="tutorial"))
     plant = str(build(["plant"])["plant"])  # it holds a model for each scene
     with pytest.raises(InputError, match="must be a MuJoCo model that extends PandaPlant"):

@@ -42,7 +42,7 @@ BAD_SCENARIOS = {
     ),
     "place without tolerance": (
         GOOD + "[success]\nblock_position = [0.6, 0.35, 0.25]\n",
-        "one is missing; must be both or none",
+        "one is missing; must be both or neither",
     ),
     "push no list": (GOOD + "push = 1\n", "key push: must be sections [[push]]"),
     "push incomplete": (GOOD + "[[push]]\nstart = 1.0\nduration = 0.1\n", "force is missing"),
@@ -87,7 +87,7 @@ def test_a_bad_table_is_reported_with_its_own_name(tmp_path: Path) -> None:
 def test_a_folder_without_one_of_its_files_is_refused(tmp_path: Path, missing: str) -> None:
     folder = write(tmp_path / "mine")
     (folder / missing).unlink()
-    with pytest.raises(InputError, match=f"{missing}: there is no such file"):
+    with pytest.raises(InputError, match=f"{missing}: no such file"):
         load_scenario(folder)
 
 
@@ -96,12 +96,12 @@ def test_a_folder_without_one_of_its_files_is_refused(tmp_path: Path, missing: s
     [
         ("pick_and_plaec", "did you mean 'pick_and_place'"),
         ("Tutorial", "did you mean 'tutorial'"),
-        ("", "pick_and_place"),
-        ("a\0b", "there is no such folder"),
-        ("x" * 5000, "there is no such folder"),
-        ("a\nb", "there is no such folder"),
-        (Path("/nowhere/at/all"), "there is no such folder; must be one with scenario.toml"),
-        (Path(__file__), "there is no such folder; must be one with scenario.toml"),
+        ("", "or a name from `panda-cosim list`"),
+        ("a\0b", "no such folder"),
+        ("x" * 5000, "no such folder"),
+        ("a\nb", "no such folder"),
+        (Path("/nowhere/at/all"), "no such folder; must be one with scenario.toml"),
+        (Path(__file__), "no such folder; must be one with scenario.toml"),
     ],
 )
 def test_an_unknown_scenario_is_refused_with_the_nearest(name: str | Path, expected: str) -> None:

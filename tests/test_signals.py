@@ -176,7 +176,7 @@ def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path: Path) -> None:
     wanted = 4 * STEP * (np.arange(TICKS + 1) // 4)  # y[1] is the time that it has reached
     np.testing.assert_allclose(recording["it.y[1]"], wanted, rtol=1e-12)
     done = command("check", tmp_path)
-    assert "it: takes one step size, 0.4 s: 4 steps of the system" in " ".join(done.stdout.split())
+    assert "it: supports a single step size, 0.4 s: 4 system steps" in " ".join(done.stdout.split())
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
@@ -246,4 +246,4 @@ def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path: Path) ->
         done = command(name, tmp_path, cwd=tmp_path)
         assert done.returncode == 2
         said = " ".join((done.stdout + done.stderr).split())
-        assert 'it: coupling = "iterated" needs FMUs that can go back to a state' in said
+        assert 'it: coupling = "iterated" needs FMUs whose state can be restored' in said

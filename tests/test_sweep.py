@@ -44,7 +44,7 @@ def made(**keys: Any) -> Sweep:
         ('scenario = "push"\nsamples = 8.5', "samples: value 8.5; must be a whole number"),
         ('scenario = "push"\ndesign = "sobl"', "design: value 'sobl'; must be one of .*'sobol'"),
         ('scenario = "push"\nkeep = "best"', "keep: value 'best'; must be none, failures"),
-        ('scenario = "push"\ndesign = "list"', "file: goes with"),
+        ('scenario = "push"\ndesign = "list"', "file: required with"),
         ('scenario = "push"\n[vary.plant.block_mass]\nuniform = [0, 1]', "needs quotes"),
         (
             'scenario = "push"\n[vary."duration"]\nunifrom = [0, 1]',
@@ -74,12 +74,12 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
     [
         ({"samples": 0}, "samples"),
         ({"scenario": ("push", "push")}, "names must differ"),
-        ({"criterion": "max_slip"}, 'only go with design = "search"'),
+        ({"criterion": "max_slip"}, 'only valid with design = "search"'),
         ({"design": "grid", "samples": 5}, 'samples: cannot be combined with design = "grid"'),
-        ({"goal": "best"}, 'only go with design = "search"'),
+        ({"goal": "best"}, 'only valid with design = "search"'),
         ({"min_success": 95}, "min_success: value 95; must be a number from 0 to 1"),
         ({"min_success": 0.9, "design": "search"}, 'cannot be combined with design = "search"'),
-        ({"confidence": 0.9}, "confidence: only goes with min_success"),
+        ({"confidence": 0.9}, "confidence: needs min_success"),
         (
             {"min_success": 0.9, "confidence": 0.9, "design": "grid", "samples": 0},
             "confidence: needs random rows",

@@ -189,7 +189,7 @@ def test_a_changed_definition_is_refused_and_named(whole: Path) -> None:
         ({"vary": {FORCE: {"uniform": [0.0, 101.0]}}}, r"vary push\[1\].force\[2\]"),
     ):
         definition = short_sweep(whole, **{"samples": 40, "keep": "failures", **keys})
-        with pytest.raises(InputError, match=f"was begun otherwise: .*{named}"):
+        with pytest.raises(InputError, match=f"holds another sweep: .*{named}"):
             sweep(definition, whole / "out")
 
 

@@ -60,13 +60,13 @@ def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(run: Path, tmp_
     record(tmp_path / "small", columns())  # one joint, of a scenario that is not shipped
     out = tmp_path / "view.html"
     for arguments, words in (
-        ((tmp_path / "nothing",), "there is no such file"),
+        ((tmp_path / "nothing",), "no such file"),
         ((tmp_path / "small",), "1 columns of plant.qpos"),
         ((run, "--against", tmp_path / "small"), "1 columns of plant.qpos"),
         ((tmp_path / "small", "--against", "reference"), "'small' is not one of the shipped ones"),
         (
             (run, "--against", tmp_path / "reference.parquet"),
-            "there is no such file; must be",
+            "no such file; must be",
         ),
     ):
         done = view(*arguments, "--out", out)

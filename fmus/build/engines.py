@@ -71,7 +71,7 @@ def _installed(version: str) -> Path:
             options = ("--no-deps", "--only-binary", ":all:", "--retries", "1", "--target")
             done = run([*pip, *options, str(partial), *(f"{p}=={version}" for p in packages)])
             if done.returncode:
-                raise CosimError(f"MuJoCo {version} cannot be got: {_last_line(done.stderr)}")
+                raise CosimError(f"MuJoCo {version} cannot be installed: {_last_line(done.stderr)}")
             with suppress(OSError):  # another process was first
                 partial.rename(folder)
     return folder

@@ -276,7 +276,7 @@ class FmuSlave(ABC):
         """Raise the error of a call that returned a status."""
         known = OK <= status < len(STATUS)
         self._worst = max(self._worst, status if known else ERROR)
-        cause = self.log.cause
+        cause = self.log.cause.removeprefix(f"{what}: ")
         name = STATUS[status] if known else f"{ctypes.c_int(status).value}, which is not a status"
         text = f"{what} returned {name}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
@@ -285,7 +285,7 @@ class FmuSlave(ABC):
         """Save the state; returns a function that goes back to it, as often as it is called."""
         if not self.fmu.description.coSimulation.canGetAndSetFMUstate:
             raise InputError(
-                f"{self.fmu.label}: {self.name} cannot go back to a state; its FMU must have "
+                f"{self.fmu.label}: {self.name} cannot restore its state; its FMU must have "
                 f"canGetAndSetFMU{'s' if self.fmu.fmi == 2 else 'S'}tate"
             )
         self.save_state()

@@ -68,7 +68,7 @@ class PerturbedSystem:
             self._advance(int(row), int(end))
         rows: Array = self._rows[:ticks].copy()
         if not np.isfinite(rows).all():
-            raise SimulationError("an output is not finite after something was added to an input")
+            raise SimulationError("an output is not finite after a pulse at an input")
         return rows
 
     def _advance(self, row: int, end: int) -> None:
@@ -84,5 +84,5 @@ class PerturbedSystem:
 
 def _save(slave: Instance) -> Callable[[], None]:
     if not isinstance(slave, FmuSlave):
-        raise InputError("isolate: does not go with states that are returned to; must be False")
+        raise InputError("isolate: states of an isolated FMU cannot be restored; must be False")
     return slave.save()

@@ -76,7 +76,7 @@ class Step:
 class IteratedStep(Step):
     """A step that is repeated until outputs and inputs at its end agree.
 
-    Inputs from outside are those of its begin. The last column counts the iterations. Each begins
+    External inputs are those of its begin. The last column counts the iterations. Each begins
     with a share of the last one's change, which Aitken's method estimates from the two changes.
     """
 

@@ -35,7 +35,7 @@ class System:
 
     fmus: Mapping[str, Path]  # by instance, in the order of stepping
     connections: Sequence[Connection]
-    external: Sequence[Name] = ()  # inputs that are given from outside at each tick
+    external: Sequence[Name] = ()  # external inputs, set at each tick
     outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)  # to read, by instance
     refuses_non_finite: bool = False  # whether all FMUs refuse inputs that are not finite
     steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
@@ -199,12 +199,12 @@ def notes(
             text = f"clocks are not supported; left out: {', '.join(fmu.clocked)}"
             yield instance, "Warning", text
         if instance in multiples and instance not in system.steps:
-            text = f"takes one step size, {own:g} s: {multiples[instance]} steps of the system"
+            text = f"supports a single step size, {own:g} s: {multiples[instance]} system steps"
             yield instance, "Warning", text
         if interface.canHandleVariableCommunicationStepSize or not (0.0 < own < math.inf):
             continue
         if abs(size - round(size / own) * own) > 1e-9 * size:
-            text = f"takes one step size, {own:g} s; steps of {size:g} s may be refused"
+            text = f"supports a single step size, {own:g} s; steps of {size:g} s may be refused"
             yield instance, "Warning", text
     loop = _loop(fmus, system.connections)
     if loop:
@@ -236,8 +236,8 @@ def _check_states(fmus: Mapping[str, Fmu]) -> None:
     for name, fmu in fmus.items():
         if not fmu.description.coSimulation.canGetAndSetFMUstate:
             raise InputError(
-                f'{name}: coupling = "iterated" needs FMUs that can go back to a state; '
-                f"{fmu.label} cannot (canGetAndSetFMUState)"
+                f'{name}: coupling = "iterated" needs FMUs whose state can be restored; '
+                f"{fmu.label} lacks canGetAndSetFMUState"
             )
 
 

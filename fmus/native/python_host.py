@@ -392,7 +392,7 @@ except BaseException as error:
     where = f"Python {sys.version.split()[0]} ({sys.prefix})"
     text = f"the FMU's code cannot start in {where}: {explain(error)}."
     if not isinstance(error, LoadedError):
-        text += f" To have its packages found elsewhere, set {PATHS_VARIABLE} to the folder that"
+        text += f" If its packages are in another folder, set {PATHS_VARIABLE} to the folder that"
         text += " holds them."
     messages.append((ERROR, text))
 # A step in shared memory writes them.

@@ -169,7 +169,7 @@ def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
 def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> Any:
     """Load a model with all its files; an MJCF may include those of `assets` by their names."""
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+        raise InputError(f"{path}: no such file")
     is_binary = path.suffix.lower() == ".mjb"
     if is_binary:
         state = path.stat()
@@ -187,7 +187,7 @@ def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> An
                     model = spec.compile()
                 _fill_keyframes(model, path, ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
+        raise InputError(f"{path}: MuJoCo cannot load it: {one_line(error)}") from error
     if warn is not None:
         for text in texts:
             warn(f"{path}: MuJoCo warns: {one_line(text)}")
@@ -227,10 +227,10 @@ def _try_binary(path: Path, _size: int, _changed: int) -> None:
     command = [sys.executable, "-c", _TRIAL, str(path.absolute())]
     done = run(command, environment=os.environ | SAFE_PATH)
     if done.returncode > 0:
-        raise InputError(f"{path}: MuJoCo refuses it: {one_line(done.stderr)}")
+        raise InputError(f"{path}: MuJoCo cannot load it: {one_line(done.stderr)}")
     if done.returncode:
         end = signal.Signals(-done.returncode).name
-        raise InputError(f"{path}: is damaged: MuJoCo ends with {end} when it loads it")
+        raise InputError(f"{path}: MuJoCo crashed with {end} while loading it")
 
 
 _one_taker: Final = RLock()  # MuJoCo has one handler per process

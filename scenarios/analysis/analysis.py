@@ -110,7 +110,7 @@ class Analysis:
         is_, window = self.responses, f"the {self.responses.window:g} s that were measured"
         texts = {
             f"{is_.remaining:.1%} of the responses is left after {window}": is_.remaining > DECAYED,
-            f"twice a pulse gives a response that differs by {is_.linearity:.1%}":
+            f"a doubled pulse gives a response that is off by {is_.linearity:.1%}":
                 is_.linearity > LINEAR,
             f"the arm moves by up to {is_.motion:.2g} rad within {window}, and its loops change "
             "with it; an instant at rest says more": is_.motion > MOTION,

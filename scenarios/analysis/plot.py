@@ -93,7 +93,7 @@ def _margins(variants: Sequence[Margins], axes: Any) -> None:
     names = [f"{1e3 * v.period:g} ms\n{v.coupling}" for v in variants]
     place = np.arange(len(names))
     axes.set_xticks(place, names, fontsize="small")
-    axes.set_title("Smallest margins of all loops (unstable: 0); dashed: wanted")
+    axes.set_title("Smallest margins of all loops (unstable: 0); dashed: target")
     for side, shift, colour, key, wanted, label in (
         (axes, -0.2, COLOURS[0], "phase_margin_deg", WANTED_PHASE_DEG, "phase margin [deg]"),
         (axes.twinx(), 0.2, COLOURS[1], "delay_margin_ms", WANTED_DELAY_MS, "delay margin [ms]"),

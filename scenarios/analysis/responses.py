@@ -106,7 +106,7 @@ def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
         valid = list(dict.fromkeys(map(_whole, names.values())))
         what = f"--loop {loop}: no FMU feeds it" if loop else "no FMU is named `plant`"
         raise InputError(
-            f"{what}; --loop must name an input that an FMU feeds: {', '.join(valid) or 'none'}"
+            f"{what}; --loop must name a connected input: {', '.join(valid) or 'none'}"
             f"{did_you_mean(loop, valid)}"
         )
     return chosen
@@ -126,7 +126,7 @@ class _Measurement:
         if (changes := np.argwhere(again != self._base)).size:
             instance, variable = system.columns[changes[0, 1]]
             raise InputError(
-                f"{instance}: {variable} differs after it went back to a state; its FMU must save "
+                f"{instance}: {variable} differs after its state was restored; its FMU must save "
                 "all that its outputs depend on"
             )
         self._scale = np.maximum(1.0, np.abs(self._base[0, system.fed_by]))
@@ -166,7 +166,7 @@ class _Measurement:
                 self._at = slice(int(changes[0]) % length, None, length)
                 return np.flatnonzero(answers.any(axis=0)).tolist()
         raise InputError(
-            f"{', '.join(map('.'.join, self._targets))}: nothing of what is added there comes back "
+            f"{', '.join(map('.'.join, self._targets))}: a pulse there causes no response "
             f"within {WINDOWS[-1] * self._step:g} s; there is no loop"
         )
 

@@ -19,6 +19,7 @@ from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.variables import Variable
 from ...fmus.master.system import conversions, notes, read_fmus
+from ...fmus.messages import did_you_mean
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.criterion import miss_text
@@ -41,6 +42,7 @@ from ..scenario.scenario import (
     TABLE_FILE,
     Scenario,
     is_shipped,
+    shipped_scenarios,
 )
 from ..scenario.trajectory import TIME_TOLERANCE
 from ..system.assembly import Assembly, system_scenario
@@ -112,8 +114,12 @@ def _diagnostics(level: Level, texts: Iterable[str]) -> list[Diagnostic]:
 
 
 def _no_folder(folder: Path) -> str:
-    """Return what helps where there is no folder."""
-    return f"{folder}: no such folder; `panda-cosim new {as_argument(folder)}` makes one that runs"
+    """Return what to do about a folder that is not there."""
+    if folder.is_file():
+        return f"{folder}: not a folder; must be that of a scenario, such as {folder.parent}"
+    near = did_you_mean(folder.name, shipped_scenarios())
+    new = f"; `panda-cosim new {as_argument(folder)}` makes one that runs"
+    return f"{folder}: no such folder{near or new}"
 
 
 def _foreign(prepared: Prepared) -> list[Diagnostic]:
@@ -131,7 +137,7 @@ def _foreign(prepared: Prepared) -> list[Diagnostic]:
         text = f"run it with `--set preflight={scenario.preflight}` to see what that robot refuses"
         hints.append(Diagnostic("hint", text))
     if len(assembly.interfaces) > 1 and not count:
-        text = f"{about}; it can be started, but its FMUs are not connected ({unseen})"
+        text = f"{about}; it runs, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
     return [*hints, Diagnostic("good", f"{about}; it can run ({unseen})")]
 
@@ -190,7 +196,7 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     about = _about(scenario)
     if trouble:
         count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
-        last = Diagnostic("hint", f"{about}; it can be started, but has the {count} above")
+        last = Diagnostic("hint", f"{about}; it runs, but has the {count} above")
     else:
         if grip := weakest_grip(run.recording, prepared):
             about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
@@ -247,12 +253,12 @@ def _limits(prepared: Prepared) -> Iterator[str]:
     violations, _ = feasibility(scenario, prepared.values)
     texts = [f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN]]
     if len(violations) > SHOWN:
-        texts.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded")
+        texts.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more violations")
     name = scenario.name if is_shipped(scenario) else as_argument(Path(str(scenario.folder)))
     if any(violation.quantity != "reach" for violation in violations):
-        texts[-1] += f"; `panda-cosim retime {name} --keep-times` gives such rows more time"
+        texts[-1] += f"; `panda-cosim retime {name} --keep-times` gives these rows more time"
     elif texts and scenario.success.block_position:
-        texts[-1] += f"; `panda-cosim route {name}` leads elsewhere"
+        texts[-1] += f"; `panda-cosim route {name}` plans another path"
     yield from texts
 
 

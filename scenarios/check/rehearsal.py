@@ -29,7 +29,7 @@ GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
 AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
-FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it is told to open
+FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it opens
 SHOWN: Final = 4  # contacts that are listed
 
 
@@ -42,7 +42,7 @@ def rehearse(prepared: Prepared) -> Run:
 
 
 def findings(run: Run, prepared: Prepared) -> Iterator[Finding]:
-    """Yield what goes wrong; first contacts that nobody wants, often the cause of the rest."""
+    """Yield what goes wrong; first unwanted contacts, often the cause of the rest."""
     recording = run.recording
     if not run.summary.complete:
         yield None, str(run.summary.reason)
@@ -63,19 +63,19 @@ def _dragging(recording: Recording) -> Iterator[Finding]:
     pressed = recording["plant.contact_force"] > HELD_FORCE
     for row in np.flatnonzero(sliding & pressed & (recording["plant.support_force"] > 0.0))[:1]:
         at = float(recording.time[row])
-        text = f"the fingers drag or push the block along what it stands on at t = {at:.3f} s; "
-        yield at, text + "unless that is meant, lift it first, or set it down later"
+        text = f"the fingers drag or push the block along its support at t = {at:.3f} s; "
+        yield at, text + "unless intended, lift it first, or set it down later"
 
 
 def _servos(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
-    """Say which servo first has no torque left, and where the torque rate is too high."""
+    """Say which servo saturates first, and where the torque rate is too high."""
     torque, plant = recording["plant.actuator_force"][:, :7], prepared.values["plant"]
     scale = np.array([plant[f"torque_limit_scale[{joint}]"] for joint in range(1, 8)], dtype=float)
     full = saturated(torque, scale)
     for row in np.flatnonzero(full.any(axis=1))[:1]:
         joint, at = int(full[row].argmax()), float(recording.time[row])
-        text = f"the servo of joint {joint + 1} has no torque left at t = {at:.3f} s: it gives "
-        yield at, f"{text}{abs(torque[row, joint]):.3g} N.m, all it has"
+        text = f"the servo of joint {joint + 1} saturates at t = {at:.3f} s, at "
+        yield at, f"{text}{abs(torque[row, joint]):.3g} N.m; move more slowly, or carry less"
     rates = np.abs(shares("torque rate", torque_rates(torque)))
     row, joint = (int(i) for i in np.unravel_index(rates.argmax(), rates.shape))
     share = float(rates[row, joint])

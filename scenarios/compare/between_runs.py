@@ -122,7 +122,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         InputError: There is no such run, or only one, or they have no signal or span in common.
     """
     if not others:
-        raise InputError("compare: one run is given; must be at least two")
+        raise InputError("compare: only one run; must be at least two")
     runs = (first, *others)
     recordings = tuple(_recording(run) for run in runs)
     summaries = [_summary(run) for run in runs]

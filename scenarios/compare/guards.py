@@ -112,7 +112,7 @@ def bit_problems(recording: Recording, reference: Reference) -> list[str]:
     text = f"bits differ: {signal_names(differing)}"
     changes = _environment_changes(reference.metadata, kept_metadata(recording))
     if changes:
-        text += f" (made with another {', another '.join(changes)})"
+        text += f" (recorded with another {', another '.join(changes)})"
     return [text]
 
 

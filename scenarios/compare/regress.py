@@ -253,7 +253,7 @@ def find_scenarios(
     scenarios = [read_scenario(_choose(name, known, place)) for name in names or known]
     for name in (scenario.name for scenario in scenarios):
         if sum(scenario.name == name for scenario in scenarios) > 1:
-            raise InputError(f"scenario {name!r}: is given twice")
+            raise InputError(f"scenario {name!r}: is listed twice")
     unusable = [scenario for scenario in scenarios if isinstance(scenario, Unusable)]
     if len(unusable) == len(scenarios):
         raise InputError(unusable[0].error)

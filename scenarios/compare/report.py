@@ -188,8 +188,8 @@ def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
         is_free = not place.exists() or (place.is_dir() and not any(place.iterdir()))
         if not (is_free or place.name in own):
             raise InputError(
-                f"{place}: was not made by regress, so it stays; must be moved, or "
-                "--report be another folder"
+                f"{place}: was not made by regress, so it stays; move it, or choose "
+                "another folder with --report"
             )
 
 

@@ -1,4 +1,4 @@
-"""Contacts that nobody wants: their force, times and bodies."""
+"""Unwanted contacts: their force, times and bodies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SCENE: Final = "tabletop"  # of a recording that does not name its scene
 
 @dataclass(frozen=True)
 class Touch:
-    """A contact of two bodies that nobody wants."""
+    """An unwanted contact of two bodies."""
 
     bodies: tuple[str, str]  # their names, in alphabetical order
     time_s: float  # the first row with a force [s]
@@ -50,7 +50,7 @@ def unwanted_contacts(recording: Recording) -> dict[str, Any]:
 
 
 def _touches(recording: Recording) -> Iterator[Touch]:
-    """Yield the contacts that nobody wants, row by row.
+    """Yield the unwanted contacts, row by row.
 
     A force belongs to the step that ends in its row; its contacts are those of the step's start.
     """

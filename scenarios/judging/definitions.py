@@ -81,7 +81,7 @@ _ROWS: Final = (
     D("events.grasp", "the first hold begins", FORCE, unit="s", unmeasured=NOT_HELD),
     D("events.lift", "the block is first more than 5 mm from where a hold began, while held", HELD,
       unit="s", unmeasured=NOT_CARRIED),
-    D("events.release_command", "the gripper is told to let go, in the last hold that ends",
+    D("events.release_command", "the gripper is commanded to open, in the last hold that ends",
       LANDED, unit="s", unmeasured="no hold ends"),
     D("events.release", "the last hold that ends does so", FORCE, unit="s",
       unmeasured="no hold ends"),
@@ -127,10 +127,10 @@ _ROWS: Final = (
       "the hold's lift; the largest of all holds", IN_HAND, CARRIED, "mm", "lower",
       NOT_CARRIED),
     D("block.drop_mm", "how far the block's centre sinks when it is released", LANDED, TO_PLACED,
-      "mm", "lower", "`placed` is null"),
-    D("block.set_down_force_N", "largest force of the block on what it stands on as it is set down",
+      "mm", "lower", "the block is not placed"),
+    D("block.set_down_force_N", "largest force of the block on its support as it is set down",
       (*LANDED, "plant.support_force"), "from the last released hold's lift to `placed`", "N",
-      "lower", "`placed` is null, or that hold does not lift the block"),
+      "lower", "the block is not placed, or that hold does not lift it"),
     D("block.place_error_mm", "distance of the block's centre from `block_position`", HELD,
       AT_PLACED, "mm", "lower", "the scenario has no `block_position`"),
     D("block.place_error_xyz_mm", "the block's centre minus `block_position`, world axes", HELD,
@@ -143,14 +143,15 @@ _ROWS: Final = (
     D("block.yaw_error_deg", "turn of the block about z to the nearest multiple of 90 deg", HELD,
       AT_PLACED, "deg", "lower"),
     D("block.release_s", "`events.release`", FORCE, unit="s", unmeasured="no hold ends"),
-    D("block.placed_at_s", "`events.placed`", FORCE, unit="s", unmeasured="`placed` is null"),
+    D("block.placed_at_s", "`events.placed`", FORCE, unit="s",
+      unmeasured="the block is not placed"),
     D("block.final_position_m", "the block's centre, world frame", BLOCK, "the last row", "m"),
     D("block.final_quaternion_wxyz", "the block's orientation, world frame", BLOCK, "the last row",
       "1"),
     # Contact
     D("contact.peak_force_N", "force of the fingers on the block, largest", FORCE, unit="N",
       better="lower"),
-    D("contact.unwanted_force_N", "sum of the normal forces of contacts nobody wants, largest",
+    D("contact.unwanted_force_N", "sum of the normal forces of unwanted contacts, largest",
       ("plant.unwanted_contact_force",), unit="N", better="lower"),
     D("contact.unwanted", "of each pair of bodies in an unwanted contact `bodies`, `time_s` and "
       "`end_s` of the first and the last row, and `force_N`, the largest sum on these",
@@ -179,17 +180,17 @@ _ROWS: Final = (
     D("preflight.robot", "the robot, `fer` or `fr3`"),
     D("preflight.interface", "how the run is sent: `joint` positions, or `torque` where the arm "
       "has motors"),
-    D("preflight.refusals", "conditions that are not kept, of that interface and of the arm "
+    D("preflight.refusals", "violated conditions, of that interface and of the arm "
       "itself; each aborts the motion", (*SENT, *ARM), unit="1", better="lower"),
-    D("preflight.first_s", "the first of them", unit="s", unmeasured="all are kept"),
-    *(D(f"preflight.{name}_refusals", f"conditions of {what} that are not kept", unit="1",
+    D("preflight.first_s", "the first of them", unit="s", unmeasured="none is violated"),
+    *(D(f"preflight.{name}_refusals", f"violated conditions of {what}", unit="1",
         better="lower", unmeasured="one of them was not measured")
       for name, what in (("joint", "joint positions"), ("cartesian", "poses of the hand"),
                          ("torque", "torques"), ("arm", "the arm itself"))),
     D("preflight.lost_packets", "most commands in a row that may be lost, anywhere; the robot "
       "keeps its acceleration meanwhile", SENT, unit="1", better="higher",
       unmeasured="torques are sent"),
-    D("preflight.delay_ms", "most ms by which the commands may begin to be late, anywhere; the "
+    D("preflight.delay_ms", "largest delay that the commands may begin to have, anywhere; the "
       "robot keeps its acceleration until the next comes", SENT, unit="ms", better="higher",
       unmeasured="torques are sent"),
     *(D(f"preflight.{key}_share", f"{check.what}: largest share of its limit"
@@ -197,10 +198,10 @@ _ROWS: Final = (
         SENT if key.startswith("elbow") else SIGNALS[check.interface],
         WINDOWS.get(key.partition("_")[0], "all rows"), "1", "lower")
       for key, check in CHECKS.items()),
-    D("preflight.findings", "of each condition that is not kept `name`, `interface`, libfranka's "
+    D("preflight.findings", "of each violated condition `name`, `interface`, libfranka's "
       "`error`, `what`, `unit`, `remedy`, whether it is `necessary`, and of the first time "
       "`time_s`, `row` of the table, `joint`, `value` and `bound`"),
-    D("preflight.late", "the same of one lost packet, or ms of delay, more"),
+    D("preflight.late", "the same with one more lost packet, or ms of delay"),
     # Energy
     D("energy.arm_work_J", "work of the arm's servos: positive power summed over joints and time; "
       "braking returns nothing", (*TORQUE, *SPEED), unit="J", better="lower"),

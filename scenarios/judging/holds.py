@@ -51,7 +51,7 @@ class Hold:
 
     grasp: int  # its first row
     end: int  # the first row after it; the number of rows if it lasts to the end
-    release_command: int  # at which the gripper is told to let go; `end` if it is not told
+    release_command: int  # at which the gripper is commanded to open; `end` if it is not
     # At which the block is first more than LIFTED from where it was at `grasp`, at the release
     # command at the latest; None: it stays.
     lift: int | None

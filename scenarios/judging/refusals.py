@@ -13,14 +13,14 @@ from typing import Any, Final, Literal
 Level = Literal["refused", "hint", "good"]
 
 DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
-LATE: Final = {"lost_packets": "lost packets in a row", "delay_ms": "ms of delay that sets in"}
+LATE: Final = {"lost_packets": "lost packets in a row", "delay_ms": "ms of delay"}
 ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario has them
 # What to change; {robot} is put in.
 MORE_TIME: Final = (
     "give that row more time: `panda-cosim retime SCENARIO --keep-times --set robot={robot}`"
 )
 ELSEWHERE: Final = (
-    "lead the hand elsewhere, or turn it: `panda-cosim route SCENARIO --set robot={robot}`"
+    "choose another path, or turn the hand: `panda-cosim route SCENARIO --set robot={robot}`"
 )
 SMOOTH: Final = 'give that row more time; interpolation = "quintic" or "spline" has no kinks'
 START: Final = "begin at the measured pose"
@@ -30,7 +30,7 @@ TORQUE: Final = "move or touch more gently; with noisy readings, lower controlle
 
 # The same of joint positions, where rows are not the cause.
 PERIOD: Final = "send a command every ms: controller.period = 0.001"
-NO_REFERENCE: Final = 'take a law that limits its joint reference: gains = "default"'
+NO_REFERENCE: Final = 'use a law that limits its joint reference: gains = "default"'
 
 _JOINT: Final = "joint_motion_generator"
 _HAND: Final = "cartesian_motion_generator"
@@ -110,18 +110,18 @@ def outcome(preflight: Mapping[str, Any]) -> Iterator[tuple[Level, str]]:
         yield "good", f"{robot} refuses nothing over the {own} interface"
     for each in preflight["findings"]:
         if not each["necessary"]:
-            yield "hint", f"{robot} recommends otherwise: {_text(each)}"
+            yield "hint", f"{robot} recommends against: {_text(each)}"
         elif each["interface"] in (own, "arm"):
             yield "refused", f"{robot} refuses: {_text(each)}"
         else:
             yield "hint", f"{robot} refuses over the {each['interface']} interface: {_text(each)}"
     for key, each in preflight["late"].items():
         borne = f"{preflight[key]} {LATE[key]}"
-        yield "hint", f"{robot} bears {borne}; with one more it refuses: {_text(each)}"
+        yield "hint", f"{robot} tolerates {borne}; one more, and it refuses: {_text(each)}"
 
 
 def _text(refusal: Mapping[str, Any]) -> str:
-    """Describe the first time that a condition is not kept."""
+    """Describe the first violation of a condition."""
     row = f" (row {refusal['row']})" if refusal["row"] else ""
     joint = f" {refusal['joint']}" if refusal["what"].endswith("joint") else ""
     return (

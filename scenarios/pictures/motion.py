@@ -71,7 +71,7 @@ def check_signals(recording: Signals, names: Iterable[str]) -> None:
     """Refuse a recording without rows, or with signals that are smaller than in our own scenes."""
     place = getattr(recording, "path", "recording")
     if not len(recording.time):
-        raise InputError(f"{place}: has no rows; needs at least one to be drawn")
+        raise InputError(f"{place}: no rows; must have at least one to be drawn")
     shapes = shapes_of(tuple(recording.columns))
     for name in names:
         shape, own = shapes.get(name), SHAPES[name]
@@ -105,7 +105,7 @@ def refuse_without_model(recording: Signals) -> None:
     if plant != PLANT_MODEL and model_file(recording) is None:
         raise InputError(
             "the run's plant is not the project's own, and its FMU holds no model: nothing can be "
-            "drawn but the plot; pictures show the FMU `plant`, if it is made of a MuJoCo model"
+            "drawn but the plot; pictures show the FMU `plant`, if it was made from a MuJoCo model"
         )
 
 

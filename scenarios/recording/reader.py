@@ -79,7 +79,7 @@ class Recording:
                 raise InputError(f"{path}: contains no recording; must be a folder with {names}")
             path = present[0]
         if not path.is_file():
-            raise InputError(f"{path}: there is no such file; must be a recording or its folder")
+            raise InputError(f"{path}: no such file; must be a recording or its folder")
         is_stream = path.suffix == Path(STREAM_FILE).suffix
         recording = cls(path, open_stream(path) if is_stream else open_parquet(path))
         if in_order:

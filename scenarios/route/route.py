@@ -160,7 +160,7 @@ def _path(  # noqa: PLR0913 - all that it depends on
         from ompl import base, geometric, util  # noqa: PLC0415 - an extra
     except ImportError:
         raise InputError(
-            "route takes ompl, which is not installed; pip install 'panda-cosim[route]'"
+            "route needs ompl, which is not installed; pip install 'panda-cosim[route]'"
         ) from None
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(SEED)

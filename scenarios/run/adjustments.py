@@ -71,7 +71,7 @@ class Adjustments:
         if any(f"{instance}.{scalar}" not in self.tunables for scalar in values):
             valid = dict.fromkeys(s.variable.name for s in self.tunables.values())
             raise InputError(
-                f"{name}: is a fixed parameter, which cannot change in a run; tunable: "
+                f"{name}: is a fixed parameter, which cannot change during a run; tunable: "
                 f"{', '.join(valid) or 'none'}"
             )
         self.values[instance] |= values

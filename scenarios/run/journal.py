@@ -78,7 +78,7 @@ class Journal:
             path = path / JOURNAL_FILE
         if not path.exists():
             raise InputError(
-                f"{path}: there is no such file; must be the journal of a run of `live` or "
+                f"{path}: no such file; must be the journal of a run of `live` or "
                 "Session, or the run's folder"
             )
         lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)

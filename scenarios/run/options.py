@@ -70,7 +70,7 @@ class Options:
             working directory.
 
     Raises:
-        InputError: A value is out of bounds, or step_timeout is given without isolate.
+        InputError: A value is out of bounds, or step_timeout is set without isolate.
     """
 
     overrides: Overrides = field(default_factory=dict)
@@ -93,7 +93,7 @@ class Options:
                 f"--step-timeout: value {self.step_timeout!r}; must be a number above 0 s"
             )
         if self.step_timeout is not None and not self.isolate:
-            raise InputError("--step-timeout: without --isolate, which alone can end a step")
+            raise InputError("--step-timeout: needs --isolate, which alone can end a step")
         if self.time_limit is not None:
             Quantity(0.0, MAX_TIME_LIMIT, "s").check("time_limit", self.time_limit)
 

@@ -223,7 +223,7 @@ class Inputs:
         if not names:
             valid = list(dict.fromkeys(n.partition("[")[0] for n in self._columns))
             raise InputError(
-                f"{name}: is not an input given from outside; valid: {', '.join(valid)}"
+                f"{name}: is not an external input; valid: {', '.join(valid)}"
                 f"{did_you_mean(name, valid)}"
             )
         return names

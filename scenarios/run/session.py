@@ -62,7 +62,7 @@ class Session(Execution):
         failure: Why the run failed; "" if it has not.
 
     Raises:
-        InputError: Something given cannot be used.
+        InputError: A scenario, folder or option is invalid.
     """
 
     def __init__(
@@ -216,12 +216,12 @@ class Session(Execution):
         Raises:
             InputError: The name is unknown, the parameter is fixed, or the value is out of
                 bounds; nothing has changed then.
-            SimulationError: The FMU refuses it; the run is over.
+            SimulationError: The FMU rejects it; the run is over.
         """
         self.act("set", name=name, value=value)
 
     def release(self, name: str) -> None:
-        """Give an input held by `set` the scenario's values again.
+        """Give an input held by `set` back to the scenario.
 
         Raises:
             InputError: It is not held.

@@ -29,7 +29,7 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
     The scenario's external inputs are computed and compared with the session's.
     """
     if ticks == 0:
-        raise InputError("session: no step has been taken; a scenario has at least one")
+        raise InputError("session: no step yet; a scenario needs at least one")
     scenario, adjustments = prepared.scenario, Adjustments(prepared)
     inputs, rows, first = adjustments.inputs, [], 0
     started = scenario

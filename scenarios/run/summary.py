@@ -203,4 +203,5 @@ def _criteria(success: Success, measured: Mapping[str, Metrics]) -> Iterator[Cri
             if key.endswith("_mm"):
                 value = _scaled(value, 1e-3)
             direction: Direction = "above" if definition.better == "higher" else "below"
-            yield Criterion.judge(name, value, bound, definition.unit, direction)
+            reason = DEFINITIONS[definition.metric].unmeasured if key and value is None else None
+            yield Criterion.judge(name, value, bound, definition.unit, direction, reason)

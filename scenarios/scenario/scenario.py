@@ -180,7 +180,7 @@ class Scenario:
         self._check_scene()
         if (self.expect == "failure") != bool(self.expect_reason):
             raise ValueError(
-                'expect_reason: must say why expect is "failure", and be left out otherwise'
+                'expect_reason: must say why expect is "failure", and only then be set'
             )
         if not self.system:  # whose start time is in its file
             self.success.check_windows(0.0, self.duration)
@@ -248,8 +248,8 @@ class Scenario:
                              'impedance, it must be "none"')  # fmt: skip
         if self.scene == "tutorial" and any(row.grip_force for row in self.table.rows):
             raise ValueError(
-                'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
-                "left out of the table"
+                'grip_force: the gripper of scene "tutorial" is too weak for it; must be left '
+                "out of the table"
             )
         is_followed = not self.system and "controller" not in self.fmus
         if self.route and not (is_followed and self.success.block_position):
@@ -259,8 +259,8 @@ class Scenario:
             )
         if self.table.has_posture and (self.gains == "tutorial" or self.timing == "optimal"):
             raise ValueError(
-                'q1 to q7: do not go with gains = "tutorial" or timing = "optimal"; must be left '
-                "out of the table"
+                'q1 to q7: must be left out of the table with gains = "tutorial" or '
+                'timing = "optimal"'
             )
 
     @property
@@ -382,10 +382,9 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
         is_folder = name_or_folder != "" and folder.is_dir()
     if is_folder:
         return Scenario.read(folder)
-    names = f", or one of {', '.join(shipped)}{did_you_mean(folder.name, shipped)}"
     raise InputError(
-        f"scenario {excerpt(str(name_or_folder))}: there is no such folder; must be one with "
-        f"{SCENARIO_FILE} and {TABLE_FILE}{names if folder.name == name_or_folder else ''}"
+        f"scenario {excerpt(str(name_or_folder))}: no such folder; must be one with "
+        f"{SCENARIO_FILE}, or a name from `panda-cosim list`{did_you_mean(folder.name, shipped)}"
     )
 
 

@@ -33,9 +33,9 @@ class BodyCriterion:
 
     def __post_init__(self) -> None:
         if (self.position is None) != (self.tolerance is None):
-            raise ValueError("position and tolerance: only one is given; must be both or none")
+            raise ValueError("position and tolerance: one is missing; must be both or neither")
         if not self.bounds:
-            raise ValueError(f"no bound is given; must have one of {', '.join(BOUNDS)}")
+            raise ValueError(f"no bound; must have at least one of {', '.join(BOUNDS)}")
 
     def check_window(self, start: float, end: float) -> None:
         """Check that the instant, unless it is an event's, lies within a run [s]."""
@@ -85,7 +85,7 @@ class Success:
     max_set_down_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
     # Largest share of any limit of the robot; 1 is the limit. See `limits` in summary.json.
     max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
-    # Largest sum of the forces of contacts that nobody wants, `plant.unwanted_contact_force` [N].
+    # Largest sum of the forces of unwanted contacts, `plant.unwanted_contact_force` [N].
     max_unwanted_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
     # What the real robot that `preflight` names would refuse, see there.
     max_refusals: Annotated[float, Quantity(0.0, 100.0, "1")] | None = None
@@ -98,7 +98,7 @@ class Success:
     def __post_init__(self) -> None:
         if (self.block_position is None) != (self.position_tolerance is None):
             raise ValueError(
-                "block_position and position_tolerance: one is missing; must be both or none"
+                "block_position and position_tolerance: one is missing; must be both or neither"
             )
         taken = set(field_names(Success))
         for criterion in self.signal:

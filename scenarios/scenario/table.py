@@ -172,7 +172,7 @@ class TrajectoryTable:
             except InputError as error:
                 raise InputError(f"row {number}, {error}") from None
             if (after.posture is None) is self.has_posture:
-                raise InputError(f"row {number}: posture; must be given in all rows or in none")
+                raise InputError(f"row {number}: q1 to q7; must be set in all rows or in none")
 
     @property
     def has_posture(self) -> bool:
@@ -245,7 +245,7 @@ def _parse_row(cells: dict[str, str]) -> TableRow:
     blank = [name for name in may_be_blank if not cells.get(name)]
     parts = [name for name in QUATERNION_COLUMNS if name not in blank]
     if 0 < len(parts) < len(QUATERNION_COLUMNS):
-        raise InputError(f"column {blank[0]} is blank; qw to qz must be all blank or all given")
+        raise InputError(f"column {blank[0]} is blank; qw to qz must be all blank or all set")
     numbers = {
         name: _number(name, text)
         for name, text in cells.items()

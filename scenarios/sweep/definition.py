@@ -107,7 +107,7 @@ def read_distribution(section: object) -> Distribution:
     if "limits" not in section:
         return Distribution(kind, numbers, steps=steps)
     if kind != "normal":
-        raise ValueError(f"limits: goes with normal only, not with {kind}")
+        raise ValueError(f"limits: only valid with normal, not with {kind}")
     limits = _pair("limits", section["limits"])
     low, high = scipy.special.ndtr((np.array(limits) - numbers[0]) / numbers[1])
     if not high - low > 1e-9:
@@ -190,7 +190,7 @@ class Sweep:
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
         if (self.design == "list") != (self.file is not None):
-            raise ValueError('file: goes with design = "list", which needs it')
+            raise ValueError('file: required with design = "list", and only then')
         if self.design == "list" and self.vary:
             raise ValueError(
                 'vary: cannot be combined with design = "list"; the file has the values'
@@ -203,13 +203,13 @@ class Sweep:
         if is_drawn and not self.samples:
             raise ValueError(f'samples: value 0; must be at least 1 for "{self.design}"')
         if self.design != "search" and (self.criterion or self.goal != GOALS[0]):
-            raise ValueError('goal and criterion: only go with design = "search"')
+            raise ValueError('goal and criterion: only valid with design = "search"')
         if self.design == "search" and len(self.scenario) > 1:
             raise ValueError("scenario: a search has one")
         if self.design == "search" and self.min_success:
             raise ValueError('min_success: cannot be combined with design = "search"')
         if self.confidence and not self.min_success:
-            raise ValueError("confidence: only goes with min_success")
+            raise ValueError("confidence: needs min_success")
         if self.confidence and self.design not in SAMPLED:
             raise ValueError(f"confidence: needs random rows; must be {', '.join(SAMPLED)}")
 

@@ -136,7 +136,7 @@ class Store:
         """Content of sweep.json."""
         path = self.folder / SWEEP_FILE
         if not path.exists():
-            raise InputError(f"{path}: there is no such file; must be in the folder of a sweep")
+            raise InputError(f"{path}: no such file; must be in the folder of a sweep")
         try:
             return _Content.model_validate_json(read_text(path, _MAX_BYTES)).model_dump()
         except ValidationError as error:
@@ -179,9 +179,7 @@ class Store:
             except InputError:
                 change = "cannot be used any more"
             place = self.kept_scenario(number, name)
-            remarks.append(
-                f"scenario {name}: {change} since the sweep began, which goes by {place}"
-            )
+            remarks.append(f"scenario {name}: {change} since the sweep began, which uses {place}")
         return remarks
 
     def begin(self, begun_with: Origin) -> bool:
@@ -194,8 +192,8 @@ class Store:
             return False
         if changed := list(changes(self.content["origin"], begun_with)):
             raise InputError(
-                f"{self.folder}: was begun otherwise: {'; '.join(changed)}; must be as it was, or "
-                "--out another folder"
+                f"{self.folder}: holds another sweep: {'; '.join(changed)}; repeat that one, or "
+                "choose another folder with --out"
             )
         return True
 
@@ -210,8 +208,8 @@ class Store:
         try:
             if not lock(folder):
                 raise InputError(
-                    f"{self.folder}: another sweep is running there; must end first, or "
-                    "--out another folder"
+                    f"{self.folder}: another sweep is running there; let it end, or choose "
+                    "another folder with --out"
                 )
             yield
         finally:

@@ -61,7 +61,7 @@ class Connector:
         return any(i == instance and n.partition("[")[0] == name for i, n in self._fed)
 
     def mark_fed(self, instance: str, variable: Variable) -> None:
-        """Mark an input as fed from outside."""
+        """Mark an input as external."""
         self._fed |= {(instance, name) for name in variable.names()}
 
     def drive(self, names: Collection[Name]) -> None:
@@ -115,7 +115,7 @@ class Connector:
             return
         if len(outputs) > 1:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
-            raise InputError(f"{target}: {names} have this name; choose one in [connect]")
+            raise InputError(f"{target}: {names} both match; choose one in [connect]")
         source, giving = outputs[0]
         if giving.name in _OF_ARM and measures_a_panda(self.parts[source].interface):
             giving = _of_arm(giving, variable.shape)
@@ -166,7 +166,7 @@ class Connector:
 
     def unfed_message(self, instance: str, name: str) -> str:
         """Return the error for an input that must be connected; it lists the candidates."""
-        variable = self.parts[instance].interface.variable(name)
+        _, variable = self._end(f"{instance}.{name}", "input")
         outputs = [f"{p.name}.{v.name} {_shape_and_unit(v)}" for p in self.parts.values()
                    if p.name != instance for v in p.interface.of("output")]  # fmt: skip
         return (

@@ -93,7 +93,7 @@ def read_parts(
     if scenario.mujoco and kind == "python":
         raise InputError("mujoco: FMUs in Python use the installed version; must be left out")
     if scenario.mujoco and not any(part.is_model for part in parts.values()):
-        raise InputError("mujoco: no FMU is made of a MuJoCo model here; must be left out")
+        raise InputError("mujoco: no FMU here is made from a MuJoCo model; must be left out")
     if scenario.input_scale != 1.0 and "plant" not in parts:
         raise InputError("input_scale: there is no FMU named plant; must be left out")
     return [parts[name] for name in order]
@@ -114,7 +114,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
     if path.suffix not in (".py", ".fmu", *MODELS):
         raise InputError(f"[fmus] {name}: value {excerpt(text)}; must be {FORMS}")
     if not path.is_file():
-        raise InputError(f"[fmus] {name}: {path}: there is no such file; must be {FORMS}")
+        raise InputError(f"[fmus] {name}: {path}: no such file; must be {FORMS}")
     if path.suffix == ".py":
         if not class_name:
             raise InputError(
@@ -218,7 +218,7 @@ def _ctrl_of(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Pa
                 return variable
     inputs = [f"{p.name}.{v.name}" for p in parts.values() for v in p.interface.of("input")]
     raise InputError(
-        f"{law.path}: nothing takes the ctrl of {name}; [connect] must name an input, one of "
+        f"{law.path}: no input takes the ctrl of {name}; [connect] must name one of "
         f"{', '.join(inputs) or 'none'}{did_you_mean('ctrl', inputs)}"
     )
 

@@ -76,7 +76,7 @@ def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -
             needed[at] = max(needed[at], min(factor, MOST_AT_ONCE))
         longer = np.minimum(times * needed, np.maximum(SLOWEST * usual, times))
         slowed = _with_factors(trajectory, longer / spans)
-    raise InputError(f"no time was found that keeps the limits: {violations[0]}")
+    raise InputError(f"no duration keeps all limits: {violations[0]}")
 
 
 def _rehearsed(
@@ -142,8 +142,8 @@ def end_reached(reference: JointReference, tick: int) -> str:
     if room.min() >= AT_END:
         return ""
     return (
-        f"joint {room.argmin() + 1} reaches the end of its range, however slowly it moves; must "
-        "turn the hand another way or lead elsewhere, as `panda-cosim route` does"
+        f"joint {room.argmin() + 1} reaches the end of its range, however slowly it moves; "
+        "turn the hand or choose another path, as `panda-cosim route` does"
     )
 
 
@@ -152,8 +152,8 @@ def remedy(quantity: str) -> str:
     if quantity != "torque":  # so slowly, that is gravity's
         return AWAY
     return (
-        "that is the weight of arm and load; must have a larger share, a lighter load, or a path "
-        "closer to the base"
+        "gravity alone needs it; allow a larger share, carry a lighter load, or keep closer to the "
+        "base"
     )
 
 

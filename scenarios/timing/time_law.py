@@ -124,8 +124,8 @@ def _parametrized(
         from toppra import SplineInterpolator, algorithm  # noqa: PLC0415 - an extra
     except ImportError:
         raise InputError(
-            "time-optimal timing takes toppra, which is not installed; "
-            "must be there: pip install 'panda-cosim[retime]'"
+            "time-optimal timing needs toppra, which is not installed; pip install "
+            "'panda-cosim[retime]'"
         ) from None
     logging.getLogger("toppra").setLevel(logging.CRITICAL)
     nodes = np.linspace(0.0, motion.length, len(joints))

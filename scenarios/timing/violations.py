@@ -41,8 +41,8 @@ class LimitViolation:
         """Describe it in one line."""
         if self.quantity == "reach":
             return (
-                f"row {self.row}: the hand misses the command by {self.value:.3g} m at "
-                f"t = {self.time:.3f} s; must be within the arm's reach and its joints' ranges"
+                f"row {self.row}: the hand is {self.value:.3g} m off the command at "
+                f"t = {self.time:.3f} s; it must be within the arm's reach and joint ranges"
             )
         unit = LIMITS[self.quantity].unit
         return (
