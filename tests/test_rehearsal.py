@@ -90,7 +90,7 @@ def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
     texts = [finding.text for finding in calibrated[:-1] if "[success]" not in finding.text]
     assert len(texts) == 2  # noise with the default gains: the cause, then the symptom
     assert texts[0].startswith("gains: the default ones do not suit mismatch.joint_noise")
-    pattern = r"torque rate of joint \d is .* N.m/s at .* with noisy readings, lower"
+    pattern = r"torque rate of joint \d is .* N.m/s at .* lower controller.ik_gain, or move"
     assert re.search(pattern, texts[1])
     aside = check_folder(FOLDER, settings={"mismatch.block_position_error[2]": 0.05})
     # What is grasped and released cannot be measured then.

@@ -139,9 +139,9 @@ def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path: Path, until: str
 
 
 BAD = {
-    "touch > 3": "must be blank, or such as contact > 3",
-    "contact > -3": "must be blank, or such as contact > 3",
-    "external_force[7] > 1": "must be blank, or such as contact > 3",
+    "touch > 3": "must be blank, or as contact > 3",
+    "contact > -3": "must be blank, or as contact > 3",
+    "external_force[7] > 1": "must be blank, or as contact > 3",
 }
 
 

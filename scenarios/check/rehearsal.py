@@ -82,8 +82,9 @@ def _servos(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
     if share > 1.0:
         most, at = float(LIMITS["torque rate"].bound[joint]), float(recording.time[row])
         text = f"torque rate of joint {joint + 1} is {share * most:.3g} N.m/s at t = {at:.3f} s, "
-        text += f"with contacts and [mismatch]; must be at most {most:.3g} N.m/s ({share:.0%}); "
-        yield at, text + "with noisy readings, lower controller.ik_gain"
+        text += f"contacts included; must be at most {most:.3g} N.m/s ({share:.0%}); "
+        noisy = "lower controller.ik_gain, or " if prepared.scenario.mismatch.has_sensors else ""
+        yield at, f"{text}{noisy}move more slowly and touch more gently"
 
 
 def _grip(recording: Recording, prepared: Prepared) -> Iterator[Finding]:

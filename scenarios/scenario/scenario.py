@@ -382,9 +382,10 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
         is_folder = name_or_folder != "" and folder.is_dir()
     if is_folder:
         return Scenario.read(folder)
+    name = str(name_or_folder)
     raise InputError(
-        f"scenario {excerpt(str(name_or_folder))}: no such folder; must be one with "
-        f"{SCENARIO_FILE}, or a name from `panda-cosim list`{did_you_mean(folder.name, shipped)}"
+        f"scenario {excerpt(name)}: no such folder; must be one with {SCENARIO_FILE}, or a name "
+        f"from `panda-cosim list`{did_you_mean(name, shipped)}"
     )
 
 

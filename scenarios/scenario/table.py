@@ -88,7 +88,7 @@ def split_until(text: str) -> tuple[int, float]:
     match = _UNTIL.fullmatch(text.strip())
     if match is None:
         raise ValueError(
-            f"{excerpt(text)}; must be blank, or such as contact > 3 (N, along the way), "
+            f"{excerpt(text)}; must be blank, or as contact > 3 (N, along the path), "
             "external_force > 5 (N, its length) or external_force[3] > 5 (N or N.m, its magnitude)"
         )
     return 0 if match[1] == "contact" else int(match[2] or 7), float(match[3])

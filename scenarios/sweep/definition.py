@@ -126,7 +126,7 @@ def _pair(kind: str, value: object) -> tuple[float, float]:
     if kind == "normal" and second <= 0.0:
         raise ValueError(f"normal: standard deviation {second!r}; must be above 0")
     if kind != "normal" and not first < second:
-        raise ValueError(f"{kind}: value {excerpt(value)}; must be both ends, the lower first")
+        raise ValueError(f"{kind}: value {excerpt(value)}; must be [low, high], low below high")
     if kind == "log-uniform" and first <= 0.0:
         raise ValueError(f"log-uniform: value {first!r}; must be above 0")
     return first, second
