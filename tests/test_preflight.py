@@ -454,4 +454,4 @@ def test_refusals_are_a_criterion(tmp_path: Path) -> None:
 def test_no_other_robot_is_known() -> None:
     done = command("check", "scenarios/library/pick_and_place", "--robot", "ur5")
     assert done.returncode == 2
-    assert "preflight: value 'ur5'; must be one of" in done.stdout + done.stderr
+    assert "'ur5' is not one of 'fer', 'fr3'" in done.stdout + done.stderr

@@ -226,7 +226,7 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: P
 
 SLIPS = [
     (("regress", "pus"), "did you mean 'push'"),
-    (("regress", "push", "push"), "given twice"),
+    (("regress", "push", "push"), "listed twice"),
     (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
     (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
@@ -287,7 +287,7 @@ def test_a_suite_judges_the_sweeps_in_it(swept: Path, tmp_path: Path) -> None:
     sweep.write_text(SWEEP.replace("min_success", "# min_success"))
     for more, code, words in (
         ((), 1, "sweep.toml: min_success is missing; must be above 0 in a suite"),
-        (("--set", "controller.kp=7"), 2, "must have --no-sweeps, too"),
+        (("--set", "controller.kp=7"), 2, "add --no-sweeps"),
     ):
         refused = cli("regress", "--scenarios", swept, *more)
         assert refused.returncode == code

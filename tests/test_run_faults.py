@@ -62,7 +62,7 @@ def wait_until(done: Callable[[], object], seconds: float = 20.0) -> None:
 
 
 IN_STEP = "SimulationError: at t = 0.019 s, in FMU 'plant': "
-EXIT = "Error: .*: exit\\(\\) was called, in an FMU for instance"
+EXIT = "Error: .*: exit\\(\\) was called, by an FMU for instance"
 # What an FMU does, whether it has a process of its own, the exit code and the line that say so, and
 # the rows that are kept: all up to the fault, None that can be relied on, or no folder at all (0).
 FAULTS: list[tuple[str, bool, int, str, int | None]] = [
@@ -265,5 +265,5 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scen
 def test_a_step_timeout_is_a_number_above_zero_of_an_isolated_fmu(seconds: float) -> None:
     with pytest.raises(InputError, match=r"--step-timeout: value .*; must be a number above 0"):
         Options(isolate=True, step_timeout=seconds)
-    with pytest.raises(InputError, match="without --isolate"):
+    with pytest.raises(InputError, match="needs --isolate"):
         Options(step_timeout=1.0)

@@ -1,4 +1,4 @@
-"""What a run leaves behind: recording, scenario, journal and summary, or only what is in memory."""
+"""Results of a run: recording, scenario, journal and summary, or only what is in memory."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:
         return []
     return [
         f"gains: the default ones do not suit {' and '.join(causes)}: the torque rate or "
-        'oscillations exceed what the robot may do; gains = "robust" is made for them'
+        'oscillations may exceed the limits of the robot; gains = "robust" suits them'
     ]
 
 

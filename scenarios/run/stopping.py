@@ -130,7 +130,7 @@ def _fail(*_: object) -> None:
             with suppress(OSError):  # it holds what was recorded
                 folder.rmdir()
         text = f"Error: {folder or 'a run'}: exit() was called, by an FMU for instance, which ends "
-        os.write(2, f"{text}the whole process; --isolate runs FMUs in their own\n".encode())
+        os.write(2, f"{text}the whole process; --isolate gives each FMU its own\n".encode())
     with suppress(Exception):
         sys.stdout.flush()
     os._exit(SimulationError.exit_code)
