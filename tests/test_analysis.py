@@ -264,7 +264,7 @@ def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path: Path) -> None:
     assert not wild["linear"]  # its swings are as large as the limits let them be
     assert wild["loops"] == []
     assert wild["disk_margin"] == 0.0
-    assert any("twice a pulse" in text for text in wild["remarks"])
+    assert any("a doubled pulse" in text for text in wild["remarks"])
 
 
 def test_an_unstable_own_loop_is_named_unstable(slide: Path) -> None:
@@ -292,7 +292,7 @@ def test_what_cannot_be_analysed_is_refused_in_one_line(slide: Path) -> None:
         (slide / "scenario.toml").write_text(SYSTEM.replace("Pull", name))
         return refused(slide)
 
-    assert "controller: ctrl differs after it went back to a state" in with_law("Forgetful")
+    assert "controller: ctrl differs after its state was restored" in with_law("Forgetful")
     assert "plant.ctrl: a pulse there causes no response within" in with_law("Deaf")
     (slide / "scenario.toml").write_text(SYSTEM)
     assert refused(slide, loop="plant.ctr").endswith("plant.ctrl; did you mean 'plant.ctrl'?")

@@ -50,7 +50,7 @@ def made(**keys: Any) -> Sweep:
             'scenario = "push"\n[vary."duration"]\nunifrom = [0, 1]',
             "'unifrom' is unknown",
         ),
-        ('scenario = "push"\n[vary."duration"]\nuniform = [1, 0]', "the lower first"),
+        ('scenario = "push"\n[vary."duration"]\nuniform = [1, 0]', "low below high"),
         ('scenario = "push"\n[vary."duration"]\nnormal = [1, 0]', "deviation 0.0; must be above 0"),
         ('scenario = "push"\n[vary."duration"]\nlog-uniform = [0, 1]', "0.0; must be above 0"),
         ('scenario = "push"\n[vary."duration"]\nvalues = []', "at least one value"),

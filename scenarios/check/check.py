@@ -37,13 +37,7 @@ from ..run.start import (
     start_values,
     unsuitable_gains,
 )
-from ..scenario.scenario import (
-    SCENARIO_FILE,
-    TABLE_FILE,
-    Scenario,
-    is_shipped,
-    shipped_scenarios,
-)
+from ..scenario.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
 from ..scenario.trajectory import TIME_TOLERANCE
 from ..system.assembly import Assembly, system_scenario
 from ..system.connector import Connector

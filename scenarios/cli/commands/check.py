@@ -36,9 +36,7 @@ def command(  # noqa: PLR0913 - one for each option
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
-    robot: Literal["fer", "fr3"] | None = option(
-        "--robot NAME", "Real robot whose interface judges the run: fer (Panda) or fr3."
-    ),
+    robot: Literal["fer", "fr3"] | None = option("--robot", "Real robot that judges the run."),
     json: bool = JSON,
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
