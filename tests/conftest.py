@@ -14,6 +14,7 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
 
+import forked
 from browser import Page, browser, find_browser
 from fmu_support import JobError, in_fork
 
@@ -68,6 +69,13 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     else:
         return True
     pytest.fail(failure, pytrace=False)
+
+
+@pytest.fixture(scope="module")
+def forked_workers() -> Iterator[None]:
+    """Have the tests of a file fork the workers of their sweeps."""
+    with forked.workers():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -15,12 +15,16 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
+from panda_cosim.scenarios import work
 from panda_cosim.scenarios.cli.commands import COMMANDS, ELSEWHERE
 
 _context = get_context("forkserver")
@@ -50,6 +54,39 @@ def call(
 def script(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code with arguments, as `python -P -c` does; it is killed after a minute."""
     return _forked(_script, [code, *arguments], None, 60.0, environment)
+
+
+@contextmanager
+def workers() -> Iterator[None]:
+    """Have this process fork the workers of sweeps and suites; to start one takes a second."""
+    replaced = SimpleNamespace(**{**vars(subprocess), "Popen": _Worker})
+    with patch.object(work, "subprocess", replaced):
+        yield
+
+
+class _Worker(get_context("fork").Process):  # type: ignore[name-defined,misc]
+    """A fork, in place of `subprocess.Popen`."""
+
+    def __init__(self, command: Sequence[str], env: Mapping[str, str], **_: object) -> None:
+        super().__init__(target=_work, args=(*map(int, command[-2:]), env), daemon=True)
+        self.start()
+
+    def wait(self, timeout: float | None = None) -> int:
+        self.join(timeout)
+        if self.exitcode is None:
+            raise subprocess.TimeoutExpired("worker", timeout or 0.0)
+        return int(self.exitcode)
+
+
+def _work(socket: int, parent: int, environment: Mapping[str, str]) -> None:
+    os.setsid()
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(work.STANDARD_ERROR, 1)
+    os.closerange(3, socket)
+    os.closerange(socket + 1, 4096)
+    os.environ.clear()
+    os.environ.update(environment)
+    work.main(socket, parent)
 
 
 def _forked(
@@ -95,7 +132,8 @@ def _begin(
     os.environ.update(environment)
     os.chdir(cwd)
     try:
-        task(arguments)
+        with workers():
+            task(arguments)
     finally:  # as at Python's own end
         threading._shutdown()  # type: ignore[attr-defined]
         atexit._run_exitfuncs()

@@ -59,7 +59,7 @@ SURPRISE = "is a success, but a failure is expected: no arm tracks to a nanometr
 
 def test_regress_judges_each_scenario_by_itself(mine: Path, tmp_path: Path) -> None:
     report = tmp_path / "report"
-    asked = ("regress", "--scenarios", mine, "--json", "--report", report)
+    asked = ("regress", "--jobs", 1, "--scenarios", mine, "--json", "--report", report)
     done = command(*asked, cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     found = {case["name"]: case for case in json.loads(done.stdout)["scenarios"]}
@@ -93,7 +93,7 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
 ) -> None:
     for name in ("good", "failing", "expected", "surprise"):
         shutil.copytree(mine / name, tmp_path / "mine" / name)
-    asked = ("regress", "--scenarios", tmp_path / "mine")
+    asked = ("regress", "--jobs", 1, "--scenarios", tmp_path / "mine")
     made = command(*asked, "--update", cwd=tmp_path)
     assert made.returncode == 1, made.stderr
     assert {path.parent.name for path in tmp_path.glob("mine/*/*.parquet")} == {"good", "expected"}

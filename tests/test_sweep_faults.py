@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 from forked import command
+from panda_cosim.scenarios.sweep import backend
 from panda_cosim.scenarios.sweep.again import promote_row
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
 from sweep_support import TABLE, rows_of
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 LAW = """\
 import time as clock
 
@@ -47,7 +48,8 @@ def law_sweep(folder: Path, key: str, values: list[float]) -> Sweep:
     return Sweep(scenario=(str(folder),), vary=vary, design="grid")  # type: ignore[arg-type]
 
 
-def test_a_law_that_hangs_costs_its_row(tmp_path: Path) -> None:
+def test_a_law_that_hangs_costs_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backend, "GRACE", 1.0)  # s
     definition = law_sweep(tmp_path / "law", "controller.sleep", [0.0, 120.0])
     rows = rows_of(sweep(definition, tmp_path / "out", jobs=2, time_limit=3.0).folder)
     assert [row["status"] for row in rows] == ["missed", "timeout"]

@@ -33,7 +33,7 @@ from panda_cosim.scenarios.sweep.store import Store
 from scipy.stats import beta
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 COMMAND = str(Path(sys.executable).with_name("panda-cosim"))
 
 
@@ -52,7 +52,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def start(folder: Path, *more: str) -> subprocess.Popen[str]:
     path = folder / "sweep.toml"
-    arguments = [COMMAND, "sweep", str(path), "--out", str(folder / "out"), "--jobs", "2", *more]
+    arguments = [COMMAND, "sweep", str(path), "--out", str(folder / "out"), "--jobs", "1", *more]
     return subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 
@@ -278,12 +278,13 @@ def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path
     refused = command(*promote, good["index"], mine / "other", "--expect", "failure")
     assert "status success; must be missed" in refused.stderr
     assert "A regression test" in command(*promote, good["index"], mine / "good").stdout
-    done = command("regress", "--scenarios", mine, "--exact")
+    regress = ("regress", "--jobs", 1, "--scenarios", mine)
+    done = command(*regress, "--exact")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2 of 2 scenarios match their references" in done.stdout
     assert "A red test" in command(*promote, missed["index"], mine / "red").stdout
     assert load_scenario(mine / "red").expect == "success"
-    done = command("regress", "--scenarios", mine)
+    done = command(*regress)
     assert done.returncode == 1, done.stdout + done.stderr
     assert re.search(f"red +missed +{missed['missed']}", done.stdout)
     with pytest.raises(InputError, match=r"has no row 4711; must be one of its .* rows, from 0 to"):
