@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import IO, Any, NoReturn
 
 import forked
+from panda_cosim.fmus.build import libraries
 
 
 class JobError(AssertionError):
@@ -66,6 +67,13 @@ def in_process(
     if child.returncode or not results:
         raise JobError(f"{job.__name__} ended with {child.returncode}\n{child.stderr[-6000:]}")
     return json.loads(results[-1][7:])
+
+
+def copy_libraries(folder: Path, *left_out: str) -> None:
+    """Copy what is compiled for this platform, which takes seconds each, but for some backends."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for backend in libraries.BACKENDS.keys() - set(left_out):
+        shutil.copy(libraries.library(backend, libraries.this_platform()), folder)
 
 
 def compiler() -> str | None:

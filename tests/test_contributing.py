@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_support import copy_libraries
 from forked import command
 from panda_cosim import Recording
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -18,6 +19,7 @@ from panda_cosim.scenarios.scenario.writer import make_scenario
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+QUIET = ("--no-video", "--no-view", "--no-plot")
 SCENARIO = "duration = 0.05\n"
 TABLE = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.05,home,0.0,0.0,0.01,0.08\n"
 
@@ -47,6 +49,7 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for folder in ("assets", "plant", "controller", "fmus", "scenarios"):
         ignored = shutil.ignore_patterns("__pycache__", "node_modules")
         shutil.copytree(ROOT / folder, root / folder, ignore=ignored)
+    copy_libraries(root.parent / "cache" / "libraries")
     (diff,) = re.findall(r"^```diff\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
     follow(diff, root)
     return root
@@ -73,7 +76,7 @@ def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: 
     (scenario / "scenario.toml").write_text(SCENARIO)
     (scenario / "trajectory.csv").write_text(TABLE)
     run, fmus = tmp_path / "run", tmp_path / "fmus"
-    python(changed, "-m", "panda_cosim", "run", scenario, "--no-video", "--out", run)
+    python(changed, "-m", "panda_cosim", "run", scenario, *QUIET, "--out", run)
     recording = Recording.open(run)
     passive, speeds = recording["plant.qfrc_passive"], recording["plant.qvel"][:, :7]
     assert passive.shape == (51, 7)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from fmu_instance import Instance, Unpacked, unpacked
-from fmu_support import in_fork
+from fmu_support import copy_libraries, in_fork
 from forked import command
 from lxml import etree
 from panda_cosim.controller import controller as controller_module
@@ -220,6 +220,7 @@ def test_the_same_content_gives_the_same_bytes(
     target: Target, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = {name: path.read_bytes() for name, path in build(target=target).items()}
+    copy_libraries(tmp_path / "libraries")
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path))
     assert {name: path.read_bytes() for name, path in build(target=target).items()} == first
 

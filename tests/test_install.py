@@ -12,6 +12,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from fmu_support import copy_libraries
 from panda_cosim.fmus.build.libraries import BACKENDS
 from panda_cosim.scenarios.cli.commands import COMMANDS
 
@@ -119,6 +120,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / name, source / name, ignore=skipped)
     for name in FILES:
         shutil.copy(ROOT / name, source)
+    copy_libraries(source / "fmus" / "native" / "lib", "stepper")  # which the build compiles
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
     built = run(
         *pip, "wheel", source, "--no-deps", "--no-build-isolation", "-w", folder, cwd=folder

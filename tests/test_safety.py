@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from fault_support import STARTING_LAW, write_scenario
+from fmu_support import copy_libraries
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -88,6 +89,7 @@ def test_code_in_the_working_directory_does_not_run(tmp_path: Path, isolate: boo
     options = ["--no-video", "--no-view", "--out", out, *(["--isolate"] if isolate else [])]
     # FMUs are built in one of both.
     cache = {} if isolate else {"PANDA_COSIM_CACHE": str(tmp_path / "cache")}
+    copy_libraries(tmp_path / "cache" / "libraries", "player")
     unprotected([*program, "run", scenario, *options], tmp_path / "here", **cache)
 
 
