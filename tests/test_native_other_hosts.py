@@ -22,6 +22,7 @@ pytestmark = [
 ]
 
 
+@pytest.fixture(scope="module")
 def others() -> list[str]:
     """Pythons of this machine besides the one that runs the tests."""
     names = ["/usr/bin/python3", *(f"python3.{minor}" for minor in range(8, 16))]
@@ -29,7 +30,8 @@ def others() -> list[str]:
     works = [
         p for p in found if not subprocess.run([p, "-c", ""], check=False, timeout=300).returncode
     ]
-    return [path for path in works if Path(path).resolve() != Path(sys.executable).resolve()]
+    others = [path for path in works if Path(path).resolve() != Path(sys.executable).resolve()]
+    return others or pytest.skip("there is no other Python")
 
 
 @pytest.fixture(scope="module")
@@ -55,22 +57,20 @@ def expected(fmus: dict[tuple[Kind, str], Path]) -> dict[str, str]:
     return {model: run(sys.executable, fmus["native", model]).stdout for _, model in fmus}
 
 
-@pytest.mark.skipif(not others(), reason="there is no other Python")
 @pytest.mark.parametrize("model", ["PandaPlant", "PandaController"])
 def test_native_fmus_give_the_same_bits_in_every_python(
-    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], model: str
+    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], others: list[str], model: str
 ) -> None:
     assert len(expected[model].split()) > 30
-    for python in others():
+    for python in others:
         done = run(python, fmus["native", model])
         assert (done.returncode, done.stdout) == (0, expected[model]), f"{python}: {done.stderr}"
 
 
-@pytest.mark.skipif(not others(), reason="there is no other Python")
 def test_an_fmu_in_python_runs_in_another_python_or_says_why_not(
-    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str]
+    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], others: list[str]
 ) -> None:
-    for python in others():
+    for python in others:
         done = run(python, fmus["python", "PandaPlant"])
         if done.returncode:
             assert done.returncode == 2, f"{python}: {done.stderr}"
