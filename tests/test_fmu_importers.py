@@ -133,9 +133,7 @@ needs_toolbox = pytest.mark.skipif(
 
 
 @needs_toolbox
-@pytest.mark.parametrize(
-    ("coupling", "fmi"), [("gauss-seidel", 2), ("gauss-seidel", 3), ("jacobi", 2)]
-)
+@pytest.mark.parametrize(("coupling", "fmi"), [("gauss-seidel", 3), ("jacobi", 2)])
 def test_a_container_is_the_coupled_system_in_plain_fmpy(
     ssp: Path, tmp_path: Path, coupling: Coupling, fmi: int
 ) -> None:

@@ -13,7 +13,7 @@ from sweep_support import rows_of, short_sweep
 distributed = pytest.importorskip("distributed")
 import dask_jobs  # noqa: E402 - needs it
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 SAMPLES = 8
 PANDA_COSIM = str(Path(sys.executable).with_name("panda-cosim"))
 

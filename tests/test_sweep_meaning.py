@@ -19,7 +19,7 @@ from panda_cosim.scenarios.sweep.scenarios import Loaded, identity, pack
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep, write_sweep
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 
 
 def edit(folder: Path, *changes: tuple[str, str]) -> None:

@@ -124,6 +124,7 @@ def test_a_grid_is_drawn_at_its_values(page: Page, tmp_path: Path) -> None:
 
 
 @pytest.mark.fmu
+@pytest.mark.usefixtures("forked_workers")
 def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(
     page: Page, tmp_path: Path
 ) -> None:

@@ -89,8 +89,10 @@ on = "block"
 
 
 @pytest.mark.fmu
-@pytest.mark.parametrize("fmi", ["2", "3"])
-@pytest.mark.parametrize("kind", ["law, errors and pushes", "plant and slave", "all types"])
+@pytest.mark.parametrize(
+    ("kind", "fmi"),
+    [("law", "2"), ("plant and slave", "3"), ("all types", "2"), ("all types", "3")],
+)
 def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(
     tmp_path: Path, kind: str, fmi: str
 ) -> None:
