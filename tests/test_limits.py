@@ -92,7 +92,7 @@ def test_joints_are_pulled_away_from_their_ends_and_nowhere_else() -> None:
         assert ((down < weaker_down) & (weaker_down < 0.0)).all()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=seeds)
 def test_a_reference_comes_back_within_its_speed_and_its_ends(seed: int) -> None:
     """However far it has run ahead, and wherever its joint is held."""
@@ -113,7 +113,7 @@ def test_a_reference_comes_back_within_its_speed_and_its_ends(seed: int) -> None
         assert (q >= Q_MIN - OVERSHOOT).all()
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=seeds, towards=st.booleans())
 def test_no_joint_passes_its_end_however_it_is_driven(seed: int, towards: bool) -> None:
     rng = np.random.default_rng(seed)
