@@ -131,7 +131,7 @@ class Page:
             "Emulation.setDeviceMetricsOverride",
             width=width,
             height=height,
-            deviceScaleFactor=1,
+            deviceScaleFactor=0.5,  # software draws here, and a quarter of the dots is enough
             mobile=width < 700,
         )
 

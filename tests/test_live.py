@@ -126,6 +126,7 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
     with live(tmp_path / "run", "--speed", "0.1", "--paused") as server:
         page.visit(server.address, 720, 400)  # software draws, and large pictures take it long
         page.wait(READY)
+        page.value("PandaView.viewer.stage.sun.castShadow = false")  # draws all once more
         page.wait("document.querySelector('.pv-place') !== null")  # it knows the waypoints
         way = drag_a_waypoint(page)
         before = block(page)
