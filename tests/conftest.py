@@ -17,6 +17,10 @@ sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules
 import forked
 from browser import Page, browser, find_browser
 from fmu_support import JobError, in_fork
+from hypothesis import settings
+
+settings.register_profile("tests", deadline=None)  # a machine may be busy
+settings.load_profile("tests")
 
 # Files of half a minute each. They begin first, so that none is left for one process at the end;
 # the very first is the one for which ziglang may have to compile what Windows takes, for minutes.

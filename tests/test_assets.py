@@ -37,7 +37,6 @@ MENAGERIE = os.environ.get("MENAGERIE_ROOT")
 ARM_TOLERANCE = 1e-9  # relative to the quantity's largest entry [1]
 POSITION_TOLERANCE = 1e-9  # [m]
 CREEP_BOUND = 1e-6  # of a block at rest, over 2 s [m]
-FORCE_TOLERANCE = 1e-9  # between sensor and contact force [N]
 
 
 @pytest.fixture(params=[name for name in SCENES if name != TORQUE_DRIVEN])

@@ -47,7 +47,7 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("changed") / "project"
     shutil.copytree(ROOT / ".ci", root / ".ci", symlinks=True)
     for folder in ("assets", "plant", "controller", "fmus", "scenarios"):
-        ignored = shutil.ignore_patterns("__pycache__", "node_modules")
+        ignored = shutil.ignore_patterns("node_modules")
         shutil.copytree(ROOT / folder, root / folder, ignore=ignored)
     copy_libraries(root.parent / "cache" / "libraries")
     (diff,) = re.findall(r"^```diff\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)

@@ -27,7 +27,6 @@ Array = NDArray[np.float64]
 DT = 1e-3  # [s]
 SAME = 1e-6  # relative: third differences lose digits
 ROWS, AT = 240, 120  # of a recording at rest, and the row at which something happens
-ROW = 3  # of the table, whose rows are at these instants [s]
 ROW_TIMES = [0.0, 0.1, 0.2, 0.239]
 HOME = np.array(HOME_Q)
 # From Franka's documents, once more.

@@ -25,7 +25,6 @@ from panda_cosim.scenarios.timing.path import motions
 SHARE = 0.8
 BLEND = 0.04  # [m]
 DWELL = 0.2  # [s]
-ON_LINE = 1e-9  # [m]
 
 
 @pytest.fixture(scope="module")

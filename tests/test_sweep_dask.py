@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,6 @@ import dask_jobs  # noqa: E402 - needs it
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 SAMPLES = 8
-PANDA_COSIM = str(Path(sys.executable).with_name("panda-cosim"))
 
 
 @pytest.fixture(scope="module")
