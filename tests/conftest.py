@@ -26,8 +26,8 @@ settings.load_profile("tests")
 # the very first is the one for which ziglang may have to compile what Windows takes, for minutes.
 LONGEST = (
     "test_native_cross", "test_view_page", "test_regress", "test_live", "test_sweep_run",
-    "test_engines", "test_run_faults", "test_analysis", "test_cli", "test_contributing", "test_parts",
-    "test_render", "test_experiments", "test_native_c", "test_route", "test_install",
+    "test_engines", "test_run_faults", "test_analysis", "test_cli", "test_contributing",
+    "test_parts", "test_render", "test_experiments", "test_native_c", "test_route", "test_install",
 )  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone
 # Hundreds of processes would compile the package anew, and each worker the tests.
