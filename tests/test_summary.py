@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.scenarios.cli.outcome import outcome_lines
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.summary import summarize
 from panda_cosim.scenarios.scenario.scenario import Scenario
@@ -175,11 +176,17 @@ def test_what_was_not_measured_is_neither_success_nor_the_expected_failure(
 ) -> None:
     asked = scenario(max_slip=0.001, min_lift=0.1)
     asked = replace(asked, expect=expect, expect_reason="so" if expect == "failure" else "")
-    summary = summarize(record(blank_rows()), asked)
+    recording = record(blank_rows())
+    summary = summarize(recording, asked)
     assert summary.block["slip_mm"] is None
     assert not summary.success
     assert not summary.as_expected
     assert summary.margin is None
+    told = "No verdict" if expect == "failure" else "Success condition missed: min_lift"
+    assert next(outcome_lines(summary, realtime=False))[0].startswith(told)
+
+    open_ended = summarize(recording, replace(asked, success=Success(max_slip=0.001)))
+    assert next(outcome_lines(open_ended, realtime=False))[0].startswith("No verdict")
 
 
 def test_tracking_of_a_law_without_orientation_is_measured(tmp_path: Path) -> None:

@@ -209,10 +209,16 @@ def _fault(done: Run) -> Fault | None:
         return "error", "stopped", str(summary.reason)
     if summary.as_expected:
         return None
-    if unmeasured := unmeasured_text(summary.criteria):
-        return "error", "not measured", unmeasured
+    if _has_no_verdict(summary):
+        return "error", "not measured", unmeasured_text(summary.criteria)
     message = missed_text(summary.criteria) or f"{NOT_FAILED}: {summary.expect_reason}"
     return "failure", "missed", message
+
+
+def _has_no_verdict(summary: Summary) -> bool:
+    """Whether a criterion was not measured, on which success or the expected failure depends."""
+    fails = any(criterion.measured and not criterion.ok for criterion in summary.criteria)
+    return bool(unmeasured_text(summary.criteria)) and (summary.expect == "failure" or not fails)
 
 
 def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | None) -> None:
@@ -266,7 +272,7 @@ def outcome_lines(
 
 def _verdict_line(summary: Summary) -> tuple[str, str]:
     missed = missed_text(summary.criteria)
-    if unmeasured_text(summary.criteria):
+    if _has_no_verdict(summary):
         return f"{NO_VERDICT}: {missed}", "bold red"
     if summary.expect == "failure":
         if not summary.as_expected:
