@@ -447,6 +447,11 @@ def test_what_is_not_recorded_is_not_called_accepted(signal: str, rested: dict[s
     assert "good" not in [level for level, _ in outcome(told)]
 
 
+def test_an_impedance_law_is_judged_by_its_torques_in_any_scene(rested: dict[str, Array]) -> None:
+    run = recorded(rested, parameters={"controller": {"impedance": True}})
+    assert preflight(run, "fer")["interface"] == "torque"
+
+
 def test_of_no_rows_nothing_is_said(rested: dict[str, Array]) -> None:
     empty = {name: signal[:0] for name, signal in rested.items()}
     assert preflight(recorded(empty), "fer") == {}

@@ -231,23 +231,27 @@ def _reference(recording: Recording) -> str:
     """Return the signal that a joint motion generator would be sent; "": torques are commanded."""
     if _has_motors(recording):
         return ""
-    gains = recording.metadata.get("parameters", {}).get("controller", {})
     angles = "controller.qpos_ref" not in recording and "controller.ctrl[8]" in recording
-    return "controller.qpos_ref" if gains.get("use_reference", not angles) else "controller.ctrl"
+    follows = _gains(recording).get("use_reference", not angles)
+    return "controller.qpos_ref" if follows else "controller.ctrl"
 
 
 def _has_motors(recording: Recording) -> bool:
-    """Whether torques are commanded, in our scene or by a law of its own."""
+    """Whether torques are commanded, by the impedance law or by a law of its own."""
     scene, unit = recording.metadata.get("scene"), recording.units.get("controller.ctrl[1]")
-    return scene == TORQUE_DRIVEN or unit == "N.m"
+    return scene == TORQUE_DRIVEN or unit == "N.m" or bool(_gains(recording).get("impedance"))
+
+
+def _gains(recording: Recording) -> Mapping[str, Any]:
+    gains: Mapping[str, Any] = recording.metadata.get("parameters", {}).get("controller", {})
+    return gains
 
 
 def _cause(recording: Recording) -> str:
     """Return what to change besides rows of the table if joints are too fast, or ""."""
-    parameters = recording.metadata.get("parameters", {}).get("controller", {})
-    if parameters.get("period", STEP_SIZE) > STEP_SIZE:
+    if _gains(recording).get("period", STEP_SIZE) > STEP_SIZE:
         return PERIOD
-    return "" if _reference(recording) == "controller.qpos_ref" else NO_REFERENCE
+    return NO_REFERENCE if _reference(recording) == "controller.ctrl" else ""
 
 
 def _rates(values: Array, count: int) -> list[Array]:

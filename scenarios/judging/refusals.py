@@ -134,7 +134,7 @@ def _text(refusal: Mapping[str, Any]) -> str:
     """Describe the first violation of a condition."""
     row = f" (row {refusal['row']})" if refusal["row"] else ""
     joint = f" {refusal['joint']}" if refusal["what"].endswith("joint") else ""
-    share = f" (in the run up to {refusal['share']:.1%} of it)" if "share" in refusal else ""
+    share = f" (in the run up to {refusal['share']:.3g} times it)" if "share" in refusal else ""
     return (
         f"{refusal['error']} at t = {refusal['time_s']:.3f} s{row}: {refusal['what']}{joint} is "
         f"{refusal['value']:.4g} {refusal['unit']}; the limit is {refusal['bound']:.4g} "
