@@ -135,10 +135,7 @@ def assigned(
     options: Options | None = None,
     robot: Robot | None = None,
 ) -> tuple[Scenario, Options]:
-    """Return a scenario with parts and its keys changed, and options with the FMUs' parameters.
-
-    With a `robot`, its arm is the scenario's.
-    """
+    """Return a scenario with parts, arm and keys changed, and options with the FMUs' parameters."""
     options = options or Options()
     settings, parameters = split_settings(assignments or ())
     if robot:

@@ -30,10 +30,8 @@ SOFTER: Final = (
     "loads that the model lacks count, too"
 )
 TORQUE: Final = (
-    "move or touch more gently; with noisy readings, lower controller.ik_gain, or of the impedance "
-    "law controller.stiffness"
+    "move or touch more gently; with noisy readings, lower controller.ik_gain or stiffness"
 )
-# Lost and late packets, where all that arrive are accepted.
 SMOOTHER: Final = "accelerate less: more time for that row, or a lower controller.limit_share"
 
 # The same of joint positions, where rows are not the cause.

@@ -48,7 +48,6 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     panda-cosim retime pick_and_place
     panda-cosim retime my-scenarios/hasty --keep-times
-    panda-cosim retime pick_and_place --keep-times --robot fr3
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
     """
