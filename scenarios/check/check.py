@@ -84,7 +84,8 @@ def check_folder(
         scenario = replace(scenario, preflight=robot or scenario.preflight)
         prepared = prepare(scenario, Options(overrides=overrides or {}), run_code=False)
         is_foreign = prepared.scenario.has_own_parts
-        diagnostics = _foreign(prepared) if is_foreign else _rehearsed(prepared)
+        level: Level = "wrong" if robot else "hint"  # of conditions that are not measured
+        diagnostics = _foreign(prepared, level) if is_foreign else _rehearsed(prepared)
     except UnreadSlaveError as error:
         text = f"{error}; connections and parameters are checked by a run"
         return _diagnostics("hint", [*_remarks(scenario), text])
@@ -116,8 +117,8 @@ def _no_folder(folder: Path) -> str:
     return f"{folder}: no such folder{near or new}"
 
 
-def _foreign(prepared: Prepared) -> list[Diagnostic]:
-    """Describe a scenario of other FMUs, whose code is not run."""
+def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
+    """Describe a scenario of other FMUs, whose code is not run; no robot's conditions are seen."""
     scenario, assembly = prepared.scenario, prepared.assembly
     fmus = read_fmus(assembly.system, assembly.changed(prepared.values), scenario.coupling)
     seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
@@ -128,8 +129,9 @@ def _foreign(prepared: Prepared) -> list[Diagnostic]:
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
     unseen = "limits, collisions and grip are checked only with the project's plant and controller"
     if scenario.preflight:
-        text = f"run it with `--set preflight={scenario.preflight}` to see what that robot refuses"
-        hints.append(Diagnostic("hint", text))
+        run = f"`panda-cosim run {_name(scenario)} --set preflight={scenario.preflight}`"
+        text = f"what {scenario.preflight} refuses is not known before a run: {run}"
+        hints.append(Diagnostic(level, text))
     if len(assembly.interfaces) > 1 and not count:
         text = f"{about}; it runs, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
@@ -180,7 +182,8 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     Plant(PlantParameters(**grouped(PLANT, prepared.values["plant"])))  # refuses its block's place
     scenario, run = prepared.scenario, rehearse(prepared)
     trouble = _diagnostics("hint", [*_located(run, prepared), *_limits(prepared)])
-    real = [Diagnostic(*each) for each in outcome(run.summary.preflight)]
+    lines, name = outcome(run.summary.preflight), _name(scenario)
+    real = [Diagnostic(level, text.replace("SCENARIO", name)) for level, text in lines]
     criteria = run.summary.criteria if run.summary.complete else ()
     unmeasured = [miss_text(criterion) for criterion in criteria if not criterion.measured]
     if unmeasured:  # what they wait for never happens
@@ -196,6 +199,11 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
             about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
         last = Diagnostic("good", f"{about}; it can run")
     return [*trouble, *real, last]
+
+
+def _name(scenario: Scenario) -> str:
+    """Return what commands take."""
+    return scenario.name if is_shipped(scenario) else as_argument(Path(str(scenario.folder)))
 
 
 def _about(scenario: Scenario) -> str:
@@ -248,7 +256,7 @@ def _limits(prepared: Prepared) -> Iterator[str]:
     texts = [f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN]]
     if len(violations) > SHOWN:
         texts.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more violations")
-    name = scenario.name if is_shipped(scenario) else as_argument(Path(str(scenario.folder)))
+    name = _name(scenario)
     if any(violation.quantity != "reach" for violation in violations):
         texts[-1] += f"; `panda-cosim retime {name} --keep-times` gives these rows more time"
     elif texts and scenario.success.block_position:

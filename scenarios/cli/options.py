@@ -15,6 +15,7 @@ from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind, Target, outdated
+from ..judging.refusals import ARMS
 from ..run.options import TOP, Options, split_settings, with_options, with_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
 from ..system.assembly import instances
@@ -23,6 +24,7 @@ from .console import tell, warn
 DEFAULT_SCENARIO = "pick_and_place"
 FmiVersion = Literal["2", "3"]
 Names = Literal["structured", "flat"]
+Robot = Literal["fer", "fr3"]
 Meshes = Literal["never", "auto", "always"]
 
 
@@ -62,6 +64,7 @@ CONTROLLER = option(
 PLANT = option(
     "--plant FILE", "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file."
 )
+ROBOT = option("--robot", "Real robot whose limits count: the Panda is fer.")
 JSON = option("--json", "Print the result as JSON instead of tables.", False)
 OPEN_PAGE = option("--open", "Open the page in the browser.", False)
 OVERWRITE = option("--overwrite", "Also replace files that panda-cosim did not write.", False)
@@ -127,11 +130,16 @@ def overrides(
 
 
 def assigned(
-    scenario: Scenario, assignments: list[str] | None, options: Options | None = None
+    scenario: Scenario,
+    assignments: list[str] | None,
+    options: Options | None = None,
+    robot: Robot | None = None,
 ) -> tuple[Scenario, Options]:
-    """Return a scenario with parts and its keys changed, and options with the FMUs' parameters."""
+    """Return a scenario with parts, arm and keys changed, and options with the FMUs' parameters."""
     options = options or Options()
     settings, parameters = split_settings(assignments or ())
+    if robot:
+        settings["robot"] = ARMS[robot]
     with_parts = with_options(scenario, Options(parts=options.parts))  # a scene may need a law
     values = overrides(parameters, instances(with_parts), TOP)
     return with_values(with_parts, settings), replace(options, overrides=values)

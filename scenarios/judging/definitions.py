@@ -199,7 +199,7 @@ _ROWS: Final = (
       for key, check in CHECKS.items()),
     D("preflight.findings", "of each violated condition `name`, `interface`, libfranka's "
       "`error`, `what`, `unit`, `remedy`, whether it is `necessary`, and of the first time "
-      "`time_s`, `row` of the table, `joint`, `value` and `bound`"),
+      "`time_s`, `row` of the table, `joint`, `value` and `bound`, and the largest `share`"),
     D("preflight.late", "the same with one more lost packet, or ms of delay"),
     # Energy
     D("energy.arm_work_J", "work of the arm's servos: positive power summed over joints and time; "

@@ -24,7 +24,7 @@ from .. import rotations
 from ..recording import Recording
 from ..scenario.limits import robot_of
 from ..scenario.trajectory import TIME_TOLERANCE
-from .refusals import ARMS, CHECKS, DERIVATIVES, LATE, MORE_TIME, NO_REFERENCE, PERIOD
+from .refusals import CHECKS, DERIVATIVES, LATE, MORE_TIME, NO_REFERENCE, PERIOD, SMOOTHER
 
 Array = NDArray[np.float64]
 Refusal = dict[str, Any]  # as `findings` of summary.json has them
@@ -50,7 +50,7 @@ class _Judge:
     def __init__(self, robot: str, recording: Recording) -> None:
         self.shares: dict[str, Array] = {}
         self.first: dict[str, Refusal] = {}  # of each check
-        self._arm, self._cause = ARMS[robot], _cause(recording)
+        self._robot, self._cause = robot, _cause(recording)
         self._row_times = np.array(recording.metadata.get("row_times", ()), dtype=float)
 
     def see(self, time: Array, measures: Iterable[Measure]) -> None:
@@ -71,7 +71,7 @@ class _Judge:
                 self.first[key] = {
                     "name": key,
                     **vars(check),
-                    "remedy": (remedy or check.remedy).format(robot=self._arm),
+                    "remedy": (remedy or check.remedy).format(robot=self._robot),
                     "time_s": at,
                     "row": min(ahead, len(self._row_times)) or None,
                     "joint": k + 1 if values.shape[1] > 1 else None,
@@ -99,7 +99,8 @@ class _Late:
             judge.see(time, _rate_measures(self._received(count, rates), self._limits))
             if judge.first:
                 self.borne = count - 1
-                self.refusal = min(judge.first.values(), key=lambda each: each["time_s"])
+                first = min(judge.first.values(), key=lambda each: each["time_s"])
+                self.refusal = {**first, "remedy": SMOOTHER}
                 return
 
     def _received(self, count: int, rates: Rates) -> Rates:
@@ -132,6 +133,7 @@ class _Arm:
         """Yield what is measured of the last rows."""
         last = slice(-count - 1, None)
         q, qd, force, bias = (signals[name][last, :7] for name in (Q, QD, FORCE, BIAS))
+        read = signals.get(SENSED, signals[Q])[last, :7]  # a tick before the torque
         limits, still = self._limits, np.zeros(7)
         middle: Array = 0.5 * (limits.q_min + limits.q_max)
         yield "arm_position", q - middle, limits.q_max - middle, middle
@@ -141,7 +143,7 @@ class _Arm:
         q, qd, force, bias = q[1:], qd[1:], force[1:], bias[1:]
         commanded, needed = np.empty((2, count, 7))
         for row in range(count):
-            commanded[row] = force[row] - self._model.hand(q[row], still).bias
+            commanded[row] = force[row] - self._model.hand(read[row], still).bias
             needed[row] = self._model.inertia_force(q[row], qdd[row])
         needed += bias - (force - self._rotor * qdd - self._damping * qd)
         begins = ~force.any(axis=1)  # before the first step, the servos give nothing
@@ -202,7 +204,8 @@ def preflight(recording: Recording, robot: str) -> dict[str, Any]:
 def _result(robot: str, reference: str, judge: _Judge, late: Mapping[str, _Late]) -> dict[str, Any]:
     """Return the section of summary.json."""
     own = "joint" if reference else "torque"
-    findings = sorted(judge.first.values(), key=lambda each: each["time_s"])
+    findings = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
+    findings.sort(key=lambda each: each["time_s"])
     refused = [each for each in findings if each["necessary"]]
     counts: dict[str, int | None] = {}  # None: a condition of the interface was not measured
     for name in ("joint", "cartesian", "torque", "arm"):
@@ -228,22 +231,27 @@ def _reference(recording: Recording) -> str:
     """Return the signal that a joint motion generator would be sent; "": torques are commanded."""
     if _has_motors(recording):
         return ""
-    gains = recording.metadata.get("parameters", {}).get("controller", {})
-    return "controller.qpos_ref" if gains.get("use_reference", True) else "controller.ctrl"
+    angles = "controller.qpos_ref" not in recording and "controller.ctrl[8]" in recording
+    follows = _gains(recording).get("use_reference", not angles)
+    return "controller.qpos_ref" if follows else "controller.ctrl"
 
 
 def _has_motors(recording: Recording) -> bool:
-    """Whether torques are commanded, in our scene or by a law of its own."""
+    """Whether torques are commanded, by the impedance law or by a law of its own."""
     scene, unit = recording.metadata.get("scene"), recording.units.get("controller.ctrl[1]")
-    return scene == TORQUE_DRIVEN or unit == "N.m"
+    return scene == TORQUE_DRIVEN or unit == "N.m" or bool(_gains(recording).get("impedance"))
+
+
+def _gains(recording: Recording) -> Mapping[str, Any]:
+    gains: Mapping[str, Any] = recording.metadata.get("parameters", {}).get("controller", {})
+    return gains
 
 
 def _cause(recording: Recording) -> str:
     """Return what to change besides rows of the table if joints are too fast, or ""."""
-    parameters = recording.metadata.get("parameters", {}).get("controller", {})
-    if parameters.get("period", STEP_SIZE) > STEP_SIZE:
+    if _gains(recording).get("period", STEP_SIZE) > STEP_SIZE:
         return PERIOD
-    return "" if parameters.get("use_reference", True) else NO_REFERENCE
+    return NO_REFERENCE if _reference(recording) == "controller.ctrl" else ""
 
 
 def _rates(values: Array, count: int) -> list[Array]:

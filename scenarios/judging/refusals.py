@@ -10,27 +10,33 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-Level = Literal["refused", "hint", "good"]
+Level = Literal["wrong", "refused", "hint", "good"]
 
 DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
 LATE: Final = {"lost_packets": "lost packets in a row", "delay_ms": "ms of delay"}
 ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario has them
 # What to change; {robot} is put in.
 MORE_TIME: Final = (
-    "give that row more time: `panda-cosim retime SCENARIO --keep-times --set robot={robot}`"
+    "give that row more time: `panda-cosim retime SCENARIO --keep-times --robot {robot}`"
 )
 ELSEWHERE: Final = (
-    "choose another path, or turn the hand: `panda-cosim route SCENARIO --set robot={robot}`"
+    "choose another path, or turn the hand: `panda-cosim route SCENARIO --robot {robot}`"
 )
 SMOOTH: Final = 'give that row more time; interpolation = "quintic" or "spline" has no kinks'
 START: Final = "begin at the measured pose"
 SETTLE: Final = "hold the last row until all joints are at rest: a longer `duration`"
-SOFTER: Final = "touch more gently, carry less, or set higher thresholds (setCollisionBehavior)"
-TORQUE: Final = "move or touch more gently; with noisy readings, lower controller.ik_gain"
+SOFTER: Final = (
+    "touch more gently, carry less, or set higher thresholds (setCollisionBehavior); friction and "
+    "loads that the model lacks count, too"
+)
+TORQUE: Final = (
+    "move or touch more gently; with noisy readings, lower controller.ik_gain or stiffness"
+)
+SMOOTHER: Final = "accelerate less: more time for that row, or a lower controller.limit_share"
 
 # The same of joint positions, where rows are not the cause.
 PERIOD: Final = "send a command every ms: controller.period = 0.001"
-NO_REFERENCE: Final = 'use a law that limits its joint reference: gains = "default"'
+NO_REFERENCE: Final = 'use a law that limits its joint reference, as gains = "default" does'
 
 _JOINT: Final = "joint_motion_generator"
 _HAND: Final = "cartesian_motion_generator"
@@ -105,7 +111,7 @@ def outcome(preflight: Mapping[str, Any]) -> Iterator[tuple[Level, str]]:
         return
     robot, own = preflight["robot"], preflight["interface"]
     if preflight["refusals"] is None:
-        yield "hint", f"{robot}: signals that the {own} interface is judged by are not recorded"
+        yield "wrong", f"{robot}: signals that the {own} interface is judged by are not recorded"
     elif not preflight["refusals"]:
         yield "good", f"{robot} refuses nothing over the {own} interface"
     for each in preflight["findings"]:
@@ -115,7 +121,9 @@ def outcome(preflight: Mapping[str, Any]) -> Iterator[tuple[Level, str]]:
             yield "refused", f"{robot} refuses: {_text(each)}"
         else:
             yield "hint", f"{robot} refuses over the {each['interface']} interface: {_text(each)}"
-    for key, each in preflight["late"].items():
+    if (preflight["refusals"] or 0) > 1:
+        yield "hint", f"{robot} stops at the first refusal; later ones may follow from it"
+    for key, each in preflight["late"].items() if not preflight["joint_refusals"] else ():
         borne = f"{preflight[key]} {LATE[key]}"
         yield "hint", f"{robot} tolerates {borne}; one more, and it refuses: {_text(each)}"
 
@@ -124,8 +132,9 @@ def _text(refusal: Mapping[str, Any]) -> str:
     """Describe the first violation of a condition."""
     row = f" (row {refusal['row']})" if refusal["row"] else ""
     joint = f" {refusal['joint']}" if refusal["what"].endswith("joint") else ""
+    share = f" (in the run up to {refusal['share']:.3g} times it)" if "share" in refusal else ""
     return (
         f"{refusal['error']} at t = {refusal['time_s']:.3f} s{row}: {refusal['what']}{joint} is "
         f"{refusal['value']:.4g} {refusal['unit']}; the limit is {refusal['bound']:.4g} "
-        f"{refusal['unit']}; {refusal['remedy']}"
+        f"{refusal['unit']}{share}; {refusal['remedy']}"
     )

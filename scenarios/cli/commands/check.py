@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
 
 import typer
 
@@ -20,9 +19,10 @@ from ..options import (
     CONTROLLER,
     JSON,
     PLANT,
+    ROBOT,
     SETTINGS,
+    Robot,
     named_parts,
-    option,
     overrides,
     scenario_argument,
 )
@@ -36,7 +36,7 @@ def command(  # noqa: PLR0913 - one for each option
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
-    robot: Literal["fer", "fr3"] | None = option("--robot", "Real robot that judges the run."),
+    robot: Robot | None = ROBOT,
     json: bool = JSON,
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
@@ -50,7 +50,8 @@ def command(  # noqa: PLR0913 - one for each option
     libfranka's name of the error, the first time, value, limit, and what to change.
 
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
-    criterion could not be measured. Exit code 3: the robot would refuse it.
+    criterion or the robot's conditions could not be measured. Exit code 3: the robot would refuse
+    it.
 
     For an .fmu, its reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
     and the largest difference is printed. Exit code 3: it is beyond the tolerance.

@@ -16,10 +16,10 @@ from ...scenario.table import TrajectoryTable
 from ...scenario.writer import write_scenario
 from ...timing.demand import Shares, Timing
 from ..console import show, table, tell
-from ..options import SCENARIO, SETTINGS, assigned, find_scenario, option
+from ..options import ROBOT, SCENARIO, SETTINGS, Robot, assigned, find_scenario, option
 
 
-def command(
+def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO,
     out: Path | None = option(
         "--out -o DIR", "New folder. Default: NAME_fast, or NAME_feasible with --keep-times."
@@ -31,6 +31,7 @@ def command(
         max=1.0,
     ),
     keep_times: bool = option("--keep-times", "Only slow down rows that exceed the share.", False),
+    robot: Robot | None = ROBOT,
     assignments: list[str] | None = SETTINGS,
 ) -> None:
     """Fit a scenario's times to the robot's limits.
@@ -42,13 +43,15 @@ def command(
     With `--keep-times`, the rows stay as they are. Those that exceed the robot's limits get more
     time; the others keep theirs.
 
+    With `--robot fr3`, the times are for that arm, and the new scenario has `robot = "fr3"`.
+
     ```
     panda-cosim retime pick_and_place
     panda-cosim retime my-scenarios/hasty --keep-times
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
     """
-    chosen = with_options(*assigned(find_scenario(scenario), assignments))
+    chosen = with_options(*assigned(find_scenario(scenario), assignments, robot=robot))
     folder = out or Path(f"{chosen.name}_{'feasible' if keep_times else 'fast'}")
     check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
     tell(f"Timing {chosen.name} ...")

@@ -10,12 +10,13 @@ from ...run.folder import keep_scenario, refuse_existing
 from ...run.options import with_options
 from ...run.prepare import prepare
 from ..console import show, tell
-from ..options import SCENARIO, SETTINGS, assigned, find_scenario, option
+from ..options import ROBOT, SCENARIO, SETTINGS, Robot, assigned, find_scenario, option
 
 
 def command(
     scenario: str = SCENARIO,
     out: Path | None = option("--out -o DIR", "New folder. Default: NAME_routed."),
+    robot: Robot | None = ROBOT,
     assignments: list[str] | None = SETTINGS,
 ) -> None:
     """Plan a scenario's motion: any block, any place, past all obstacles.
@@ -25,12 +26,14 @@ def command(
     Its table also sets the arm's posture (`q1` to `q7`), and uses at most `timing_share` of the
     limits. The same input gives the same table. Needs OMPL: pip install 'panda-cosim[route]'.
 
+    With `--robot fr3`, the route is for that arm, and the new scenario has `robot = "fr3"`.
+
     ```
     panda-cosim route pick_and_place --out behind --set plant.block_pos=-0.4,0.3
     panda-cosim run behind
     ```
     """
-    chosen = with_options(*assigned(find_scenario(scenario), assignments))
+    chosen = with_options(*assigned(find_scenario(scenario), assignments, robot=robot))
     folder = out or Path(f"{chosen.name}_routed")
     refuse_existing(folder)
     tell(f"Planning {chosen.name} ...")
