@@ -293,8 +293,10 @@ def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, list[float]
 
 def cost_of(command: Sequence[object]) -> tuple[float, float]:
     """Run a command; return its wall time [s], and the most memory of one of its processes [MB]."""
+    # Modules of an editable install keep their byte code, too, as those that it imports do.
+    env = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
     start = clock.perf_counter()
-    with subprocess.Popen(list(map(str, command)), stdout=DEVNULL, stderr=PIPE) as process:
+    with subprocess.Popen([*map(str, command)], stdout=DEVNULL, stderr=PIPE, env=env) as process:
         message = process.stderr.read() if process.stderr else b""
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)

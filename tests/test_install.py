@@ -9,6 +9,7 @@ import subprocess
 import sys
 import sysconfig
 import zipfile
+from importlib.util import cache_from_source
 from pathlib import Path
 
 import pytest
@@ -106,20 +107,39 @@ def test_a_build_needs_headers_and_a_compiler_only_where_it_compiles(
     assert {re.split(r"\W", name)[0] for name in names} - {""} == needed, done.stderr
 
 
+def test_an_editable_install_compiles_modules_where_python_keeps_no_byte_code(
+    tmp_path: Path,
+) -> None:
+    source = copied_source(tmp_path)
+    code = "import build_backend; build_backend.build_editable('.')"
+    backend = str(source / "fmus" / "native")
+    python = {"PYTHONPATH": backend, "PYTHONDONTWRITEBYTECODE": "1"}
+    done = run(sys.executable, "-c", code, cwd=source, **python)
+    assert done.returncode == 0, done.stderr
+    modules = [path for folder in SOURCES for path in (source / folder).rglob("*.py")]
+    assert len(modules) > 200
+    assert [path for path in modules if not Path(cache_from_source(str(path))).is_file()] == []
+
+
 # --- A wheel ---------------------------------------------------------------------------------
+
+
+def copied_source(folder: Path) -> Path:
+    source = folder / "source"
+    source.mkdir()
+    skipped = shutil.ignore_patterns("__pycache__", "*.egg-info", "node_modules")
+    for name in SOURCES:
+        shutil.copytree(ROOT / name, source / name, ignore=skipped)
+    for name in FILES:
+        shutil.copy(ROOT / name, source)
+    return source
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Install a wheel into a fresh environment that has the other packages, and not the source."""
     folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
-    source.mkdir()
-    skipped = shutil.ignore_patterns("__pycache__", "*.egg-info")
-    for name in SOURCES:
-        shutil.copytree(ROOT / name, source / name, ignore=skipped)
-    for name in FILES:
-        shutil.copy(ROOT / name, source)
+    source = copied_source(folder)
     copy_libraries(source / "fmus" / "native" / "lib", "stepper")  # which the build compiles
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
     built = run(

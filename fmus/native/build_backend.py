@@ -7,6 +7,7 @@ compiler, since only a build can require ziglang, which contains one.
 
 from __future__ import annotations
 
+import compileall
 import shutil
 import sys
 import sysconfig
@@ -47,6 +48,9 @@ def build_editable(folder: str, config_settings: Any = None, metadata: str | Non
     """Make the editable install; where there is no compiler, compile before."""
     if _compiler():
         _compile()
+    for package in ("assets", "plant", "controller", "fmus", "scenarios"):
+        # As pip does with a wheel's modules, also where Python is told to keep no byte code.
+        compileall.compile_dir(ROOT / package, quiet=2)
     return str(build_meta.build_editable(folder, config_settings, metadata))
 
 
