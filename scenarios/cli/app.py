@@ -69,6 +69,7 @@ class LazyCommand(TyperCommand):
         command = load(name)
         if not gc.isenabled():  # see `main`
             gc.freeze()  # modules stay to the end
+            gc.set_threshold(20_000)  # objects; else a run has little garbage, and many searches
             gc.enable()
         return command.make_context(name, args, *more, **extra)
 
@@ -117,6 +118,7 @@ class Program(PlainFlags, TyperGroup):
                 traceback.print_exc()
             # An import that a signal breaks off may fail with an error of its own.
             code = ending.code or report(error)
+        gc.freeze()  # at its end, Python would search all that is left for garbage
         sys.exit(code)
 
 
