@@ -140,7 +140,7 @@ def test_bodies_are_where_mujoco_has_them(page: Page, view: Path, run: Path) -> 
     look(page, view)
     recording = Recording.open(run)
     ticks = np.random.default_rng(3).integers(0, recording.rows, 50)
-    check_poses(page, plant_model(recording), recording, ticks)
+    check_poses(page, plant_model(recording.metadata), recording, ticks)
 
 
 def test_the_curves_are_the_recording(page: Page, view: Path, run: Path) -> None:

@@ -9,16 +9,18 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
-from rich.table import Table
 from rich.text import Text
 
 from ...fmus.messages import printable
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 PLAIN_WIDTH = 160  # characters per line in a file or a pipe
 WIDEST = 10_000  # characters of a table's row
@@ -134,6 +136,8 @@ def table(
     title: str | None = None,
 ) -> Table:
     """Return a table; a column whose heading ends in * may wrap."""
+    from rich.table import Table  # noqa: PLC0415 - a run imports it while its FMUs step
+
     result = Table(
         box=box.SIMPLE_HEAD,
         title=title,

@@ -5,18 +5,17 @@ from __future__ import annotations
 import signal
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from shlex import quote
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
-from rich.table import Table
 
 from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError, SimulationError
@@ -35,6 +34,9 @@ from ..scenario.scenario import Scenario
 from . import INTERRUPTS
 from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
 from .options import announce_build
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
 NOT_A_SUCCESS = 3  # exit code
@@ -74,23 +76,26 @@ class Output:
     fps: float = 60.0  # of the video
 
 
-def simulate(
+def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
     scenario: Scenario,
     kind: Kind,
     output: Output,
     run: Callable[[Path, Progress], Run],
     *,
     early: bool = True,
+    values: Mapping[str, Any] | None = None,
 ) -> Run:
     """Run in a new folder; an error names the place of the recording.
 
-    `early`: modules that are needed afterwards are imported while the FMUs step.
+    `early`: modules that are needed afterwards are imported while the FMUs step, and the scene of
+    these parameters, by FMU, is described.
     """
     if output.junit is not None:
         check_replaceable(output.junit)
     # No warning: an overflow leads to a value that is not finite, which is an error.
     warnings.simplefilter("ignore", RuntimeWarning)
     began = time.monotonic()
+    get_ready = cache(partial(_get_ready, output.view, values))
     with claimed_folder(output.out, scenario.name) as folder:
         if not scenario.is_system:
             announce_build(Target(kind))
@@ -100,7 +105,7 @@ def simulate(
                 def hear(done: int, total: int) -> None:
                     update(done, total)
                     if early:
-                        _get_ready(output.view)
+                        get_ready()
 
                 return run(folder, hear)
         except SimulationError as error:
@@ -111,16 +116,18 @@ def simulate(
             raise CosimError(f"{error}{where}") from error
 
 
-@cache
-def _get_ready(view: bool) -> None:
+def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
     """Import in a thread what closes and draws a run; FMUs in C leave Python to it meanwhile."""
 
     def load() -> None:  # what fails here fails again where it is used
+        import_module("rich.table")
         import_module("pyarrow.parquet")
         if view:
-            import_module("PIL.PngImagePlugin")
+            import_module("PIL.Image").preinit()  # its formats
             import_module("..view.page", __package__).code_elements()
-            import_module("..view.export", __package__)
+            export = import_module("..view.export", __package__)
+            if values is not None:
+                export.described_model(export.plant_model({"parameters": values}))
 
     ThreadPoolExecutor(1).submit(load)
 

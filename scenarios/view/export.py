@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,9 @@ from .run import describe as describe_run
 
 VIEW_FILE: Final = "view.html"
 SUMMARY_FILE: Final = "summary.json"
+# Of runs with the same scene, and of one that was described while its FMUs stepped.
+described_model = lru_cache(maxsize=2)(describe_model)
+_drawn_scene = lru_cache(maxsize=2)(partial(load_scene, drawn=True))
 
 
 def write_view(runs: Sequence[Shown], path: Path) -> Path:
@@ -42,7 +46,7 @@ def contents(runs: Sequence[Shown]) -> Contents:
     models: dict[str, dict[str, Any]] = {}
     documents = []
     for index, run in enumerate(runs):
-        described = describe_model(run.model)
+        described = described_model(run.model)
         key = hashlib.sha256(json.dumps(described).encode()).hexdigest()[:12]
         models[key] = described
         against = runs[1].source if index == 0 and len(runs) > 1 else None
@@ -67,20 +71,20 @@ def show_source(
     if own is not None:
         return Shown(name, source, load_model(str(own)), None, summary)
     refuse_without_model(source)
-    physics = plant_model(source)
+    physics = plant_model(source.metadata)
     scene = str(source.metadata.get("scene") or DEFAULT_SCENE)
     look = physics if meshes == "never" else load_model(scene, meshes)
     # Another engine's contact forces cannot be computed by the installed one.
     return Shown(name, source, look, None if "mujoco" in source.metadata else physics, summary)
 
 
-def plant_model(source: RunData) -> Any:
-    """Compile the plant's model with a recording's scene, block mass and friction."""
-    plant = source.metadata.get("parameters", {}).get("plant", {})
+def plant_model(metadata: Mapping[str, Any]) -> Any:
+    """Return the plant's model with a recording's scene, block mass and friction."""
+    plant = metadata.get("parameters", {}).get("plant", {})
     values = {key: plant[key] for key in ("robot", "block_mass", "block_friction") if key in plant}
-    scene = source.metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
+    scene = metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
     try:
-        return load_scene(PlantParameters(scene=scene, **values), drawn=True)
+        return _drawn_scene(PlantParameters(scene=scene, **values))
     except (TypeError, ValueError) as error:
         raise InputError(f"the recording's plant cannot be drawn: {error}") from error
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any, Final, Protocol
@@ -77,12 +78,14 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         )
     thinning = Thinning.of(source.time)
     title, about = describe_run(source)
-    signals = _derived(source, thinning, against) + _signals(source, thinning, columns["qpos"])
+    with ThreadPoolExecutor(1) as second:  # zlib compresses without Python's lock
+        recorded = _signals(source, thinning, columns["qpos"], second)
+        contacts = _contacts(run)
+        signals = [*_derived(source, thinning, against), *recorded]
     known = {name for signal in signals for name in signal["columns"]}
     bounds = (
         story.bounds(robot_of(source.metadata)) if model_file(source) is None else {}
     )  # the robot's own
-    contacts = _contacts(run)
     notes = (thinning.words(), ROUNDING, contacts["words"] if contacts else "", *run.notes)
     notes = (*story.refusals_of(run.summary), *notes)
     return {
@@ -114,21 +117,28 @@ def _columns(source: RunData, signal: str) -> list[str]:
     return [name for name in source.columns if pattern.fullmatch(name)]
 
 
-def _signals(source: RunData, thinning: Thinning, positions: Sequence[str]) -> list[dict[str, Any]]:
-    """Return all recorded signals, each with its columns in one block."""
+def _signals(
+    source: RunData, thinning: Thinning, positions: Sequence[str], second: Executor
+) -> Iterator[dict[str, Any]]:
+    """Yield all recorded signals, each with its columns in one block; these are begun at once."""
     names = (name for name in source.columns if name != "time")
-    signals = []
-    for signal, group in groupby(names, key=lambda name: name.partition("[")[0]):
-        columns = list(group)
-        steps = [POSE_STEP if name in positions else None for name in columns]
-        signals.append({
-            "name": signal,
+    groups = [list(group) for _, group in groupby(names, key=_signal_of)]
+    curves = ([thinning.curve(source[n]) for n in columns] for columns in groups)
+    steps = [[POSE_STEP if n in positions else None for n in columns] for columns in groups]
+    return (
+        {
+            "name": _signal_of(columns[0]),
             "columns": columns,
             "units": [source.units.get(name, "") for name in columns],
             "words": source.descriptions.get(columns[0], ""),
-            **encode([thinning.curve(source[name]) for name in columns], steps),
-        })  # fmt: skip
-    return signals
+            **block,
+        }
+        for columns, block in zip(groups, second.map(encode, curves, steps), strict=True)
+    )
+
+
+def _signal_of(column: str) -> str:
+    return column.partition("[")[0]
 
 
 def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> list[dict[str, Any]]:

@@ -113,7 +113,8 @@ def command(  # noqa: PLR0913 - one for each option
     def run(folder: Path, update: Progress) -> Run:
         return run_prepared(prepared, folder, progress=update)
 
-    done = simulate(prepared.scenario, kind, output, run, early=not realtime)
+    early, values = not realtime, prepared.values
+    done = simulate(prepared.scenario, kind, output, run, early=early, values=values)
     conclude(done, output, realtime=realtime)
 
 
