@@ -32,6 +32,7 @@ _SHOWN: Final = ("input", "output", "parameter")
 _NAMES_NOTE: Final = "org.panda-cosim.names"  # annotation with names as in FMI 2.0
 _IDENTIFIER: Final = re.compile(r"[\w-]+", re.A)  # containers have the name of their file
 _ATTRIBUTES: Final = {**dict.fromkeys(BASES, "0"), "factor": "1", "offset": "0"}  # of a BaseUnit
+_NUMBER: Final = Variable("", (), "", "parameter", "fixed", "")  # what a bound is read as
 _FEW: Final = 4  # descriptions of an array's elements that are joined
 _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
@@ -236,11 +237,10 @@ def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
     kind = _KINDS.get(described.type, described.type)
     items = getattr(declared, "items", ())
     shape, is_structural = _shape(described, sizes), described.causality == STRUCTURAL
-    number = Variable(described.name, (), "", "parameter", "fixed", "")
 
     def bound(side: str) -> float | None:
         text = getattr(described, side) or getattr(declared, side, None)
-        return None if text is None else float(read_value(f"{place}: {side}", number, text))
+        return None if text is None else float(read_value(f"{place}: {side}", _NUMBER, text))
 
     variable = Variable(
         described.name,
