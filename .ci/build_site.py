@@ -23,9 +23,8 @@ from urllib.parse import unquote, urldefrag, urlsplit
 import html5lib
 import panda_cosim
 from gallery import gallery
-from panda_cosim.fmus.interface.sensors import SENSORS
-from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.bench_history import read
+from panda_cosim.fmus.interface.tables import INTERFACES, SENSORS
+from panda_cosim.scenarios.benchmark import read
 from panda_cosim.scenarios.cli.app import load
 from panda_cosim.scenarios.cli.commands import COMMANDS, ELSEWHERE
 from panda_cosim.scenarios.cli.commands.info import variables_markdown

@@ -12,7 +12,7 @@ SCENES: tuple[str, ...] = ("tabletop", "tutorial", "motors", "elastic")
 """Names of the complete scenes, in the files of `scene_file`. The first is the default."""
 
 ELASTIC: str = "elastic"
-"""The scene with elastic joints: the file of `tabletop`, to which `plant.elastic` adds rotors."""
+"""The scene with elastic joints: the file of `tabletop`, to which `plant.scene` adds rotors."""
 
 TORQUE_DRIVEN: str = "motors"
 """The scene whose arm is driven by motors."""

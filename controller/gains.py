@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
-from typing import Final
+from typing import Any, Final
 
 from ..assets.franka import (
     BLOCK_WIDTH,
@@ -44,111 +44,112 @@ OFFSET_LIMIT: Final[Six] = (20.0, 20.0, 20.0, 5.0, 5.0, 5.0)  # [N, N.m]
 CONTACT_TORQUE: Final[Seven] = (10.0, 10.0, 10.0, 10.0, 4.0, 4.0, 4.0)  # [N.m]
 COLLISION_TORQUE: Final[Seven] = (20.0, 20.0, 20.0, 20.0, 8.0, 8.0, 8.0)  # [N.m]
 
-
-# Lowest and highest allowed value of each: wide, but narrow enough to keep all sums finite.
-RANGES: Final[Mapping[str, tuple[float, float]]] = {
-    "kp": (0.0, 1e4),
-    "ki": (0.0, 1e6),
-    "kd": (0.0, 1e3),
-    "derivative_filter": (0.0, 1e3),
-    "integral_limit": (0.0, 1e3),
-    "base_ctrl": (-10.0, 10.0),
-    "ik_gain": (0.0, 1e4),
-    "error_filter": (0.0, 1e3),
-    "ik_damping": (0.0, 10.0),
-    "singular_damping": (0.0, 10.0),
-    "singular_value": (0.0, 10.0),
-    "linear_correction": (0.0, 1e3),
-    "linear_braking": (0.0, 1e4),
-    "angular_correction": (0.0, 1e3),
-    "angular_braking": (0.0, 1e4),
-    "posture": (-10.0, 10.0),
-    "posture_gain": (0.0, 1e4),
-    "servo_lag": (0.0, 10.0),
-    "servo_stiffness": (1.0, 1e9),
-    "gravity_feedforward": (0.0, 10.0),
-    "inertia_feedforward": (0.0, 10.0),
-    "limit_share": (1e-3, 100.0),  # above 1: shows what a command would need without limits
-    "reference_lead": (1e-6, 10.0),
-    "finger_speed": (0.0, 10.0),
-    "grip_force": (0.0, GRIP_FORCE_MAX),
-    "grip_width": (0.0, OPENING_MAX),
-    "grip_stiffness": (1.0, 1e6),
-    "stiffness": (1.0, 1e5),
-    "spring_force": (0.0, 1e4),
-    "spring_torque": (0.0, 1e4),
-    "damping_ratio": (0.0, 10.0),
-    "offset_rate": (0.0, 100.0),
-    "offset_limit": (0.0, 1e3),
-    "posture_stiffness": (0.0, 1e4),
-    "posture_damping": (0.0, 1e3),
-    "reading_delay": (0.0, 0.02),
-    "posture_follow_gain": (0.0, 1e4),
-    "observer_gain": (0.0, 1e4),
-    "lower_torque_threshold": (0.0, 1e6),
-    "upper_torque_threshold": (0.0, 1e6),
-}
 REACTIONS: Final = ("none", "stop", "yield")
+STIFFNESS_UNITS: Final = (*["N/m"] * 3, *["N.m/rad"] * 3)
+WRENCH_UNITS: Final = (*["N"] * 3, *["N.m"] * 3)
+
+
+def _gain(default: Any, unit: str | tuple[str, ...], low: float, high: float, text: str) -> Any:
+    """Return the field of a gain between two values: wide, but all sums stay finite."""
+    return field(default=default, metadata={"unit": unit, "range": (low, high), "text": text})
+
+
+def _switch(default: bool | str, text: str, choices: tuple[str, ...] = ()) -> Any:
+    """Return the field of a switch, or of one of several names."""
+    return field(default=default, metadata={"choices": choices, "text": text})
 
 
 @dataclass(frozen=True)
 class Gains:
     """Gains and switches of the controller; a ValueError refuses what is outside its `RANGES`."""
 
+    # fmt: off
     # True: a joint reference is integrated from the commanded velocity, and the PID acts on
     # reference minus measured. False: the PID acts on the joint error that the pseudo-inverse
     # gives, about `base_ctrl` (the tutorial's law).
-    use_reference: bool = True
-    kp: Seven = KP  # [1] proportional gain of each joint's PID
-    ki: Seven = _ZERO  # [1/s] integral gain
-    kd: Seven = _ZERO  # [s] derivative gain
-    derivative_filter: float = 0.005  # [s] time constant of the derivative's low-pass; 0: none
-    integral_limit: Seven = INTEGRAL_LIMIT  # [rad] largest magnitude of the integral part
-    base_ctrl: Seven = HOME_Q  # [rad] that the PID's output is added to, without reference
-    ik_gain: float = 50.0  # [1/s] rate at which a pose error is driven to zero
-    error_filter: float = 0.0  # [s] time constant of the pose error's low-pass; 0: none
-    ik_damping: float = 5e-3  # [1] of the least squares where joint limits bind
-    singular_damping: float = 0.04  # [1] at a singularity
-    singular_value: float = 0.06  # [1] smallest one of the Jacobian below which damping grows
-    linear_correction: float = 0.3  # [m/s] largest speed of the correction of a position error
-    linear_braking: float = 1.0  # [m/s^2] deceleration as the position error goes to zero
-    angular_correction: float = 1.0  # [rad/s] largest correction of an orientation error
-    angular_braking: float = 3.0  # [rad/s^2] deceleration as the orientation error goes to zero
-    posture: Seven = HOME_Q  # [rad] joint positions that the null space is pulled to
-    posture_gain: Seven = POSTURE_GAIN  # [1/s] rate of that pull
-    servo_lag: Seven = SERVO_LAG  # [s] of each servo behind a ramp, fed forward
-    servo_stiffness: Seven = SERVO_STIFFNESS  # [N.m/rad] scales forces to angles
-    gravity_feedforward: Seven = _ONE  # [1] share of the bias force that is fed forward
-    inertia_feedforward: Seven = _ONE  # [1] share of the inertia force that is fed forward
-    limit_share: float = 0.99  # [1] of the robot's limits that the joint reference may use
-    reference_lead: float = 0.01  # [rad] how far the reference may run ahead of a blocked joint
-    finger_speed: float = 0.047  # [m/s] of each finger's command; 0: unlimited
-    # [N] of each finger on what is held, wherever the commanded opening is less than `grip_width`;
-    # 0: the fingers go to the opening.
-    grip_force: float = 0.0
-    grip_width: float = BLOCK_WIDTH  # [m] of what is held
-    grip_stiffness: float = GRIP_STIFFNESS  # [N/m] of a finger's servo: an opening is a force
-    # [s] age of the readings. They are compared with the command and the reference of their time.
-    reading_delay: float = 0.0
-    # True: the null space follows the commanded posture, instead of the pulls to `posture` and away
-    # from the joints' ends.
-    follow_posture: bool = False
-    posture_follow_gain: float = 20.0  # [1/s] rate at which an error of that posture goes to zero
-    observer: bool = False  # observe external torques, also without a reaction
-    observer_gain: float = 500.0  # [1/s] inverse of its time constant
-    lower_torque_threshold: Seven = CONTACT_TORQUE  # [N.m] external torque that is a contact
-    upper_torque_threshold: Seven = COLLISION_TORQUE  # [N.m] that is a collision
-    reaction: str = "none"  # to a collision, one of `REACTIONS`
-    robot: str = DEFAULT_ROBOT  # whose arm and limits it is, one of `franka.ROBOTS`
-    impedance: bool = False  # torques of `ImpedanceLaw` for motors, instead of servo targets
-    stiffness: Six = STIFFNESS  # [N/m, N.m/rad] of the hand, along and about the world's axes
-    spring_force: float = 60.0  # [N] largest force of these springs
-    spring_torque: float = 10.0  # [N.m] largest torque
-    damping_ratio: float = 1.0  # [1] of each mode of the hand on these springs
-    offset_rate: float = 4.0  # [1/s] at which the wrench that the model lacks is found
-    offset_limit: Six = OFFSET_LIMIT  # [N, N.m] largest such wrench
-    posture_stiffness: float = 20.0  # [N.m/rad] of each joint in the null space
-    posture_damping: float = 4.0  # [N.m.s/rad] the same
+    use_reference: bool = _switch(True, "Integrate a joint reference; false: the tutorial's law")
+    kp: Seven = _gain(KP, "1", 0.0, 1e4, "Proportional gain of each joint's PID")
+    ki: Seven = _gain(_ZERO, "1/s", 0.0, 1e6, "Integral gain of each joint's PID")
+    kd: Seven = _gain(_ZERO, "s", 0.0, 1e3, "Derivative gain of each joint's PID")
+    derivative_filter: float = _gain(0.005, "s", 0.0, 1e3, "Time constant of the derivative's "
+                                     "low-pass; 0: none")
+    integral_limit: Seven = _gain(INTEGRAL_LIMIT, "rad", 0.0, 1e3, "Largest magnitude of the PID's "
+                                  "integral part")
+    base_ctrl: Seven = _gain(HOME_Q, "rad", -10.0, 10.0, "Servo targets that the PID's output is "
+                             "added to if use_reference is false")
+    ik_gain: float = _gain(50.0, "1/s", 0.0, 1e4, "Rate at which a pose error is driven to zero")
+    error_filter: float = _gain(0.0, "s", 0.0, 1e3, "Time constant of the pose error's low-pass; "
+                                "0: none")
+    ik_damping: float = _gain(5e-3, "1", 0.0, 10.0, "Damping of the least squares where joint "
+                              "limits bind")
+    singular_damping: float = _gain(0.04, "1", 0.0, 10.0, "Damping at a singularity")
+    singular_value: float = _gain(0.06, "1", 0.0, 10.0, "Smallest singular value of the Jacobian "
+                                  "below which damping grows")
+    linear_correction: float = _gain(0.3, "m/s", 0.0, 1e3, "Largest speed of the correction of a "
+                                     "position error")
+    linear_braking: float = _gain(1.0, "m/s2", 0.0, 1e4, "Deceleration as the position error goes "
+                                  "to zero")
+    angular_correction: float = _gain(1.0, "rad/s", 0.0, 1e3, "Largest speed of the correction of "
+                                      "an orientation error")
+    angular_braking: float = _gain(3.0, "rad/s2", 0.0, 1e4, "Deceleration as the orientation error "
+                                   "goes to zero")
+    posture: Seven = _gain(HOME_Q, "rad", -10.0, 10.0, "Joint positions that the null space is "
+                           "pulled to")
+    posture_gain: Seven = _gain(POSTURE_GAIN, "1/s", 0.0, 1e4, "Rate at which the null space is "
+                                "pulled to the posture")
+    servo_lag: Seven = _gain(SERVO_LAG, "s", 0.0, 10.0, "Lag of each servo behind a ramp, fed "
+                             "forward")
+    servo_stiffness: Seven = _gain(SERVO_STIFFNESS, "N.m/rad", 1.0, 1e9, "Stiffness of each servo")
+    gravity_feedforward: Seven = _gain(_ONE, "1", 0.0, 10.0, "Share of the bias force that is fed "
+                                       "forward")
+    inertia_feedforward: Seven = _gain(_ONE, "1", 0.0, 10.0, "Share of the inertia force that is "
+                                       "fed forward")
+    # Above 1, it shows what a command would need without limits.
+    limit_share: float = _gain(0.99, "1", 1e-3, 100.0, "Share of the robot's limits that the joint "
+                               "reference may use")
+    reference_lead: float = _gain(0.01, "rad", 1e-6, 10.0, "How far the joint reference may run "
+                                  "ahead of a blocked joint")
+    finger_speed: float = _gain(0.047, "m/s", 0.0, 10.0, "Speed of each finger's command; 0: "
+                                "unlimited")
+    grip_force: float = _gain(0.0, "N", 0.0, GRIP_FORCE_MAX, "Force of each finger wherever the "
+                              "commanded opening is less than grip_width; 0: the fingers go to the "
+                              "opening")
+    grip_width: float = _gain(BLOCK_WIDTH, "m", 0.0, OPENING_MAX, "Width of what is held")
+    grip_stiffness: float = _gain(GRIP_STIFFNESS, "N/m", 1.0, 1e6, "Stiffness of each finger's "
+                                  "servo")
+    reading_delay: float = _gain(0.0, "s", 0.0, 0.02, "Age of the measured inputs, to the nearest "
+                                 "period; they are compared with the command and the reference of "
+                                 "their own time")
+    follow_posture: bool = _switch(False, "The null space follows posture_cmd, instead of the "
+                                   "pulls to posture and away from the joints' ends")
+    posture_follow_gain: float = _gain(20.0, "1/s", 0.0, 1e4, "Rate at which an error of the "
+                                       "commanded posture goes to zero")
+    observer: bool = _switch(False, "Compute external_torque, external_force and joint_contact, "
+                             "also without a reaction")
+    observer_gain: float = _gain(500.0, "1/s", 0.0, 1e4, "Inverse of the observer's time constant")
+    lower_torque_threshold: Seven = _gain(CONTACT_TORQUE, "N.m", 0.0, 1e6,
+                                          "External torque above which a joint is in contact")
+    upper_torque_threshold: Seven = _gain(COLLISION_TORQUE, "N.m", 0.0, 1e6,
+                                          "External torque above which a joint collides")
+    reaction: str = _switch("none", "What the arm does once a joint has collided, until it is "
+                            "none: none; stop (hold the joints where they are); yield (give way, "
+                            "held up against gravity alone); with impedance always none", REACTIONS)
+    robot: str = _switch(DEFAULT_ROBOT, "Arm whose model and limits are used: panda (Franka Emika "
+                         "Panda) or fr3 (Franka Research 3)", tuple(ROBOTS))
+    impedance: bool = _switch(False, "Torques of a Cartesian impedance for the scene motors, "
+                              "instead of servo targets")
+    stiffness: Six = _gain(STIFFNESS, STIFFNESS_UNITS, 1.0, 1e5, "Of the hand, along and about the "
+                           "world's axes")
+    spring_force: float = _gain(60.0, "N", 0.0, 1e4, "Largest force of these springs")
+    spring_torque: float = _gain(10.0, "N.m", 0.0, 1e4, "Largest torque of these springs")
+    damping_ratio: float = _gain(1.0, "1", 0.0, 10.0, "Of each mode of the hand on these springs")
+    offset_rate: float = _gain(4.0, "1/s", 0.0, 100.0, "Rate at which the wrench that the law's "
+                               "model lacks is found, but not along axes of a commanded force")
+    offset_limit: Six = _gain(OFFSET_LIMIT, WRENCH_UNITS, 0.0, 1e3, "Largest such wrench")
+    posture_stiffness: float = _gain(20.0, "N.m/rad", 0.0, 1e4, "Of each joint to the posture, in "
+                                     "the null space")
+    posture_damping: float = _gain(4.0, "N.m.s/rad", 0.0, 1e3, "Of each joint, in the null space")
+    # fmt: on
 
     @property
     def law(self) -> str:
@@ -176,6 +177,10 @@ class Gains:
                     )
 
 
+# Lowest and highest allowed value of each gain.
+RANGES: Final[Mapping[str, tuple[float, float]]] = {
+    gain.name: gain.metadata["range"] for gain in fields(Gains) if "range" in gain.metadata
+}
 DEFAULT: Final = Gains()
 
 # Gains, base and order of terms of the published tutorial (Collimator, Panda pick and place).

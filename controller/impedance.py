@@ -10,12 +10,18 @@ import numpy as np
 from ..assets.franka import JOINT_DAMPING, ROBOTS, TORQUE_MAX, TORQUE_RATE_MAX
 from .gains import Gains
 from .ik import pose_error
-from .late import KEPT, Late
 from .limits import clamp
-from .linalg import damped_factor, geometric_mean, inverse, mat_mat_t, mat_t_vec, mat_vec
+from .linalg import (
+    damped_factor,
+    geometric_mean,
+    inverse,
+    manipulability,
+    mat_mat_t,
+    mat_t_vec,
+    mat_vec,
+)
 from .model import ArmModel
-from .signals import Layout, Vector, Views
-from .singularity import manipulability
+from .signals import KEPT, Late, Layout, Vector, Views
 
 # Added to the inverse of the hand's inertia, which bounds the inertia near singularities.
 COMPLIANCE: Final = 1e-3  # [1/kg, 1/(kg m^2)]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets.franka import PANDA
-from ..assets.robots import RobotLimits
+from ..assets.franka import PANDA, RobotLimits
 
 Vector = NDArray[np.float64]
 Box = NDArray[np.float64]  # rows lowest and highest joint velocity (2, 7) [rad/s]

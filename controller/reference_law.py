@@ -17,18 +17,17 @@ from .ik import (
     null_space_part,
     pose_error,
 )
-from .late import KEPT, Late
 from .limits import JointLimits, clamp, within
-from .linalg import damped_factor
-from .model import ArmModel
-from .pid import PID_STATE, Pid
-from .signals import Layout, Vector, Views
-from .singularity import (
+from .linalg import (
+    damped_factor,
     find_weak_direction,
     manipulability,
     singular_damping,
     smallest_singular_value,
 )
+from .model import ArmModel
+from .pid import PID_STATE, Pid
+from .signals import KEPT, Late, Layout, Vector, Views
 
 
 class ReferenceLaw:

@@ -8,11 +8,9 @@ import numpy as np
 
 from .gains import Gains
 from .ik import pose_error
-from .late import KEPT, Late
-from .linalg import cholesky_solve, damped_factor, mat_t_vec
+from .linalg import cholesky_solve, damped_factor, manipulability, mat_t_vec
 from .pid import PID_STATE, Pid
-from .signals import Layout, Views
-from .singularity import manipulability
+from .signals import KEPT, Late, Layout, Views
 
 
 class TutorialLaw:

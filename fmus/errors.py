@@ -1,8 +1,81 @@
-"""The project's errors, and the exit code of each."""
+"""The project's errors, the exit code of each, and the text in their messages.
+
+Text is on one line, printable, with the nearest valid name.
+"""
 
 from __future__ import annotations
 
-from .messages import printable
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Final
+from unicodedata import category
+
+EXCERPT_LENGTH: Final = 60  # [character] a longer value would bury the message
+LINE_LENGTH: Final = 300  # [character] of other programs' messages
+TEXT_LENGTH: Final = 1000  # [character] of one text on a page
+HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode categories
+
+
+def printable(text: str) -> str:
+    """Return text with line breaks and control characters escaped.
+
+    File names and messages of FMUs may contain any, and a terminal would act on them.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
+
+
+def one_line(said: object, limit: int = LINE_LENGTH) -> str:
+    """Return foreign text, or an exception's message, as one printable line."""
+    words = " ".join(str(said)[: 4 * limit].split())[:limit]
+    return printable(words) or (type(said).__name__ if isinstance(said, BaseException) else "")
+
+
+def excerpt(value: object) -> str:
+    """Show a value on one line, shortened."""
+    if isinstance(value, str):
+        value = value[: EXCERPT_LENGTH + 1]
+    elif isinstance(value, int) and value.bit_length() > 256:
+        return f"an integer of {value.bit_length()} bits"  # Python cannot print the largest
+    text = ascii(value)
+    return text if len(text) <= EXCERPT_LENGTH else f"{text[: EXCERPT_LENGTH - 3]}..."
+
+
+def nearest(name: str, valid: Iterable[str]) -> str | None:
+    """Return the valid name that is nearest to a mistyped one, or None if none is near."""
+    lowered = {candidate.lower(): candidate for candidate in valid}
+    near = get_close_matches(name[:EXCERPT_LENGTH].lower(), lowered, n=1, cutoff=0.5)
+    return lowered[near[0]] if near else None
+
+
+def did_you_mean(name: str, valid: Iterable[str]) -> str:
+    """Return "; did you mean 'x'?" to append to a message, or "" if no valid name is near."""
+    near = nearest(name, valid)
+    return f"; did you mean {near!r}?" if near else ""
+
+
+def legible(text: str, limit: int | None = None) -> str:
+    """Return foreign text for a page, with characters that are not seen written as escapes.
+
+    Control characters and marks of direction could turn the page's own words around, and HTML
+    cannot hold all of them. Line breaks and tabs stay, and so do the joiners that scripts need.
+    """
+    if limit is not None and len(text) > limit:
+        text = f"{text[: limit - 1]}…"
+    if text.isprintable():
+        return text
+    return "".join(_seen(char) for char in text.replace("\r\n", "\n"))
+
+
+def shown(value: object, limit: int | None = TEXT_LENGTH) -> object:
+    """Return a text as a page shows it, see `legible`; anything else, and HTML, as it is."""
+    return legible(value, limit) if type(value) is str else value
+
+
+def _seen(char: str) -> str:
+    is_hidden = category(char) in HIDDEN and char not in "\n\t\u200c\u200d"
+    return ascii(char)[1:-1] if is_hidden else char
 
 
 class CosimError(Exception):

@@ -18,8 +18,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from .atomic import in_cache
-from .errors import InputError
-from .messages import excerpt, one_line
+from .errors import InputError, excerpt, one_line
 
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 

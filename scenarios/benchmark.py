@@ -1,7 +1,8 @@
 """Measures the cost of a co-simulation step, compared with the physics alone and another loop.
 
 All ways take turns in chunks of some milliseconds over the same scenario, again and again, so
-that their ratios are also valid on a machine with other load.
+that their ratios are also valid on a machine with other load. The history has a line of JSON a run;
+it tells whether a ratio has become worse.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
+from statistics import median
 from subprocess import DEVNULL, PIPE
 from typing import Any, Final
 
@@ -26,10 +30,12 @@ from fmpy.simulation import apply_start_values, instantiate_fmu
 from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE
-from ..fmus.errors import CosimError
-from ..fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
+from ..fmus.errors import CosimError, InputError, excerpt
+from ..fmus.interface.controller import COMMANDS
+from ..fmus.interface.tables import CONNECTIONS, INTERFACES
 from ..fmus.master.fmu_file import Fmu
 from ..fmus.master.system import OpenSystem, System, open_system
+from ..fmus.processes import run
 from ..fmus.sources.targets import Kind
 from ..plant.plant import Plant, PlantParameters
 from ..plant.scene import load_scene
@@ -314,3 +320,58 @@ def _machine() -> dict[str, str]:
         "python": platform.python_version(),
         **{package: version(package) for package in PACKAGES},
     }
+
+
+LAST: Final = 10  # earlier lines whose median counts
+FEWEST: Final = 3  # fewer have no median
+SLACK: Final = 1.05  # a ratio of the median from which a ratio is worse
+HIGHER_IS_BETTER: Final = ("b/c",)
+Line = dict[str, Any]
+
+
+def append(path: Path, result: BenchResult, kind: str) -> list[Line]:
+    """Append a run to a history, and return all lines of its kind and machine, the new one last."""
+    machine = {key: result.machine[key] for key in ("processor", "cores", "system")}
+    same = {"kind": kind, "machine": machine}
+    ratios = {name: ratio.median for name, ratio in result.ratios.items()}
+    ratios |= {name: value for name, value in result.figures.items() if "_by_" in name}
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    new = {"date": date, "commit": _commit(), **same, "ratios": ratios}
+    earlier = [line for line in read(path) if same.items() <= line.items()]
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(new) + "\n")
+    return [*earlier, new]
+
+
+def read(path: Path) -> list[Line]:
+    """Return the lines of a history; a file that is not there has none."""
+    lines = []
+    for number, text in enumerate(path.read_text("utf-8").splitlines() if path.exists() else (), 1):
+        try:
+            lines.append(json.loads(text))
+            usable = min(lines[-1]["ratios"].values()) > 0.0
+        except (ValueError, TypeError, KeyError, AttributeError):
+            usable = False
+        if not usable:
+            place = f"{path}: line {number}"
+            raise InputError(f"{place}: {excerpt(text)}; must be a line of `bench --history`")
+    return lines
+
+
+def compared(lines: list[Line]) -> dict[str, tuple[float, float | None, bool]]:
+    """By ratio: the newest, the median of the last ones before it, and whether it is worse."""
+    result = {}
+    for name, now in lines[-1]["ratios"].items():
+        last = [line["ratios"][name] for line in lines[:-1] if name in line["ratios"]][-LAST:]
+        before = median(last) if len(last) >= FEWEST else None
+        change = 1.0 if before is None else now / before
+        result[name] = now, before, (1 / change if name in HIGHER_IS_BETTER else change) > SLACK
+    return result
+
+
+def _commit() -> str:
+    """Commit of the code, or "" if it is not a checkout."""
+    try:
+        return run(["git", "rev-parse", "--short", "HEAD"], Path(__file__).parent).stdout.strip()
+    except OSError:  # there is no git
+        return ""

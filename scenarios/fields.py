@@ -24,8 +24,7 @@ from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import CoreSchema, core_schema
 
-from ..fmus.errors import InputError
-from ..fmus.messages import did_you_mean, excerpt
+from ..fmus.errors import InputError, did_you_mean, excerpt
 
 T = TypeVar("T")
 Loc = tuple[str | int, ...]

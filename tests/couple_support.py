@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.fmus.build.libraries import PLATFORMS, includes
-from panda_cosim.fmus.interface.tables import COMMANDS, INTERFACES
-from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.interface.controller import COMMANDS
+from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.master.system import System
 from panda_cosim.fmus.sources.targets import Kind, Target, build, build_trajectory
 from panda_cosim.scenarios.run.options import Options

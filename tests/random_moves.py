@@ -36,7 +36,7 @@ from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.scenario.limits import shares, torque_rates
 from panda_cosim.scenarios.scenario.trajectory import Trajectory
-from panda_cosim.scenarios.timing.stretch import stretched
+from panda_cosim.scenarios.timing.optimal import stretched
 from random_tasks import connect
 
 Array = NDArray[np.float64]

@@ -10,8 +10,7 @@ from typing import Any
 import pyarrow as pa
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.design import Design, make_design
-from panda_cosim.scenarios.sweep.row import Job, command
-from panda_cosim.scenarios.sweep.scenarios import load_scenarios
+from panda_cosim.scenarios.sweep.row import Job, command, load_scenarios
 from panda_cosim.scenarios.sweep.store import Store, schema
 
 SETTINGS = """\

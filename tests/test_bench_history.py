@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 from panda_cosim import InputError
-from panda_cosim.scenarios.bench_history import append, compared, read
-from panda_cosim.scenarios.benchmark import FIGURES, BenchResult, Spread
+from panda_cosim.scenarios.benchmark import FIGURES, BenchResult, Spread, append, compared, read
 from panda_cosim.scenarios.cli.commands.bench import GROWTH, WORSE, show_changes
 from panda_cosim.scenarios.pictures.plot import plot_history
 

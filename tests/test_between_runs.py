@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.compare.between_runs import compare
-from panda_cosim.scenarios.compare.formats import numbers
+from panda_cosim.scenarios.compare.differences import numbers
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.recording import Recording
 from regress_support import SUMMARY, columns, record

@@ -10,11 +10,11 @@ import pytest
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.model_fmu import model_part
-from panda_cosim.scenarios.judging.bodies import check_bodies, judge_bodies
+from panda_cosim.scenarios.judging.signals import check_bodies, judge_bodies
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.start import check_criteria
+from panda_cosim.scenarios.scenario.criteria import BodyCriterion
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.scenario.success import BodyCriterion
 from panda_cosim.scenarios.system.assembly import assemble
 
 EVENTS: dict[str, float | None] = {"start": 0.0, "end": 1.0, "release": None}

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference, tube
-from panda_cosim.scenarios.compare.formats import multiple
+from panda_cosim.scenarios.compare.differences import multiple
 from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.scenario.tolerances import COMPARED, SIGNALS, Tolerances
 from regress_support import METADATA, NO_SUCCESS, ROWS, SUMMARY, UNITS, columns, record

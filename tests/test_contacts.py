@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from panda_cosim import load_scenario, run_scenario
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.plant.contacts import SUPPORT, UNWANTED, contacts_of, kinds_of
-from panda_cosim.plant.plant import Plant, PlantParameters
+from panda_cosim.plant.plant import SUPPORT, UNWANTED, Plant, PlantParameters, contacts_of, kinds_of
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.cli.outcome import outcome_lines
 from panda_cosim.scenarios.judging.contacts import unwanted_contacts
 from panda_cosim.scenarios.run.summary import Summary, summarize
+from panda_cosim.scenarios.scenario.criteria import Success
 from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.success import Success
 from panda_cosim.scenarios.scenario.writer import write_scenario
 from random_tasks import Course, run_plain
 

@@ -20,9 +20,8 @@ from panda_cosim.scenarios.fields import field_names
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.judging.holds import find_holds
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.criteria import EVENTS
+from panda_cosim.scenarios.scenario.criteria import EVENTS, Success
 from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.success import Success
 
 Array = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from forked import command as cli
 from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.controller.ik import box_least_squares
 from panda_cosim.fmus.atomic import cache_folder
-from panda_cosim.fmus.build.engines import made_with
+from panda_cosim.fmus.build.libraries import made_with
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.scenarios.compare.compare import compare_with_reference
-from panda_cosim.scenarios.compare.engines import difference_of
 from panda_cosim.scenarios.compare.reference import Reference
+from panda_cosim.scenarios.compare.regress import difference_of
 from panda_cosim.scenarios.run.options import Options, with_values
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.run.run import run_scenario

@@ -24,8 +24,7 @@ from panda_cosim.fmus.build.description import Layout, described
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.inside.base import LOG_CATEGORIES
-from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_slave

@@ -11,7 +11,7 @@ from fmu_instance import OK, STEP, Instance, Unpacked
 from numpy.typing import NDArray
 from panda_cosim.fmus.inside.trajectory import NAMES
 from panda_cosim.fmus.interface.controller import COMMANDS, CONTROLLER
-from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.interface.tables import TRAJECTORY
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import Target, build_trajectory
 from panda_cosim.scenarios.run.start import instants, resolve, start_values

@@ -8,7 +8,7 @@ import pytest
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.check.rehearsal import rehearse, weakest_grip
+from panda_cosim.scenarios.check.check import rehearse, weakest_grip
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable

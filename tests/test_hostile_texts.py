@@ -24,8 +24,8 @@ from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
 from live_support import READY
 from panda_cosim.fmus.build.description import Layout, documentation, members
 from panda_cosim.fmus.build.native import NativeFmu
-from panda_cosim.fmus.interface.sensors import SENSORS
-from panda_cosim.fmus.messages import TEXT_LENGTH, legible, printable
+from panda_cosim.fmus.errors import TEXT_LENGTH, legible, printable
+from panda_cosim.fmus.interface.tables import SENSORS
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
 from panda_cosim.scenarios.cli.outcome import verdict_table
 from panda_cosim.scenarios.compare.between_runs import RunComparison, compare

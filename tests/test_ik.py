@@ -18,14 +18,14 @@ from panda_cosim.controller.ik import (
     damped_least_squares,
     pose_error,
 )
-from panda_cosim.controller.linalg import damped_factor
-from panda_cosim.controller.model import ArmModel, load_arm
-from panda_cosim.controller.singularity import (
+from panda_cosim.controller.linalg import (
+    damped_factor,
     find_weak_direction,
     manipulability,
     singular_damping,
     smallest_singular_value,
 )
+from panda_cosim.controller.model import ArmModel, load_arm
 
 Array = NDArray[np.float64]
 

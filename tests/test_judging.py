@@ -24,9 +24,8 @@ from panda_cosim.scenarios.judging.criterion import (
 from panda_cosim.scenarios.judging.signals import REDUCE, check_signals, judge_signals
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.start import check_criteria
-from panda_cosim.scenarios.scenario.criteria import REDUCTIONS, SignalCriterion
+from panda_cosim.scenarios.scenario.criteria import REDUCTIONS, SignalCriterion, Success
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.scenario.success import Success
 from panda_cosim.scenarios.scenario.writer import write_scenario
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
-from panda_cosim.fmus.master.kernel import load_stepper
+from panda_cosim.fmus.master.step import load_stepper
 from panda_cosim.fmus.master.system import System, open_system
 from toy_fmu import INDICES, toy_fmu
 
@@ -79,7 +79,7 @@ def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
     given_values = np.random.default_rng(1).normal(size=(count + 1, len(system.external)))
     given_values[plan.get("spoilt", count) :] *= np.nan
     with (
-        patch("panda_cosim.fmus.master.kernel.load_stepper", stepper),
+        patch("panda_cosim.fmus.master.step.load_stepper", stepper),
         open_system(system, plan["start"], stop=1.0 + count * TICK, coupling=plan["coupling"])
         as opened,
     ):  # fmt: skip

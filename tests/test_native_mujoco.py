@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from panda_cosim.assets import SCENES
 from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, load, model_fmu
-from panda_cosim.plant.parameters import YAW_RANGE
+from panda_cosim.plant.parameters import RANGES
 from panda_cosim.plant.plant import OUTPUTS, Plant, PlantParameters
 
 pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
@@ -195,7 +195,7 @@ def places() -> Any:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.sampled_from(SCENES), places(), places(), st.floats(*YAW_RANGE))
+@given(st.sampled_from(SCENES), places(), places(), st.floats(*RANGES["block_yaw"]))
 def test_both_plants_agree_on_where_the_block_can_start(
     scene: str, x: float, y: float, yaw: float
 ) -> None:

@@ -19,7 +19,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.scenario.trajectory import StartPose
 from panda_cosim.scenarios.scenario.writer import write_scenario
-from panda_cosim.scenarios.timing.joint_reference import joint_reference
+from panda_cosim.scenarios.timing.demand import joint_reference
 
 END = np.array([1.2, -0.3, 0.9, -1.8, 0.7, 1.9, -0.5])  # rad: the elbow leaves the vertical plane
 DURATION = 2.0  # s

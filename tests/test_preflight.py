@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from panda_cosim import Recording, load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import ArmModel
+from panda_cosim.scenarios.judging.limits import CHECKS, outcome
 from panda_cosim.scenarios.judging.preflight import preflight
-from panda_cosim.scenarios.judging.refusals import CHECKS, outcome
 from panda_cosim.scenarios.sweep.row import metrics
-from panda_cosim.scenarios.view import story
+from panda_cosim.scenarios.view import run
 from random_tasks import run_in_memory
 from scipy.spatial.transform import Rotation
 
@@ -474,14 +474,14 @@ def test_the_first_row_of_jacobi_coupling_has_no_command_yet(
 
 def test_view_and_sweeps_have_what_the_summary_has(fast: tuple[dict[str, Any], Recording]) -> None:
     told = fast[0]["preflight"]
-    lines = story.refusals_of(fast[0])
+    lines = run.refusals_of(fast[0])
     assert [line.split()[2] for line in lines] == [
         each["error"] for each in told["findings"] if each["interface"] in ("joint", "arm")
     ][: told["refusals"]]
-    bars = {bar["name"]: bar["shares"] for bar in story.limits_of(fast[0])}
+    bars = {bar["name"]: bar["shares"] for bar in run.limits_of(fast[0])}
     assert bars["fr3: joint jerk"] == told["joint_jerk_share"]
     assert "fr3: torque rate" not in bars  # of another interface
-    assert story.refusals_of({"preflight": {"robot": 1}}) == story.refusals_of({}) == []
+    assert run.refusals_of({"preflight": {"robot": 1}}) == run.refusals_of({}) == []
     groups = ["events", "tracking", "orientation", "block", "contact", "limits", "energy", "timing"]
     content: dict[str, Any] = {group: {} for group in groups} | {"preflight": told}
     columns = dict(metrics(SimpleNamespace(**content)))

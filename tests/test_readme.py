@@ -14,7 +14,7 @@ import pytest
 from nbclient import NotebookClient
 from panda_cosim import Scenario
 from panda_cosim.scenarios.cli.commands import COMMANDS
-from panda_cosim.scenarios.scenario.success import Success
+from panda_cosim.scenarios.scenario.criteria import Success
 from panda_cosim.scenarios.scenario.table import COLUMNS
 
 ROOT = Path(__file__).parent.parent

@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim import Run, load_scenario
-from panda_cosim.scenarios.check.check import check_folder
-from panda_cosim.scenarios.check.rehearsal import findings, rehearse, weakest_grip
+from panda_cosim.scenarios.check.check import check_folder, findings, rehearse, weakest_grip
 from panda_cosim.scenarios.run.options import Options, with_values
 from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import run_scenario

@@ -32,8 +32,7 @@ from panda_cosim.scenarios.pictures.motion import (
     slerp,
 )
 from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer, describe_gl
-from panda_cosim.scenarios.pictures.sheet import contact_sheet
-from panda_cosim.scenarios.pictures.video import find_ffmpeg, render_video
+from panda_cosim.scenarios.pictures.video import contact_sheet, find_ffmpeg, render_video
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.scenario.criteria import HELD_FORCE
 from PIL import Image

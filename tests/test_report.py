@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from browser import Page
 from crafted_texts import HOSTILE
-from panda_cosim.fmus.messages import TEXT_LENGTH, legible
+from panda_cosim.fmus.errors import TEXT_LENGTH, legible
 from panda_cosim.scenarios.compare.compare import compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.compare.regress import Outcome

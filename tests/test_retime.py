@@ -20,7 +20,7 @@ from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.scenario.trajectory import Trajectory
 from panda_cosim.scenarios.scenario.writer import write_scenario
-from panda_cosim.scenarios.timing.path import motions
+from panda_cosim.scenarios.timing.time_law import motions
 
 SHARE = 0.8
 BLEND = 0.04  # [m]

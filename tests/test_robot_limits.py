@@ -18,8 +18,8 @@ from panda_cosim.scenarios.judging.limits import (
     limit_shares,
 )
 from panda_cosim.scenarios.run.summary import summarize
+from panda_cosim.scenarios.scenario.criteria import Success
 from panda_cosim.scenarios.scenario.limits import torque_rates
-from panda_cosim.scenarios.scenario.success import Success
 from random_tasks import run_plain
 
 TICKS = 20

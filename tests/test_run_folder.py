@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from panda_cosim import Options, Recording, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.run.folder import claimed_folder, default_folder
+from panda_cosim.scenarios.scenario.criteria import Success
 from panda_cosim.scenarios.scenario.scenario import Push
-from panda_cosim.scenarios.scenario.success import Success
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.scenario.tolerances import Tolerances
 from panda_cosim.scenarios.scenario.writer import make_scenario

@@ -17,8 +17,8 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.scenarios.cli.outcome import outcome_lines
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.summary import summarize
+from panda_cosim.scenarios.scenario.criteria import Success
 from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.success import Success
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]

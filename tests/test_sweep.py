@@ -20,7 +20,7 @@ from panda_cosim.scenarios.sweep.definition import (
 )
 from panda_cosim.scenarios.sweep.design import keys_without_effect, make_design
 from panda_cosim.scenarios.sweep.engine import check_sweep
-from panda_cosim.scenarios.sweep.scenarios import load_scenarios
+from panda_cosim.scenarios.sweep.row import load_scenarios
 from scipy.stats import kstest, norm
 from sweep_support import TABLE, short_scenario
 

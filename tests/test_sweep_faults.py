@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from forked import command
 from panda_cosim.scenarios.sweep import backend
-from panda_cosim.scenarios.sweep.again import promote_row
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.scenarios.sweep.report import promote_row
 from sweep_support import TABLE, rows_of
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]

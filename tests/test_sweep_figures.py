@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.statistics import failure_tree, influences, short_between
+from panda_cosim.scenarios.sweep.results import failure_tree, influences, short_between
 from scipy.stats import beta, rankdata, spearmanr
 from sweep_support import FORCE, MASS, Outcome, pretended
 

@@ -11,11 +11,10 @@ import pytest
 from forked import command
 from panda_cosim import InputError, load_scenario
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.sweep.again import promote_row, scenario_of
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.row import recording_digest
-from panda_cosim.scenarios.sweep.scenarios import Loaded, identity, pack
+from panda_cosim.scenarios.sweep.report import promote_row, scenario_of
+from panda_cosim.scenarios.sweep.row import Loaded, identity, pack, recording_digest
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep, write_sweep
 
@@ -82,7 +81,7 @@ def test_a_sweep_goes_by_the_scenario_as_it_was_swept_and_by_the_same_code(tmp_p
     shutil.rmtree(folder)
     done = command("sweep", "promote", out, "1", tmp_path / "mine")
     assert done.returncode == 0, done.stderr
-    assert "cannot be used any more since the sweep began, which goes by" in done.stderr
+    assert "cannot be used any more since the sweep began, which uses" in done.stderr
     assert load_scenario(tmp_path / "mine").push[0].force == (0.0, 20.0, 0.0)
 
 

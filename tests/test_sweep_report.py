@@ -15,7 +15,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.statistics import failure_tree, share_bounds
+from panda_cosim.scenarios.sweep.results import failure_tree, share_bounds
 from sweep_support import FORCE, HEAVY, MASS, made_up, pretended, short_sweep
 
 

@@ -22,12 +22,11 @@ from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.sweep.again import promote_row, show_row
 from panda_cosim.scenarios.sweep.backend import Local
 from panda_cosim.scenarios.sweep.definition import load_sweep
 from panda_cosim.scenarios.sweep.design import make_design
 from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.report import write_report
+from panda_cosim.scenarios.sweep.report import promote_row, show_row, write_report
 from panda_cosim.scenarios.sweep.row import Task, recording_digest
 from panda_cosim.scenarios.sweep.store import Store
 from scipy.stats import beta

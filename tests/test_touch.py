@@ -15,9 +15,8 @@ from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.scenarios.judging.holds import COLLISION
 from panda_cosim.scenarios.pictures.motion import key_moments
-from panda_cosim.scenarios.scenario.criteria import SignalCriterion
+from panda_cosim.scenarios.scenario.criteria import SignalCriterion, Success
 from panda_cosim.scenarios.scenario.scenario import Push, Scenario
-from panda_cosim.scenarios.scenario.success import Success
 from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]

@@ -16,12 +16,10 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
-from panda_cosim.scenarios.view import columns, story
-from panda_cosim.scenarios.view.columns import Thinning, encode
-from panda_cosim.scenarios.view.contacts import contact_forces, contact_rows
-from panda_cosim.scenarios.view.export import view_page
+from panda_cosim.scenarios.view import columns, run
+from panda_cosim.scenarios.view.columns import Thinning, contact_forces, contact_rows, encode
 from panda_cosim.scenarios.view.model import describe as describe_model
-from panda_cosim.scenarios.view.page import Inline, script_sources
+from panda_cosim.scenarios.view.page import Inline, script_sources, view_page
 from panda_cosim.scenarios.view.run import Shown, describe
 from view_support import MODEL, MadeUp, as_columns, decoded
 
@@ -195,14 +193,14 @@ def test_a_run_that_diverged_is_described() -> None:
 def test_the_verdict_is_reported(
     summary: dict[str, Any], metadata: dict[str, Any], state: str, words: str
 ) -> None:
-    assert story.verdict(summary, metadata) == {"state": state, "words": words}
+    assert run.verdict(summary, metadata) == {"state": state, "words": words}
 
 
 def test_criteria_and_limits_say_what_they_mean() -> None:
     names = ("max_slip", "my own")
-    rows = story.criteria_of({"criteria": [{"name": name} for name in names]})
+    rows = run.criteria_of({"criteria": [{"name": name} for name in names]})
     assert [row["words"] for row in rows] == [DEFINITIONS["success.max_slip"].text, ""]
-    (limit,) = story.limits_of({"limits": {"torque_share": [0.5]}})
+    (limit,) = run.limits_of({"limits": {"torque_share": [0.5]}})
     assert limit["words"] == DEFINITIONS["limits.torque_share"].text
 
 

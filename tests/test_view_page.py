@@ -18,7 +18,7 @@ from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.run import Run
 from panda_cosim.scenarios.run.summary import summarize
 from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.view.export import plant_model, shown_run, write_view
+from panda_cosim.scenarios.view.page import plant_model, shown_run, write_view
 from panda_cosim.scenarios.view.run import Shown
 from view_support import MODEL, MadeUp, as_columns, run_scenario_outside
 

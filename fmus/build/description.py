@@ -16,10 +16,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..inside.base import LOG_CATEGORIES
 from ..interface.variables import Interface, Scalar, Value, Variable
-from ..messages import shown
 from .libraries import MUJOCO, NEED_MUJOCO, licence, own_licences
 
 if TYPE_CHECKING:

@@ -1,17 +1,23 @@
 """The shared libraries in a native FMU: its own, compiled from `fmus/native`, and MuJoCo's.
 
-Each is for this platform or another one.
+Each is for this platform or another one. Another version of MuJoCo is a folder in the cache that a
+process of its own imports. The project runs with any of them, so an FMU with another engine is the
+one that the project makes where that version is installed: its models are compiled by that
+version, byte for byte.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import platform as host
+import re
 import shutil
 import sys
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import distribution
@@ -20,9 +26,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from ..atomic import cache_folder, cached, temporary_folder
-from ..errors import CosimError, InputError
-from ..processes import run
+from ..atomic import cache_folder, cached, in_cache, temporary_folder
+from ..errors import CosimError, InputError, excerpt
+from ..processes import SAFE_PATH, run
 
 SOURCES: Final = Path(__file__).parents[1] / "native"
 FMI_LAYER: Final = (
@@ -286,3 +292,63 @@ def licence(package: str, name: str) -> bytes:
     files = distribution(package).files or []
     file = next(file for file in files if file.name == name and "dist-info" in str(file))
     return Path(str(file.locate())).read_bytes()
+
+
+_VERSION: Final = re.compile(r"(3\.[1-9]\d|[4-9]\.\d\d?)\.\d\d?", re.A)
+_CHILD: Final = """
+import pickle, sys
+from pathlib import Path
+import mujoco
+from panda_cosim.fmus.errors import CosimError
+call, answer, version = sys.argv[1:]
+assert mujoco.__version__ == version, mujoco.__file__
+try:
+    Path(answer).write_bytes(pickle.loads(Path(call).read_bytes())())
+except CosimError as error:
+    print(error, file=sys.stderr)
+    sys.exit(error.exit_code)
+"""
+
+
+def check_engine(version: object) -> str:
+    """Return a version of MuJoCo that FMUs can hold; "" is the installed one."""
+    if version != "" and not (isinstance(version, str) and _VERSION.fullmatch(version)):
+        raise InputError(f"mujoco: value {excerpt(version)}; must be a version from 3.10.0 on")
+    return str(version)
+
+
+def made_with(version: str, make: Callable[[], bytes]) -> bytes:
+    """Call a function that can be pickled where this version of MuJoCo is imported."""
+    if version == mujoco_version():
+        return make()
+    paths = [str(_installed(version)), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, **SAFE_PATH, "PYTHONPATH": os.pathsep.join(paths)}
+    with temporary_folder(cache_folder()) as folder:
+        call, answer = folder / "call", folder / "answer"
+        call.write_bytes(pickle.dumps(make))
+        command = [sys.executable, "-c", _CHILD, str(call), str(answer), version]
+        done = run(command, environment=environment)
+        if done.returncode:
+            kind = InputError if done.returncode == InputError.exit_code else CosimError
+            raise kind(f"with MuJoCo {version}: {_last_line(done.stderr)}")
+        return answer.read_bytes()
+
+
+def _installed(version: str) -> Path:
+    """Return the folder of a version, downloaded if it is missing."""
+    folder = cache_folder() / "engines" / f"{version}-{sys.implementation.cache_tag}"
+    packages = ["mujoco"] if version.startswith("3.") else ["mujoco", "mujoco-core"]
+    if not folder.is_dir():
+        with in_cache(folder) as partial:
+            pip = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+            options = ("--no-deps", "--only-binary", ":all:", "--retries", "1", "--target")
+            done = run([*pip, *options, str(partial), *(f"{p}=={version}" for p in packages)])
+            if done.returncode:
+                raise CosimError(f"MuJoCo {version} cannot be installed: {_last_line(done.stderr)}")
+            with suppress(OSError):  # another process was first
+                partial.rename(folder)
+    return folder
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or ["no reason is known"])[-1]

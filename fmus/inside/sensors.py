@@ -9,7 +9,7 @@ import numpy as np
 
 from ...controller.sensor_errors import SensorErrors
 from ...controller.sensors import Sensors
-from ..interface.sensors import SENSORS
+from ..interface.tables import SENSORS
 from .base import TICK, SharedSlave
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from ...assets.franka import HOME_XPOS, HOME_XQUAT, OPENING_MAX
-from ..interface.trajectory import TABLE_FILE, TRAJECTORY
+from ..interface.tables import TABLE_FILE, TRAJECTORY
 from .base import TICK, Array, SharedSlave
 
 NAMES: Final = tuple(name for v in TRAJECTORY.of("output") for name in v.names())

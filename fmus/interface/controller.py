@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import Field, fields
+from typing import Any
+
 from ...assets import STEP_SIZE
-from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX, ROBOTS
-from ...controller.gains import RANGES, REACTIONS, Gains
+from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
+from ...controller.gains import WRENCH_UNITS, Gains
 from .plant import CTRL_PARTS, FORCE_MAX, FORCE_PARTS, JAC_PARTS, ROBOT
-from .variables import JAC_UNITS, Interface, Variability, Variable, held, input_, joints
+from .variables import JAC_UNITS, Interface, Kind, Variability, Variable, held, input_, joints
 
 # The inputs that command the hand's motion, and those of the posture; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
@@ -20,27 +23,31 @@ _EXTERNAL_PARTS = (
     ("external_force", 3, f"Force {_EXERTS}"), ("external_moment", 3, f"Moment {_EXERTS}"),
 )  # fmt: skip
 
-_GAINS = Gains()
-_WRENCH_UNITS = (*["N"] * 3, *["N.m"] * 3), (*["N/m"] * 3, *["N.m/rad"] * 3)
-# Upper bounds below those of `controller.gains.RANGES`: the FMU never exceeds the robot's limits.
+# Upper bounds below those of the gains: the FMU never exceeds the robot's limits.
 MOST = {"limit_share": 1.0}
+FIXED = ("reading_delay", "follow_posture", "robot", "impedance")  # from the start on
+# Arrays of FMI 3.0, which have one unit each.
+_PARTS = {
+    "stiffness": (("stiffness", 3, "Of the hand, along the world's axes"),
+                  ("angular_stiffness", 3, "Of the hand, about the world's axes")),
+    "offset_limit": (("offset_limit", 3, "Largest such force"),
+                     ("offset_moment_limit", 3, "Largest such moment")),
+}  # fmt: skip
 
 
-def _gain(
-    name: str,
-    unit: str | tuple[str, ...],
-    description: str,
-    variability: Variability = "tunable",
-    parts: tuple[tuple[str, int, str], ...] = (),
-) -> Variable:
-    """Return a parameter that starts at its value in the default gains."""
-    start = getattr(_GAINS, name)
+def _parameter(gain: Field[Any]) -> Variable:
+    """Return the parameter that sets a gain or a switch; it starts at its default."""
+    name, about = gain.name, gain.metadata
+    start: Any = gain.default
     shape = (len(start),) if isinstance(start, tuple) else ()
-    low, high = RANGES[name]
-    high = MOST.get(name, high)
-    return Variable(
-        name, shape, unit, "parameter", variability, description, start, low, high, parts=parts
-    )
+    variability: Variability = "fixed" if name in FIXED else "tunable"
+    if "range" not in about:
+        kind: Kind = "Boolean" if isinstance(start, bool) else "Enumeration"
+        return Variable(name, shape, "", "parameter", variability, about["text"], start, kind=kind,
+                        choices=about["choices"])  # fmt: skip
+    low, high = about["range"]
+    return Variable(name, shape, about["unit"], "parameter", variability, about["text"], start, low,
+                    MOST.get(name, high), parts=_PARTS.get(name, ()))  # fmt: skip
 
 
 CONTROLLER = Interface(
@@ -87,7 +94,7 @@ CONTROLLER = Interface(
               "torque rate"),
         held("external_torque", (7,), "N.m", "Torques of others on the joints, by a momentum "
              "observer; 0 without observer and reaction", on_request=True),
-        held("external_force", (6,), (*["N"] * 3, *["N.m"] * 3), "Force and torque at the hand "
+        held("external_force", (6,), WRENCH_UNITS, "Force and torque at the hand "
              "body's origin, world frame, that would exert external_torque", on_request=True,
              parts=_EXTERNAL_PARTS),
         held("joint_contact", (7,), "1", "Of each joint: 0 free, 1 contact, external_torque above "
@@ -96,75 +103,7 @@ CONTROLLER = Interface(
              "0", on_request=True),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
                  "held in between", STEP_SIZE, STEP_SIZE, 1.0, multiple_of=STEP_SIZE),
-        Variable("use_reference", (), "", "parameter", "tunable", "Integrate a joint reference; "
-                 "false: the tutorial's law", _GAINS.use_reference, kind="Boolean"),
-        _gain("kp", "1", "Proportional gain of each joint's PID"),
-        _gain("ki", "1/s", "Integral gain of each joint's PID"),
-        _gain("kd", "s", "Derivative gain of each joint's PID"),
-        _gain("derivative_filter", "s", "Time constant of the derivative's low-pass; 0: none"),
-        _gain("integral_limit", "rad", "Largest magnitude of the PID's integral part"),
-        _gain("base_ctrl", "rad", "Servo targets that the PID's output is added to if "
-              "use_reference is false"),
-        _gain("ik_gain", "1/s", "Rate at which a pose error is driven to zero"),
-        _gain("error_filter", "s", "Time constant of the pose error's low-pass; 0: none"),
-        _gain("ik_damping", "1", "Damping of the least squares where joint limits bind"),
-        _gain("singular_damping", "1", "Damping at a singularity"),
-        _gain("singular_value", "1", "Smallest singular value of the Jacobian below which damping "
-              "grows"),
-        _gain("linear_correction", "m/s", "Largest speed of the correction of a position error"),
-        _gain("linear_braking", "m/s2", "Deceleration as the position error goes to zero"),
-        _gain("angular_correction", "rad/s", "Largest speed of the correction of an orientation "
-              "error"),
-        _gain("angular_braking", "rad/s2", "Deceleration as the orientation error goes to zero"),
-        _gain("posture", "rad", "Joint positions that the null space is pulled to"),
-        _gain("posture_gain", "1/s", "Rate at which the null space is pulled to the posture"),
-        _gain("servo_lag", "s", "Lag of each servo behind a ramp, fed forward"),
-        _gain("servo_stiffness", "N.m/rad", "Stiffness of each servo"),
-        _gain("gravity_feedforward", "1", "Share of the bias force that is fed forward"),
-        _gain("inertia_feedforward", "1", "Share of the inertia force that is fed forward"),
-        _gain("limit_share", "1", "Share of the robot's limits that the joint reference may use"),
-        _gain("reference_lead", "rad", "How far the joint reference may run ahead of a blocked "
-              "joint"),
-        _gain("finger_speed", "m/s", "Speed of each finger's command; 0: unlimited"),
-        _gain("grip_force", "N", "Force of each finger wherever the commanded opening is less than "
-              "grip_width; 0: the fingers go to the opening"),
-        _gain("grip_width", "m", "Width of what is held"),
-        _gain("grip_stiffness", "N/m", "Stiffness of each finger's servo"),
-        _gain("reading_delay", "s", "Age of the measured inputs, to the nearest period; they are "
-              "compared with the command and the reference of their own time", "fixed"),
-        Variable("follow_posture", (), "", "parameter", "fixed", "The null space follows "
-                 "posture_cmd, instead of the pulls to posture and away from the joints' ends",
-                 _GAINS.follow_posture, kind="Boolean"),
-        _gain("posture_follow_gain", "1/s", "Rate at which an error of the commanded posture goes "
-              "to zero"),
-        Variable("observer", (), "", "parameter", "tunable", "Compute external_torque, "
-                 "external_force and joint_contact, also without a reaction", _GAINS.observer,
-                 kind="Boolean"),
-        _gain("observer_gain", "1/s", "Inverse of the observer's time constant"),
-        _gain("lower_torque_threshold", "N.m", "External torque above which a joint is in contact"),
-        _gain("upper_torque_threshold", "N.m", "External torque above which a joint collides"),
-        Variable("reaction", (), "", "parameter", "tunable", "What the arm does once a joint has "
-                 "collided, until it is none: none; stop (hold the joints where they are); yield "
-                 "(give way, held up against gravity alone); with impedance always none",
-                 _GAINS.reaction, kind="Enumeration", choices=REACTIONS),
-        Variable("robot", (), "", "parameter", "fixed", "Arm whose model and limits are used: "
-                 "panda (Franka Emika Panda) or fr3 (Franka Research 3)", _GAINS.robot,
-                 kind="Enumeration", choices=tuple(ROBOTS)),
-        Variable("impedance", (), "", "parameter", "fixed", "Torques of a Cartesian impedance for "
-                 "the scene motors, instead of servo targets", _GAINS.impedance, kind="Boolean"),
-        _gain("stiffness", _WRENCH_UNITS[1], "Of the hand, along and about the world's axes",
-              parts=(("stiffness", 3, "Of the hand, along the world's axes"),
-                     ("angular_stiffness", 3, "Of the hand, about the world's axes"))),
-        _gain("spring_force", "N", "Largest force of these springs"),
-        _gain("spring_torque", "N.m", "Largest torque of these springs"),
-        _gain("damping_ratio", "1", "Of each mode of the hand on these springs"),
-        _gain("offset_rate", "1/s", "Rate at which the wrench that the law's model lacks is found, "
-              "but not along axes of a commanded force"),
-        _gain("offset_limit", _WRENCH_UNITS[0], "Largest such wrench",
-              parts=(("offset_limit", 3, "Largest such force"),
-                     ("offset_moment_limit", 3, "Largest such moment"))),
-        _gain("posture_stiffness", "N.m/rad", "Of each joint to the posture, in the null space"),
-        _gain("posture_damping", "N.m.s/rad", "Of each joint, in the null space"),
+        *map(_parameter, fields(Gains)),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..errors import InputError
-from ..messages import did_you_mean, excerpt, nearest
+from ..errors import InputError, did_you_mean, excerpt, nearest
 from .tables import INTERFACES
 from .variables import Causality, Interface, Scalar, Value
 

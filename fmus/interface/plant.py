@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...assets import SCENES
@@ -11,15 +13,9 @@ from ...plant.parameters import (
     ARM_JOINTS,
     BLOCK,
     FINGERS,
-    FRICTION_RANGE,
-    JOINT_FRICTION_RANGE,
-    JOINT_VISCOUS_RANGE,
-    MASS_RANGE,
     MOVING_LINKS,
-    PAYLOAD_RANGE,
-    POSITION_RANGE,
-    SCALE_RANGE,
-    YAW_RANGE,
+    RANGES,
+    UNITS,
     PlantParameters,
 )
 from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
@@ -62,12 +58,12 @@ _LINKS = " ".join(MOVING_LINKS)
 _SERVOS = " ".join(f"actuator{i}" for i in range(1, 8))
 
 
-def _of_joints(
-    name: str, unit: str, bounds: tuple[float, float], source: str, description: str
-) -> Variable:
-    """Return a parameter with one value per joint, by which the arm differs from its model."""
-    return Variable(name, (7,), unit, "parameter", "fixed", description,
-                    getattr(_BLOCK, name), *bounds, source=source)  # fmt: skip
+def _parameter(name: str, source: str, description: str) -> Variable:
+    """Return a parameter of the plant, or one with a value per joint."""
+    start: Any = getattr(_BLOCK, name)
+    shape = (len(start),) if isinstance(start, tuple) else ()
+    return Variable(name, shape, UNITS[name], "parameter", "fixed", description, start,
+                    *RANGES[name], source=source)  # fmt: skip
 
 
 PLANT = Interface(
@@ -133,30 +129,25 @@ PLANT = Interface(
         Variable("robot", (), "", "parameter", "fixed", "The arm: panda (Franka Emika "
                  "Panda) or fr3 (Franka Research 3)", _BLOCK.robot,
                  kind="Enumeration", choices=tuple(ROBOTS), source="scene"),
-        Variable("block_pos", (2,), "m", "parameter", "fixed", "Start position of the block's "
-                 "centre, x and y, world frame", _BLOCK.block_pos, *POSITION_RANGE,
-                 source="body obj free_xy clear stand floor table"),
-        Variable("block_yaw", (), "rad", "parameter", "fixed", "Rotation of the block about the "
-                 "world's z axis at the start", _BLOCK.block_yaw, *YAW_RANGE,
-                 source="body obj free_yaw"),
-        Variable("block_mass", (), "kg", "parameter", "fixed", "Mass of the block",
-                 _BLOCK.block_mass, *MASS_RANGE, source="body obj mass"),
-        Variable("block_friction", (), "1", "parameter", "fixed", "Sliding friction "
-                 "coefficient of all contacts of the block", _BLOCK.block_friction,
-                 *FRICTION_RANGE, source="geom obj_geom friction"),
-        _of_joints("joint_friction", "N.m", JOINT_FRICTION_RANGE, "added dof_frictionloss 0 7",
-                   "Coulomb friction of each joint in addition to the model's"),
-        _of_joints("joint_viscous", "N.m.s/rad", JOINT_VISCOUS_RANGE, "added dof_damping 0 7",
-                   "Viscous friction of each joint in addition to the model's"),
-        _of_joints("link_mass_scale", "1", SCALE_RANGE, f"scaled_mass {_LINKS}",
-                   "Mass and inertia of each link, relative to the model's"),
-        _of_joints("servo_scale", "1", SCALE_RANGE, f"scaled_servo {_SERVOS}",
-                   "Stiffness and damping of each servo, relative to the model's"),
-        _of_joints("torque_limit_scale", "1", SCALE_RANGE, f"scaled_force {_SERVOS}",
-                   "Largest torque of each servo, relative to the model's"),
-        Variable("payload", (), "kg", "parameter", "fixed", "Point mass at the hand's centre of "
-                 "mass, unknown to the controller", _BLOCK.payload, *PAYLOAD_RANGE,
-                 source="body hand added_mass"),
+        _parameter("block_pos", "body obj free_xy clear stand floor table", "Start position of the "
+                   "block's centre, x and y, world frame"),
+        _parameter("block_yaw", "body obj free_yaw", "Rotation of the block about the world's z "
+                   "axis at the start"),
+        _parameter("block_mass", "body obj mass", "Mass of the block"),
+        _parameter("block_friction", "geom obj_geom friction", "Sliding friction coefficient of "
+                   "all contacts of the block"),
+        _parameter("joint_friction", "added dof_frictionloss 0 7", "Coulomb friction of each joint "
+                   "in addition to the model's"),
+        _parameter("joint_viscous", "added dof_damping 0 7", "Viscous friction of each joint in "
+                   "addition to the model's"),
+        _parameter("link_mass_scale", f"scaled_mass {_LINKS}", "Mass and inertia of each link, "
+                   "relative to the model's"),
+        _parameter("servo_scale", f"scaled_servo {_SERVOS}", "Stiffness and damping of each servo, "
+                   "relative to the model's"),
+        _parameter("torque_limit_scale", f"scaled_force {_SERVOS}", "Largest torque of each servo, "
+                   "relative to the model's"),
+        _parameter("payload", "body hand added_mass", "Point mass at the hand's centre of mass, "
+                   "unknown to the controller"),
     ),
     {"robot": ROBOT},
 )  # fmt: skip

@@ -16,8 +16,7 @@ from functools import cached_property, partial
 from itertools import groupby, product
 from typing import Any, Final, Literal
 
-from ..errors import InputError
-from ..messages import did_you_mean, excerpt
+from ..errors import InputError, did_you_mean, excerpt
 from .units import Units
 
 Causality = Literal["input", "output", "parameter", "local"]

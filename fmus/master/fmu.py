@@ -19,12 +19,10 @@ from typing import Any, ClassVar, Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, SimulationError
+from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
-from ..messages import one_line
-from .calls import Access, StepCall, Typed
+from .calls import ERROR, FATAL, OK, STATUS, WARNING, Access, MessageLog, OnMessage, StepCall, Typed
 from .fmu_file import Fmu
-from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 from .wiring import Array, Exchange, Moved
 
 # One thread at a time: FMPy changes the working directory while it loads a library, and

@@ -13,10 +13,9 @@ from typing import Any, Final, cast
 from xml.etree import ElementTree as ET
 
 from ..atomic import cache_folder
-from ..errors import InputError
+from ..errors import InputError, did_you_mean, excerpt, one_line
 from ..interface.units import BASES, Unit, Units
 from ..interface.variables import INTEGERS, Interface, Kind, Scalar, Value, Variability, Variable
-from ..messages import did_you_mean, excerpt, one_line
 from ..reading import file_digest, finite_number, read_xml, unpack
 
 VERSIONS: Final = {"2.0": 2, "3.0": 3}

@@ -22,8 +22,7 @@ from types import MappingProxyType
 from ...assets import STEP_SIZE
 from ..errors import SimulationError
 from ..interface.tables import Connection
-from .kernel import make_kernel
-from .step import ITERATIONS, Coupling, IteratedStep, Step
+from .step import ITERATIONS, Coupling, IteratedStep, Step, make_kernel
 from .wiring import BLOCK_ROWS, Array, ExternalInputs, Name, RowBuffer, Slave, bind
 
 Sink = Callable[[Array], None]

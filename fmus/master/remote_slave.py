@@ -23,9 +23,9 @@ import numpy as np
 from ..errors import CosimError, InputError, SimulationError
 from ..interface.variables import Value
 from ..processes import SAFE_PATH, end_with, start_from_lasting_thread
+from .calls import OnMessage
 from .fmu import FmuSlave
 from .fmu_file import Fmu
-from .message_log import OnMessage
 from .wiring import Array, Exchange
 
 START_TIMEOUT = 30.0  # [s] for all requests but a step, if there is a step timeout

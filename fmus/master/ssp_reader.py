@@ -1,20 +1,163 @@
-"""Reads SSP 1.0 and 2.0 files of any origin: a flat system of co-simulation FMUs for our master."""
+"""Reads SSP 1.0 and 2.0 files of any origin: a flat system of co-simulation FMUs for our master.
+
+Parameter sets (SSV) and mappings (SSM) become start values of its FMUs.
+"""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+from xml.etree import ElementTree as ET
 
 from ..build.ssp import PREFIXES
+from ..errors import InputError, did_you_mean
 from ..inside.base import TICK
 from ..interface.tables import Connection
+from ..interface.units import PLAIN, Units
 from ..interface.variables import Value
-from ..reading import finite_number
-from .ssp_parameters import Parameters
-from .ssp_structure import Structure
+from ..reading import finite_number, read_xml
+from .fmu_file import read_units, read_value
+from .ssp_structure import Document, End, Link, Structure, choice, converts_units, local, shown
 from .system import System
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A value of a parameter set."""
+
+    number: int  # of all of them; of several that lead to one variable, the last counts
+    place: str  # in messages
+    text: str
+    unit: tuple[str, Units]  # with those that define it
+    entry: ET.Element  # of a parameter mapping; an empty one if there is none
+
+
+class Parameters:
+    """Start values that the bindings of a structure give to its FMUs."""
+
+    def __init__(self, structure: Structure) -> None:
+        self.values: dict[str, dict[str, Value]] = defaultdict(dict)  # by component and variable
+        self.warnings: list[str] = []
+        self._structure, self._document = structure, structure.document
+        self._given: dict[End, _Given] = {}
+        self._number = 0
+        # What a parameter sets, by its name from the whole system; two elements may share a name.
+        self._targets: dict[str, list[list[End]]] = defaultdict(list)
+        for element, names in structure.items.items() if structure.bindings else ():
+            for name, items in names.items():
+                ends = [(element, item) for item in items]
+                self._targets[_full_name(element, name)].append(ends)
+        for binding, owner in structure.bindings:
+            self._read(binding, owner)
+        for instance, fmu in structure.fmus.items() if self._given else ():
+            for name in fmu.variables:
+                chain = structure.chain((instance, name))
+                given = [
+                    (self._given[e].number, i) for i, e in enumerate(chain) if e in self._given
+                ]
+                if given:
+                    self.values[instance][name] = self._value(chain[max(given)[1] :])
+
+    def _read(self, binding: ET.Element, owner: str) -> None:
+        """Note the values of a binding at the ends that it names."""
+        values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", self._document)
+        own_units = read_units(label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES))
+        units = {**self._document.units, **own_units}
+        entries, unused = _entries(binding, self._document), []
+        for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
+            name, typed = binding.get("prefix", "") + parameter.get("name", ""), choice(parameter)
+            typed = parameter if typed is None else typed
+            texts, as_it_is = _texts(typed), [ET.Element("", target=name)]
+            for entry in as_it_is if entries is None else entries[name]:
+                target = _full_name(owner, entry.get("target", ""))
+                place, unit = f"{label}: parameter {target}", (typed.get("unit", ""), units)
+                for ends in self._targets.get(target, ()):
+                    if len(texts) != len(ends):
+                        count = f"{len(ends)} values" if len(ends) > 1 else "one value"
+                        raise InputError(f"{place}: has {len(texts)} values; must be {count}")
+                    self._number += 1
+                    for end, text in zip(ends, texts, strict=True):
+                        self._given[end] = _Given(self._number, place, text, unit, entry)
+                if target not in self._targets:
+                    unused.append(target)
+        if unused:
+            self.warnings.append(
+                f"{label}: no variable is called {', '.join(unused[:3])}"
+                f"{', ...' * (len(unused) > 3)}{did_you_mean(unused[0], self._targets)}"
+            )
+
+    def _value(self, chain: list[End]) -> Value:
+        """Value at the end of a chain; its unit is converted first, then it is transformed."""
+        structure, (instance, name), given = self._structure, chain[-1], self._given[chain[0]]
+        scalar = structure.fmus[instance].variable(name)
+        kind, causality = scalar.variable.kind, scalar.variable.causality
+        change, linear, text = choice(given.entry), PLAIN, given.text
+        if causality not in ("parameter", "input"):
+            raise InputError(f"{given.place}: causality {causality}; must be parameter or input")
+        if change is not None and local(change) == "LinearTransformation":
+            linear = self._document.linear(change)
+        elif change is not None:
+            text = _mapped(change, text, given.place)
+        value = read_value(f"{given.place} =", scalar.variable, text)
+        first = Link(("", ""), linear, converts_units(given.entry))
+        links = [(chain[0], first), *((end, structure.links[end]) for end in chain[1:])]
+        factor, offset = structure.linear(given.place, given.unit, links)
+        if (factor, offset) != PLAIN:
+            if kind != "Real":
+                raise InputError(f"{given.place}: a transformation of a {kind}; must be of a Real")
+            value = factor * float(value) + offset
+        return scalar.checked(given.place, value)
+
+
+def _full_name(element: str, name: str) -> str:
+    return shown((element.replace("/", "."), name))
+
+
+def _mapped(change: ET.Element, text: str, place: str) -> str:
+    """What a mapping makes of a value."""
+    words = {"1": "true", "0": "false"} if local(change).startswith("Boolean") else {}
+    entries = change.findall("ssc:MapEntry", PREFIXES)
+    table = {words.get(e.get("source", ""), e.get("source", "")): e for e in entries}
+    if words.get(text, text) not in table:
+        raise InputError(f"{place} = {text!r}; must be one of {', '.join(table)}, which are mapped")
+    return table[words.get(text, text)].get("target", "")
+
+
+def _texts(typed: ET.Element) -> list[str]:
+    """Values of a parameter, one for each element."""
+    if "value" not in typed.attrib:
+        return [child.get("value", "") for child in typed]
+    text = typed.attrib["value"]
+    return [text] if local(typed) in ("String", "Enumeration", "Binary") else text.split()
+
+
+def _entries(binding: ET.Element, document: Document) -> dict[str, list[ET.Element]] | None:
+    """Entries of a parameter mapping by the names of their sources."""
+    mapping = binding.find("ssd:ParameterMapping", PREFIXES)
+    if mapping is None:
+        return None
+    entries: dict[str, list[ET.Element]] = defaultdict(list)
+    content, _ = _content(mapping, "ssm:ParameterMapping", document)
+    for entry in content.iterfind("ssm:MappingEntry", PREFIXES):
+        entries[entry.get("source", "")].append(entry)
+    return entries
+
+
+def _content(holder: ET.Element, path: str, document: Document) -> tuple[ET.Element, str]:
+    """What an element holds, or names as its source; and what messages call it."""
+    source, tag, label = holder.get("source"), path.rpartition(":")[2], document.label
+    if source and holder.get("sourceBase", "SSD") != "SSD":
+        document.refuse(f"{local(holder)} {source!r} in a component", "one in the .ssp file")
+    if source:
+        label = f"{label}: {source}"
+    content = read_xml(document.member(source), label) if source else holder.find(path, PREFIXES)
+    if content is None or local(content) != tag:
+        raise InputError(f"{label}: {local(holder)}: no {tag}; must hold one, or name its file")
+    return content, label
+
 
 DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
 # Where a file may say the master's step size.

@@ -14,11 +14,10 @@ from xml.etree import ElementTree as ET
 
 from ..atomic import cache_folder
 from ..build.ssp import PREFIXES, STRUCTURE_FILE
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..interface.tables import Connection
 from ..interface.units import PLAIN, Units, conversion
 from ..interface.variables import Variable
-from ..messages import did_you_mean
 from ..reading import file_digest, file_inside, finite_number, read_xml, unpack
 from .fmu_file import Fmu, read_fmu, read_units
 

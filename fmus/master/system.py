@@ -1,27 +1,33 @@
-"""A coupled system: its FMUs, whether they can be coupled, and opening it."""
+"""A coupled system: its FMUs, whether they can be coupled, opening it, and steps from one state.
+
+`PerturbedSystem` takes these again and again, with something added to some inputs.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
+
 from ...assets import STEP_SIZE
-from ..errors import InputError
+from ..errors import InputError, SimulationError
 from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
 from ..interface.units import PLAIN, conversion
 from ..interface.variables import Value
+from .calls import OnMessage
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
-from .message_log import OnMessage
-from .step import Coupling
-from .wiring import Name
+from .step import Coupling, Step, make_kernel
+from .wiring import Array, Name, bind
 
 if TYPE_CHECKING:
     from .remote_slave import RemoteSlave
@@ -53,13 +59,10 @@ class OpenSystem:
 
 def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuSlave:
     """Instantiate an FMU of FMI 2.0 or 3.0."""
-    if fmu.fmi == 3:
-        from .fmi3 import Fmi3Slave  # noqa: PLC0415 - FMPy takes 0.2 s
+    from .fmi import Fmi2Slave, Fmi3Slave  # noqa: PLC0415 - FMPy takes 0.2 s
 
-        return Fmi3Slave(name, fmu, on_message)
-    from .fmi2 import Fmi2Slave  # noqa: PLC0415 - see above
-
-    return Fmi2Slave(name, fmu, on_message)
+    slave = Fmi3Slave if fmu.fmi == 3 else Fmi2Slave
+    return slave(name, fmu, on_message)
 
 
 def read_fmus(
@@ -289,3 +292,74 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             multiples=multiples,
         )
         yield OpenSystem(master, slaves, fmus)
+
+
+class PerturbedSystem:
+    """A system that has been stepped to some tick, to which it goes back before each run.
+
+    What is added acts on the named inputs alone: outputs are recorded, and reach other inputs, as
+    their FMU gave them.
+    """
+
+    def __init__(
+        self,
+        opened: OpenSystem,
+        targets: Sequence[Name],  # inputs to which something is added, each fed by an output
+        external: Array,  # external inputs from this tick on (n, external)
+    ) -> None:
+        master = opened.master
+        self.columns = [("", "time"), *master.columns]  # of a row
+        self._rows = np.zeros((len(external) + 1, len(self.columns)))
+        slaves = list(opened.slaves.values())
+        self._back = [_save(slave) for slave in slaves]  # before `step` is bound
+        fed = {each.target: each for each in master.connections}
+        self._fed = [fed[target] for target in targets]
+        self.fed_by = [self.columns.index(each.source) for each in self._fed]
+        # Values are added as offsets of the connections, which `run` changes in place.
+        varied = fed | {each.target: replace(each, offset=math.nan) for each in self._fed}
+        bound = bind(
+            slaves, master.columns, master.external, list(varied.values()), self._rows,
+            master.multiples,
+        )  # fmt: skip
+        linear = {(b.slave.name, name): pair for b in bound for name, pair in b.linear.items()}
+        self._linear = [linear[target] for target in targets]
+        self._step = Step(bound, master.coupling, master.step_size, self._rows, lambda _row: None)
+        stop, self._tick = ctypes.c_int32(), master.steps
+        self._kernel = make_kernel(self._step, self._rows, master.start, stop, check=False)
+        self._rows[0] = master.latest()
+        self._rows[:-1, 1 : 1 + len(master.external)] = external
+        ticks = self._tick + np.arange(len(self._rows))
+        self._rows[:, 0] = master.start + ticks * master.step_size
+        self._start = self._rows.copy()
+
+    def run(self, added: Array) -> Array:
+        """Go back and take steps with values added (n, targets); returns rows (n, columns)."""
+        ticks = len(added)
+        self._rows[: ticks + 1] = self._start[: ticks + 1]
+        for go_back in self._back:
+            go_back()
+        changes = np.flatnonzero(np.diff(added, axis=0).any(axis=1)) + 1
+        for row, end in zip([0, *changes], [*changes, ticks], strict=True):
+            for each, pair, value in zip(self._fed, self._linear, added[row], strict=True):
+                pair[1] = each.offset + each.factor * value
+            self._advance(int(row), int(end))
+        rows: Array = self._rows[:ticks].copy()
+        if not np.isfinite(rows).all():
+            raise SimulationError("an output is not finite after a pulse at an input")
+        return rows
+
+    def _advance(self, row: int, end: int) -> None:
+        """Take the steps of some rows, in C if possible."""
+        while row < end:
+            if self._kernel is None:
+                self._step.take(row, float(self._rows[row, 0]))
+                row += 1
+            else:
+                row += self._kernel.take(self._tick + row, row, end - row)[0]
+                self._kernel.check(float(self._rows[row, 0]))
+
+
+def _save(slave: Instance) -> Callable[[], None]:
+    if not isinstance(slave, FmuSlave):
+        raise InputError("isolate: states of an isolated FMU cannot be restored; must be False")
+    return slave.save()

@@ -9,7 +9,7 @@
 static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0, IMPEDANCE_LAW = 3.0;
 static const double PULL_DAMPING = 0.05; /* see controller/ik.py */
 
-/* ---- late readings: controller/late.py ---- */
+/* ---- late readings: controller/signals.py ---- */
 
 void reset_late(double rows[KEPT][JOINTS], const double now[JOINTS])
 {

@@ -11,7 +11,7 @@
 #include <mujoco/mujoco.h>
 
 enum { JOINTS = 7, TWIST = 6, POSE = 7, ARM_DOFS = 9 }; /* ARM_DOFS: joints and fingers */
-enum { KEPT = 20 };                                    /* updates, see controller/late.py */
+enum { KEPT = 20 };                                    /* updates, see controller/signals.py */
 
 /* controller/signals.py: INPUTS */
 typedef struct {

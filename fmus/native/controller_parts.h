@@ -15,7 +15,7 @@ static inline const controller_robot *robot_of(const controller_gains *gains)
     return &CONTROLLER_ROBOTS[(int)gains->robot - 1];
 }
 
-/* controller_ik.c: controller/ik.py, linalg.py and singularity.py */
+/* controller_ik.c: controller/ik.py, linalg.py */
 void pose_error(const controller_functions *mj, const double cmd[POSE], const controller_inputs *in,
                 double error[TWIST]);
 void correcting_twist(const controller_functions *mj, const double error[TWIST], const controller_gains *gains,

@@ -154,7 +154,7 @@ static bool bind_contact_sensors(source *s, const mjModel *m)
     return s->weights != NULL;
 }
 
-/* Of two bodies that touch, the higher rank decides: see plant/contacts.py. */
+/* Of two bodies that touch, the higher rank decides: see plant/plant.py. */
 enum { MOVABLE, FIXED, BLOCK, FINGER, ARM, FINGERS = 2 };
 
 static int rank_of(const source *s, const mjModel *m, int body)

@@ -1,6 +1,6 @@
 /* The master's step, fmus/master/step.py, in C: a list of calls, gone through once a tick.
  *
- * This is a library of its own, for our master; no FMU contains it. fmus/master/kernel.py makes the list from
+ * This is a library of its own, for our master; no FMU contains it. fmus/master/step.py makes the list from
  * what `Step` would call in Python, so that both do the same and give the same bits. Values are in the rows of
  * the recording, which FMUs read and write in place; those that an FMU wants in another order go through
  * `values`. Python's lock is released meanwhile, as in each single call.

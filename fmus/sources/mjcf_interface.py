@@ -15,10 +15,9 @@ from typing import Any, Final
 
 from ...plant.parameters import ARM_JOINTS
 from ..build.description import BASE_UNITS
-from ..errors import InputError
+from ..errors import InputError, did_you_mean, one_line
 from ..interface.plant import PLANT
 from ..interface.variables import Causality, Interface, Variable, output
-from ..messages import did_you_mean, one_line
 from ..reading import open_regular
 from .mjcf_sources import OBJECTS, TUNABLE, Sources, words_of
 

@@ -16,9 +16,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..interface.variables import Causality, Variable
-from ..messages import did_you_mean
 from .mjcf_elements import DOF, FREE, QPOS, descriptions, units
 
 Array = NDArray[np.float64]

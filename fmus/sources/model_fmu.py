@@ -21,9 +21,8 @@ from ...assets import asset_files
 from ...assets.arm import change_arm
 from ...assets.franka import DEFAULT_ROBOT
 from ..build.native import NativeFmu
-from ..errors import InputError
+from ..errors import InputError, one_line
 from ..interface.variables import Interface, Variable
-from ..messages import one_line
 from ..processes import SAFE_PATH, run
 from .mjcf_interface import (
     SECTIONS,

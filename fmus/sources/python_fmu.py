@@ -22,10 +22,9 @@ from typing import Any, Final, cast
 
 from ..build.libraries import SOURCES, digest
 from ..build.native import NativeFmu, Option
-from ..errors import CosimError, InputError
+from ..errors import CosimError, InputError, did_you_mean, one_line
 from ..inside.base import TICK
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
-from ..messages import did_you_mean, one_line
 from ..processes import SAFE_PATH, run
 
 HOST: Final = "python_host.py"  # what the library calls Python through

@@ -18,13 +18,11 @@ from ...assets.franka import ROBOTS
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
 from ..build.description import STOP_TIME, Layout
-from ..build.engines import made_with
-from ..build.libraries import code_digest, digest, own_licences, this_platform
+from ..build.libraries import code_digest, digest, made_with, own_licences, this_platform
 from ..inside.base import TICK
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
-from ..interface.sensors import SENSORS
-from ..interface.trajectory import TABLE_FILE, TRAJECTORY
+from ..interface.tables import SENSORS, TABLE_FILE, TRAJECTORY
 from ..interface.variables import Interface
 
 if TYPE_CHECKING:

@@ -9,10 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..pictures.panels import COLOURS, DPI, GREY, STYLE
+from ..pictures.panels import COLOURS, DPI, GREY
 from ..pictures.plot import own_style
-from .analysis import Analysis
-from .margins import STEP_TIME, Margins, frequencies, open_loop, steps
+from .analysis import STEP_TIME, Analysis, Margins, frequencies, open_loop, steps
 
 WANTED_PHASE_DEG, WANTED_DELAY_MS = 45.0, 3.0
 GAINS: Final = ("kp", "ki", "kd", "ik_gain")  # of our own law
@@ -23,7 +22,7 @@ def plot_analysis(
     analysis: Analysis, variants: Sequence[Margins], path: Path, comment: str = ""
 ) -> None:
     """Draw an analysis, and the margins of its variants, as a PNG file that carries a comment."""
-    with own_style(STYLE):
+    with own_style():
         from matplotlib.figure import Figure  # noqa: PLC0415 - after its defaults are set
 
         figure = Figure(figsize=(13, 8.6), facecolor="white")

@@ -15,10 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
-from ...fmus.master.perturbed import PerturbedSystem
+from ...fmus.errors import InputError, did_you_mean
+from ...fmus.master.system import PerturbedSystem
 from ...fmus.master.wiring import Name
-from ...fmus.messages import did_you_mean
 from ..run.prepare import Prepared
 
 Array = NDArray[np.float64]

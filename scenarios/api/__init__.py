@@ -23,14 +23,13 @@ if TYPE_CHECKING:
     from panda_cosim.scenarios.run.result import Run
     from panda_cosim.scenarios.run.run import run_scenario
     from panda_cosim.scenarios.run.session import Session
-    from panda_cosim.scenarios.scenario.criteria import SignalCriterion
+    from panda_cosim.scenarios.scenario.criteria import SignalCriterion, Success
     from panda_cosim.scenarios.scenario.scenario import (
         Push,
         Scenario,
         load_scenario,
         shipped_scenarios,
     )
-    from panda_cosim.scenarios.scenario.success import Success
     from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
     from panda_cosim.scenarios.scenario.trajectory import Trajectory
     from panda_cosim.scenarios.sweep.definition import Sweep
@@ -64,32 +63,24 @@ __all__ = [
     "sweep",
 ]
 
-_MODULES = {
-    "Analysis": "scenarios.analysis.analysis",
-    "CosimError": "fmus.errors",
-    "InputError": "fmus.errors",
-    "Options": "scenarios.run.options",
-    "Push": "scenarios.scenario.scenario",
-    "Recording": "scenarios.recording.reader",
-    "Run": "scenarios.run.result",
-    "RunComparison": "scenarios.compare.between_runs",
-    "Scenario": "scenarios.scenario.scenario",
-    "SignalCriterion": "scenarios.scenario.criteria",
-    "Session": "scenarios.run.session",
-    "SimulationError": "fmus.errors",
-    "Success": "scenarios.scenario.success",
-    "Sweep": "scenarios.sweep.definition",
-    "TableRow": "scenarios.scenario.table",
-    "Trajectory": "scenarios.scenario.trajectory",
-    "TrajectoryTable": "scenarios.scenario.table",
-    "analyze": "scenarios.analysis.analysis",
-    "compare": "scenarios.compare.between_runs",
-    "load_scenario": "scenarios.scenario.scenario",
-    "replay": "scenarios.run.replay",
-    "run_scenario": "scenarios.run.run",
-    "shipped_scenarios": "scenarios.scenario.scenario",
-    "sweep": "scenarios.sweep.engine",
+_NAMES = {
+    "fmus.errors": "CosimError InputError SimulationError",
+    "scenarios.analysis.analysis": "Analysis analyze",
+    "scenarios.compare.between_runs": "RunComparison compare",
+    "scenarios.recording.reader": "Recording",
+    "scenarios.run.options": "Options",
+    "scenarios.run.replay": "replay",
+    "scenarios.run.result": "Run",
+    "scenarios.run.run": "run_scenario",
+    "scenarios.run.session": "Session",
+    "scenarios.scenario.criteria": "SignalCriterion Success",
+    "scenarios.scenario.scenario": "Push Scenario load_scenario shipped_scenarios",
+    "scenarios.scenario.table": "TableRow TrajectoryTable",
+    "scenarios.scenario.trajectory": "Trajectory",
+    "scenarios.sweep.definition": "Sweep",
+    "scenarios.sweep.engine": "sweep",
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> object:

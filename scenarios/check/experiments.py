@@ -34,12 +34,11 @@ from ..run.options import Options
 from ..run.prepare import prepare
 from ..run.run import Execution
 from ..run.stopping import StopRequest
-from ..scenario.criteria import SignalCriterion
-from ..scenario.input_table import MAX_BYTES, InputTable
+from ..scenario.criteria import SignalCriterion, Success
 from ..scenario.scenario import NO_TABLE, Scenario
-from ..scenario.success import Success
+from ..scenario.table import MAX_BYTES, InputTable
 from ..scenario.writer import check_name, write_scenario
-from .rehearsal import rehearse
+from .check import rehearse
 
 Array = NDArray[np.float64]
 Series = dict[str, Array]  # scalar variables over time (n,), after "time" [s]

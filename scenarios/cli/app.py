@@ -17,8 +17,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from ...fmus.errors import CosimError, InputError
-from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code
 from .commands import COMMANDS, ELSEWHERE

@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.segment import Segment
 from rich.text import Text
 
-from ...fmus.messages import printable
+from ...fmus.errors import printable
 
 if TYPE_CHECKING:
     from rich.table import Table

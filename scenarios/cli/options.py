@@ -10,12 +10,11 @@ from typing import Any, Literal
 import typer
 
 from ...fmus.build.libraries import PLATFORMS
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind, Target, outdated
-from ..judging.refusals import ARMS
+from ..judging.limits import ARMS
 from ..run.options import TOP, Options, split_settings, with_options, with_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
 from ..system.assembly import instances

@@ -22,8 +22,7 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.sources.targets import Kind, Target
 from ..judging.contacts import Touch
 from ..judging.criterion import bound_text, margin_text, missed_text, quantity, unmeasured_text
-from ..judging.limits import exceeded
-from ..judging.refusals import outcome
+from ..judging.limits import exceeded, outcome
 from ..pictures.gl import RenderError
 from ..pictures.motion import refuse_without_model
 from ..recording import Recording
@@ -124,10 +123,10 @@ def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
         import_module("pyarrow.parquet")
         if view:
             import_module("PIL.Image").preinit()  # its formats
-            import_module("..view.page", __package__).code_elements()
-            export = import_module("..view.export", __package__)
+            page = import_module("..view.page", __package__)
+            page.code_elements()
             if values is not None:
-                export.described_model(export.plant_model({"parameters": values}))
+                page.described_model(page.plant_model({"parameters": values}))
 
     ThreadPoolExecutor(1).submit(load)
 
@@ -170,7 +169,7 @@ def _draw(done: Run, output: Output) -> Iterator[Path]:
         drawable = False
     try:
         if output.view and drawable:
-            from ..view.export import VIEW_FILE, write_view  # noqa: PLC0415 - imports MuJoCo
+            from ..view.page import VIEW_FILE, write_view  # noqa: PLC0415 - imports MuJoCo
 
             try:
                 yield write_view([done.shown()], done.folder / VIEW_FILE)

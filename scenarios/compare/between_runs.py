@@ -14,15 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...fmus.errors import InputError
-from ...fmus.messages import one_line
+from ...fmus.errors import InputError, one_line
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..run.folder import SUMMARY_FILE
 from ..run.result import Run
 from . import differences
-from .differences import CriterionRow, Extent, Row, SignalRow
-from .formats import DASH, numbers, percent, precise
+from .differences import DASH, CriterionRow, Extent, Row, SignalRow, numbers, percent, precise
 from .page import NO_VIEW, Figure, Page, Part, Section, Table, curve, render, varied
 
 FIGURES: Final = 12
@@ -275,7 +273,7 @@ def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
 
 def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
     """Show the run that differs most in 3D, with the first one as a ghost; with the page's code."""
-    from ..view.export import read_summary, show_source  # noqa: PLC0415 - slow to import
+    from ..view.page import read_summary, show_source  # noqa: PLC0415 - slow to import
     from .views import Views  # noqa: PLC0415 - slow to import
 
     if not comparison.signals:

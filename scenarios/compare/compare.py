@@ -1,4 +1,4 @@
-"""Compares a run with its reference recording: checks in `guards`, a tube around each signal.
+"""Compares a run with its reference recording: a tube around each signal, and other checks.
 
 A value may lie anywhere between the smallest and the largest value of the reference within `time`
 of its instant, widened by the signal's tolerance:
@@ -6,27 +6,132 @@ of its instant, widened by the signal's tolerance:
     min r(t') - tol <= x(t) <= max r(t') + tol,  |t' - t| <= time
 
 The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
-the comparison fails. Parameters, versions and the FMUs' identities are not compared.
+the comparison fails. The other checks find signals that are missing, new or in another unit, values
+that are not finite, a different time axis or verdict and, on request, different bits. Parameters,
+versions and the FMUs' identities are not compared.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, did_you_mean
+from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
 from ..scenario.tolerances import Tolerances
-from . import guards
-from .formats import measure, multiple, signal_names
-from .reference import Reference
+from .differences import measure, multiple, precise, signal_names, signal_of
+from .reference import Reference, column_digest, kept_metadata
 
 Array = NDArray[np.float64]
+
+TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
+
+
+def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[str]:
+    """Check that the verdict is that of the reference, and what the scenario expects."""
+    before, now = bool(reference.summary["success"]), bool(summary["success"])
+    if before == now:
+        return [] if summary.get("as_expected", True) else [unexpected_text(summary)]
+    missed = missed_text(Criterion.read(summary))
+    words = {True: "a success", False: "not a success"}
+    reasons = f" ({missed})" if missed else ""
+    return [f"is {words[now]}, the reference is {words[before]}{reasons}"]
+
+
+def unexpected_text(summary: Mapping[str, Any]) -> str:
+    """Describe in one line how a verdict differs from the expected one."""
+    if not summary["complete"]:
+        return f"ended early: {summary['reason']}"
+    if summary["success"]:
+        return f"is a success, but a failure is expected: {summary['expect_reason']}"
+    return missed_text(Criterion.read(summary))
+
+
+def signal_problems(recording: Recording, reference: Reference) -> list[str]:
+    """Check that the signals and their units are those of the reference."""
+    missing = _words(name for name in reference.units if name not in recording.units)
+    added = _words(name for name in recording.units if name not in reference.units)
+    problems = []
+    for signal, words in missing.items():
+        near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
+        problems.append(f"signal {words} is missing{near.rstrip('?')}")
+    problems += [f"signal {words} is new" for words in added.values()]
+    for name, unit in recording.units.items():
+        before = reference.units.get(name, unit)
+        if unit != before:
+            problems.append(f"{name} has the unit {unit!r}, the reference {before!r}")
+    return problems
+
+
+def _words(columns: Iterable[str]) -> dict[str, str]:
+    """Name the columns of each signal."""
+    signals = defaultdict(list)
+    for name in columns:
+        signals[signal_of(name)].append(name)
+    return {
+        signal: names[0] if len(names) == 1 else f"{signal} ({len(names)} columns)"
+        for signal, names in signals.items()
+    }
+
+
+def value_problems(recording: Recording) -> list[str]:
+    """Check that every value is finite, in all columns, compared or not."""
+    problems = []
+    time = recording.time
+    for name in recording.columns:
+        values = recording[name]
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            at, more = time[bad[0]], f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
+            problems.append(f"{name} is {values[bad[0]]} at {at:.3f} s{more}")
+    return problems
+
+
+def time_problems(time: Array, reference: Reference) -> list[str]:
+    """Check that the time axis is that of the reference."""
+    end = reference.time[-1]
+    first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
+    if not (abs(first) <= TIME_SLACK and abs(last - end) <= TIME_SLACK):
+        span = f"{precise(first)} to {precise(last)} s"
+        return [f"goes from {span}, the reference from 0 to {precise(end)} s"]
+    if len(time) != reference.rows:
+        return [f"has {len(time)} rows, the reference {reference.rows}"]
+    off = np.flatnonzero(~(np.abs(time - reference.time) <= TIME_SLACK))
+    return [
+        f"time is {time[row]:.9f} s in row {row + 1}, must be {reference.time[row]:.9f} s"
+        for row in off[:1]
+    ]
+
+
+def bit_problems(recording: Recording, reference: Reference) -> list[str]:
+    """Check that all columns have the same bits; add possible causes of a difference."""
+    differing = [
+        name
+        for name, bits in reference.digests.items()
+        if name in recording.units and column_digest(recording[name]) != bits
+    ]
+    if not differing:
+        return []
+    text = f"bits differ: {signal_names(differing)}"
+    changes = _environment_changes(reference.metadata, kept_metadata(recording))
+    if changes:
+        text += f" (recorded with another {', another '.join(changes)})"
+    return [text]
+
+
+def _environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return the differences in machine and versions, which may change bits."""
+    changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
+    old, new = before.get("versions", {}), now.get("versions", {})
+    return changes + [name for name in new if old.get(name) != new[name]]
+
 
 COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
 
@@ -92,10 +197,10 @@ def compare_with_reference(
     time = recording.time
     problems = [
         *([] if recording.complete else [f"ended early: {recording.reason}"]),
-        *guards.signal_problems(recording, reference),
-        *guards.value_problems(recording),
-        *guards.time_problems(time, reference),
-        *guards.verdict_problems(summary, reference),
+        *signal_problems(recording, reference),
+        *value_problems(recording),
+        *time_problems(time, reference),
+        *verdict_problems(summary, reference),
     ]
     present = [name for name in reference.columns if name in recording.units]
     rows = matching_rows(time, reference)
@@ -110,7 +215,7 @@ def compare_with_reference(
         problems.append("no signal was compared")
     problems += _tube_problems(deviations)
     if exact:
-        problems += guards.bit_problems(recording, reference)
+        problems += bit_problems(recording, reference)
     run, made = (each.metadata.get("versions", {}) for each in (recording, reference))
     engines = (run.get("mujoco", ""), made.get("mujoco", ""))
     return Comparison(tuple(problems), tuple(deviations), engines)

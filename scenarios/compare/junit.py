@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 from ...fmus.atomic import MARK, replacing
 from ..judging.criterion import line
-from .formats import measure, multiple
+from .differences import measure, multiple
 
 if TYPE_CHECKING:
     from .regress import Outcome  # `run` writes JUnit, too, without the suite

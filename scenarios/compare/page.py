@@ -19,8 +19,8 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.messages import TEXT_LENGTH, legible, shown
-from .formats import multiple, signal_of
+from ...fmus.errors import TEXT_LENGTH, legible, shown
+from .differences import multiple, signal_of
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -22,15 +22,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ...fmus.atomic import replacing
-from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, one_line
+from ...fmus.errors import InputError, excerpt, one_line
 from ..files import as_argument
 from ..recording import Recording
 from ..recording.storage import METADATA_KEY, literal
 from ..scenario.scenario import Scenario
 from ..scenario.tolerances import Tolerances, is_compared
 from ..work import processor
-from .formats import signal_of
+from .differences import signal_of
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,10 @@
-"""Runs a suite of scenarios, each in a process of its own, and compares them with references."""
+"""Runs a suite of scenarios, each in a process of its own, and compares them with references.
+
+Engines of several versions of MuJoCo that round differently are never equal to the last bit, and
+what rounding makes may grow. So each scenario runs once more with all inputs of its plant times
+1 + 1e-14. An engine has changed a signal where it is further off than `GROWTH` times what this
+noise has made of the signal so far.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +12,14 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
-from ...fmus.errors import CosimError, InputError
-from ...fmus.messages import did_you_mean, excerpt
+import numpy as np
+
+from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..judging.criterion import Criterion, unmeasured_text
 from ..recording import Recording
 from ..run.folder import SUMMARY_FILE
@@ -20,10 +27,9 @@ from ..run.options import Options
 from ..run.run import run_scenario
 from ..run.start import Overrides, check_criteria, start_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
-from ..scenario.tolerances import Tolerances
+from ..scenario.tolerances import Tolerances, is_compared
 from ..work import Workers
-from .compare import Comparison, compare_with_reference, describe
-from .guards import unexpected_text
+from .compare import Comparison, compare_with_reference, describe, unexpected_text
 from .reference import Reference, how_to_make, reference_path
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
@@ -321,3 +327,56 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
     if old.quanta != new.quanta:
         lines.append("is rounded anew, as its tolerances have changed")
     return lines
+
+
+NOISE: Final = 1.0 + 1e-14
+GROWTH: Final = 1000.0
+FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
+
+
+def variants(scenario: Scenario | Unusable, engines: Iterable[str]) -> list[Scenario | Unusable]:
+    """Return a scenario as it is, with noise, and with each engine."""
+    if isinstance(scenario, Unusable):
+        return [scenario]
+    name = scenario.name
+    noisy = replace(scenario, name=f"{name}-noise", input_scale=NOISE)
+    return [scenario, noisy, *(replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)]
+
+
+def engine_rows(
+    scenarios: Sequence[Scenario | Unusable], engines: int, outcomes: Iterable[Outcome]
+) -> list[list[Outcome]]:
+    """Return the outcomes of each scenario: its own engine's, then the others' with differences."""
+    rows, remaining = [], iter(outcomes)  # in the order of `variants`
+    for scenario in scenarios:
+        rows.append([next(remaining)])
+        if isinstance(scenario, Scenario):
+            own, noisy = rows[-1][0], next(remaining)
+            others = (next(remaining) for _ in range(engines))
+            rows[-1] += [replace(o, difference=_difference(own, noisy, o)) for o in others]
+    return rows
+
+
+def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
+    if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
+        return "changed"
+    own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
+    return difference_of(own_run, noisy_run, run, own.tolerances)
+
+
+def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:
+    """Tell whether rounding explains how a run differs from another, and the first such tick."""
+    rows = min(each.rows for each in (own, noisy, run))
+    apart, beyond = np.zeros((2, rows + 1), bool)
+    beyond[rows] = own.rows != run.rows
+    for name in own.columns:
+        first, other = own[name][:rows], run[name][:rows]
+        apart[:rows] |= first != other
+        if is_compared(name):
+            first, noise, other = (x.astype(float) for x in (first, noisy[name][:rows], other))
+            effect = np.maximum.accumulate(np.abs(noise - first))
+            near = np.maximum(GROWTH * effect, FLOOR * tolerances.value(name, own.units[name]))
+            beyond[:rows] |= ~(np.abs(other - first) <= near)
+    if beyond.any():
+        return f"changed, tick {np.argmax(beyond)}"
+    return f"rounding, tick {np.argmax(apart)}" if apart.any() else "equal"

@@ -21,10 +21,9 @@ from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..run.start import Overrides
 from ..scenario.scenario import Scenario
-from ..view.export import shown_run
+from ..view.page import shown_run
 from .compare import Comparison, Deviation, deviation_text, matching_rows, tube_of
-from .differences import metrics_of, side_by_side
-from .formats import DASH, measure, numbers
+from .differences import DASH, measure, metrics_of, numbers, side_by_side
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
 from .regress import Outcome, headline

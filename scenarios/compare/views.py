@@ -9,11 +9,17 @@ from typing import Any, Final
 
 from ...fmus.errors import InputError
 from ..scenario.scenario import shipped_scenarios
-from ..view.export import contents, show_source
-from ..view.page import Contents, code_elements, data_elements, script_sources, style
-from ..view.run import ROLES, RunData, Shown
-from ..view.story import CURVES
-from .formats import signal_of
+from ..view.page import (
+    Contents,
+    code_elements,
+    contents,
+    data_elements,
+    script_sources,
+    show_source,
+    style,
+)
+from ..view.run import CURVES, ROLES, RunData, Shown
+from .differences import signal_of
 from .page import NO_VIEW, Part
 from .reference import REFERENCE_FILE, Reference, how_to_make
 

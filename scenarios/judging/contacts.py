@@ -56,7 +56,7 @@ def _touches(recording: Recording) -> Iterator[Touch]:
     """
     import mujoco  # noqa: PLC0415 - slow to import
 
-    from ...plant.contacts import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above
+    from ...plant.plant import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above
 
     model = _model(recording)
     kinds, data = kinds_of(model), mujoco.MjData(model)

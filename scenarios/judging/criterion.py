@@ -12,8 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 
-from ...fmus.errors import InputError
-from ...fmus.messages import excerpt
+from ...fmus.errors import InputError, excerpt
 
 Direction = Literal["below", "above"]
 

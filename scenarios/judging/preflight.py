@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE, TORQUE_DRIVEN
-from ...assets.franka import JOINT_DAMPING
-from ...assets.robots import RobotLimits, robot_limits
+from ...assets.franka import JOINT_DAMPING, RobotLimits, robot_limits
 from ...controller.gains import DEFAULT
 from ...controller.model import FINGERTIPS, ArmModel
 from ...controller.touch import ROTOR
@@ -24,7 +23,7 @@ from .. import rotations
 from ..recording import Recording
 from ..scenario.limits import robot_of
 from ..scenario.trajectory import TIME_TOLERANCE
-from .refusals import CHECKS, DERIVATIVES, LATE, MORE_TIME, NO_REFERENCE, PERIOD, SMOOTHER
+from .limits import CHECKS, DERIVATIVES, LATE, MORE_TIME, NO_REFERENCE, PERIOD, SMOOTHER
 
 Array = NDArray[np.float64]
 Refusal = dict[str, Any]  # as `findings` of summary.json has them

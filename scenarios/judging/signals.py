@@ -1,11 +1,12 @@
-"""Judges criteria over signals: a recorded signal, norm or difference, reduced over a window.
+"""Judges criteria over signals (a recorded signal, norm or difference), and poses of bodies.
 
-A reduction takes times (n,) [s], values (n,) and the criterion with its band, target and level, and
-returns the number, or None if there is none. n is at least 1.
+A signal is reduced over a window. A reduction takes times (n,) [s], values (n,) and the criterion
+with its band, target and level, and returns the number, or None if there is none. n is at least 1.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Final, cast
@@ -13,13 +14,20 @@ from typing import Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
-from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.errors import InputError, did_you_mean, excerpt
 from ..recording import Recording, by_rows
 from ..recording.reader import shapes_of
-from ..scenario.criteria import SLACK, Instant, SignalCriterion, split_instant
+from ..scenario.criteria import (
+    BLOCK,
+    BOUNDS,
+    SLACK,
+    BodyCriterion,
+    Instant,
+    SignalCriterion,
+    split_instant,
+)
 from .criterion import Criterion, Direction
-from .holds import Events
+from .holds import POSE, Events
 
 Array = NDArray[np.float64]
 Reduction = Callable[[Array, Array, SignalCriterion], float | None]
@@ -195,3 +203,72 @@ def _evaluate(criterion: SignalCriterion, *signals: Array) -> Array:
     if not isinstance(criterion.signal, str) and criterion.signal[0] == "norm":
         values = np.linalg.norm(values, axis=1, keepdims=True)
     return values
+
+
+_POSE = "_xquat[4]"  # end of a column's name, where a body's pose is recorded
+
+
+def check_bodies(criteria: Iterable[BodyCriterion], units: Mapping[str, str]) -> None:
+    """Check that the pose of each body is recorded, else raise `InputError`."""
+    posed = [n.removeprefix("plant.").removesuffix(_POSE) for n in units if n.endswith(_POSE)]
+    bodies = [name for name in posed if f"plant.{name}_xpos[3]" in units]
+    bodies += [BLOCK] if "plant.qpos[16]" in units else []
+    for index, criterion in enumerate(criteria, 1):
+        if criterion.body not in bodies:
+            valid = f"one of {', '.join(bodies)}" if bodies else "a body whose pose is recorded"
+            raise InputError(
+                f"[[success.body]] {index}: body: value {excerpt(criterion.body)}; must be {valid}"
+                f"{did_you_mean(criterion.body, bodies)}"
+            )
+
+
+def judge_bodies(
+    criteria: Iterable[BodyCriterion], recording: Recording, events: Events
+) -> list[Criterion]:
+    """Judge a run by each bound of each criterion."""
+    return [
+        judged for criterion in criteria for judged in _judge_body(criterion, recording, events)
+    ]
+
+
+def _judge_body(criterion: BodyCriterion, recording: Recording, events: Events) -> list[Criterion]:
+    values: Mapping[str, float] = {}
+    reason = None
+    try:
+        values = _measure_body(criterion, recording, row_at(criterion.at, recording.time, events))
+    except ValueError as error:
+        reason = str(error)
+    return [
+        Criterion.judge(
+            f"{criterion.body} {'position' if name == 'tolerance' else name}",
+            values.get(name),
+            bound,
+            BOUNDS[name],
+            "above" if name.startswith("min_") else "below",
+            reason,
+        )
+        for name, bound in criterion.bounds.items()
+    ]
+
+
+def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:
+    """Return the value of each bound; raise `UnmeasuredError` if the pose is not finite."""
+    first, last = np.column_stack([recording[name][[0, row]] for name in _pose(criterion)])
+    start, end, (_, x, y, _) = first[:3], last[:3], last[3:].tolist()
+    if not (np.isfinite(end).all() and math.isfinite(x * y)):
+        raise UnmeasuredError("is not finite")
+    target = end if criterion.position is None else np.array(criterion.position)
+    return {
+        "tolerance": float(np.linalg.norm(end - target)),
+        "max_tilt": math.degrees(math.acos(min(1.0, max(-1.0, 1 - 2 * (x * x + y * y))))),
+        "max_shift": float(np.linalg.norm(end - start)),
+        "min_lift": float(end[2] - start[2]),
+    }
+
+
+def _pose(criterion: BodyCriterion) -> list[str]:
+    """Return the columns of a body's position and quaternion (w, x, y, z)."""
+    if criterion.body == BLOCK:
+        return POSE
+    sizes = zip(criterion.signals, (3, 4), strict=True)
+    return [f"{name}[{i}]" for name, size in sizes for i in range(1, size + 1)]

@@ -10,10 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, one_line
 from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.master.step import SWITCHED
-from ...fmus.messages import one_line
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ..files import MODEL_FILE
@@ -21,10 +20,9 @@ from ..pictures.meshes import load_model
 from ..rotations import about_z, rotate
 from ..run.folder import SCENARIO_FOLDER
 from ..run.session import Session
-from ..view import story
 from ..view.model import describe as describe_model
 from ..view.page import live_page
-from ..view.run import ROLES
+from ..view.run import ROLES, column_bounds, shown_curves
 
 PUSH: Final = "plant.push_force"
 POINTS: Final = 2000  # of a curved path
@@ -52,7 +50,7 @@ CURVES: Final = (
 def page_of(session: Session) -> str:
     """Return the page of a session as HTML."""
     columns, model = list(session.numbers()), _model(session)
-    bounds = story.bounds(session.scenario.robot) if session.is_panda else {}
+    bounds = column_bounds(session.scenario.robot) if session.is_panda else {}
     content = {
         "name": session.scenario.name,
         "about": _about(session),
@@ -129,7 +127,7 @@ def _model(session: Session) -> Any:
 
 
 def _about(session: Session) -> dict[str, Any]:
-    scenario, curves = session.scenario, story.shown(CURVES, dict.fromkeys(session.signals, ""))
+    scenario, curves = session.scenario, shown_curves(CURVES, dict.fromkeys(session.signals, ""))
     facts = [f"{scenario.duration:.2f} s"]
     if session.is_panda:
         facts.append("drag the hand, the block or a waypoint")

@@ -35,8 +35,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ...fmus.errors import InputError
-from .commands import LetGo, parse_command
-from .simulation import Simulation
+from .simulation import LetGo, Simulation, parse_command
 
 LOCAL: Final = "127.0.0.1"
 PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"

@@ -1,4 +1,7 @@
-"""Steps a session in real time, and carries out commands between two rows."""
+"""Steps a session in real time, and carries out commands between two rows.
+
+Commands come from a page: small JSON objects, which are checked here.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,113 @@ import zipfile
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...fmus.errors import CosimError, InputError, SimulationError
+from ...fmus.master.step import Coupling
 from ..run.folder import SCENARIO_FOLDER
 from ..run.journal import JOURNAL_FILE
 from ..run.output import json_values
 from ..run.session import Session
-from ..view.story import verdict
-from . import commands
-from .commands import Command
+from ..view.run import verdict
 from .page import offset_of, plan
 
 if TYPE_CHECKING:
     from .server import LiveServer
+
+Name = Annotated[str, Field(max_length=100)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Place = Annotated[Number, Field(ge=-10.0, le=10.0)]  # [m]
+Vector = Annotated[list[Number], Field(max_length=16)]
+
+
+class _Command(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Play(_Command):
+    """Run, pause, or restart."""
+
+    do: Literal["play", "pause", "restart"]
+
+
+class Step(_Command):
+    """Take some ticks, then pause."""
+
+    do: Literal["step"]
+    ticks: Annotated[int, Field(ge=1, le=1000)]
+
+
+class Speed(_Command):
+    """Run at a speed relative to the wall clock."""
+
+    do: Literal["speed"]
+    factor: Annotated[Number, Field(ge=0.01, le=10.0)]
+
+
+class Set(_Command):
+    """Set a tunable parameter, or hold an input; `Session.set`."""
+
+    do: Literal["set"]
+    name: Name
+    value: bool | Number | Annotated[str, Field(max_length=100)] | Vector
+
+
+class Release(_Command):
+    """Release a held input; `Session.release`."""
+
+    do: Literal["release"]
+    name: Name
+
+
+class LetGo(_Command):
+    """Release all held forces: the user who pushed has left."""
+
+    do: Literal["let_go"]
+
+
+class MoveWaypoint(_Command):
+    """Move a later row of the table to another position in the world [m]."""
+
+    do: Literal["waypoint"]
+    row: Annotated[int, Field(ge=0, le=100_000)]
+    position: Annotated[list[Place], Field(min_length=3, max_length=3)]
+
+
+class Keep(_Command):
+    """Write the session so far as a scenario, into a new folder in the working directory."""
+
+    do: Literal["keep"]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+
+
+class SetCoupling(_Command):
+    """Change the coupling; `Session.set_coupling`."""
+
+    do: Literal["coupling"]
+    coupling: Coupling
+
+
+Command = Annotated[
+    Play | Step | Speed | Set | Release | LetGo | MoveWaypoint | Keep | SetCoupling,
+    Field(discriminator="do"),
+]
+_ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
+
+
+def parse_command(text: str | bytes) -> Command:
+    """Read a command."""
+    try:
+        return _ADAPTER.validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_input=False, include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise InputError(f"command: {place}: {first['msg']}") from None
+
 
 Array = NDArray[np.float64]
 
@@ -164,37 +257,37 @@ class Simulation:
             except CosimError as error:
                 if not (self._session.is_open or self._is_over):  # after a restart that failed
                     raise
-                is_late = self._is_over and not isinstance(command, commands.Keep)
+                is_late = self._is_over and not isinstance(command, Keep)
                 refuse(OVER if is_late else str(error))
         return done
 
     def _do(self, command: Command, server: LiveServer) -> None:
         session = self._session
         match command:
-            case commands.Play():
+            case Play():
                 self._play(command.do, server)
-            case commands.Step():
+            case Step():
                 self._playing = False
                 self._step(command.ticks, server)
-            case commands.Speed():
+            case Speed():
                 self._speed = command.factor
-            case commands.Set():
+            case Set():
                 session.set(command.name, command.value)
-            case commands.Release():
+            case Release():
                 session.release(command.name)
-            case commands.LetGo():
+            case LetGo():
                 for name in dict.fromkeys(held.partition("[")[0] for held in session.held):
                     if name.endswith("_force"):
                         session.release(name)
-            case commands.MoveWaypoint():
+            case MoveWaypoint():
                 self._move(command)
                 server.plan(self.plan())
-            case commands.Keep():  # in the working directory
+            case Keep():  # in the working directory
                 session.keep(command.name)
                 self._message = f"kept as a scenario: panda-cosim run ./{command.name}"
-            case commands.SetCoupling():
+            case SetCoupling():
                 session.set_coupling(command.coupling)
-        if isinstance(command, commands.Play | commands.Step | commands.Speed):
+        if isinstance(command, Play | Step | Speed):
             self._anchor()
 
     def _play(self, do: str, server: LiveServer) -> None:
@@ -211,7 +304,7 @@ class Simulation:
         else:
             self._playing = do == "play"
 
-    def _move(self, command: commands.MoveWaypoint) -> None:
+    def _move(self, command: MoveWaypoint) -> None:
         row, count = command.row, len(self._session.table.rows)
         if row >= count:
             raise InputError(f"waypoint: row {row}; must be from 0 to {count - 1}")

@@ -19,8 +19,7 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
-from ...fmus.messages import one_line
+from ...fmus.errors import InputError, one_line
 from ...fmus.processes import SAFE_PATH
 from ..fields import check_choice
 from .gl import RenderError, backends, what_to_install

@@ -40,18 +40,18 @@ def plot_recording(recording: Recording, path: Path, summary: Summary | None = N
     return plot_run(recording, path, summary) if is_task else plot_signals(recording, path)
 
 
-def own_style(style: Mapping[Any, Any]) -> AbstractContextManager[None]:
-    """Draw and save figures in matplotlib's default style, changed by `style` alone."""
+def own_style(**changes: Any) -> AbstractContextManager[None]:
+    """Draw and save figures in matplotlib's default style, changed by ours alone."""
     from matplotlib.style import context  # noqa: PLC0415 - slow to import
 
-    return context(dict(style), after_reset=True)
+    return context([STYLE, changes], after_reset=True)
 
 
 def plot_run(recording: Recording, path: str | Path, summary: Summary | None = None) -> Path:
     """Write a PNG with the curves of a run: hand, error, gripper, block, joints and limits."""
     path = Path(path)
     figure = draw_run(recording, summary)
-    with own_style(STYLE):
+    with own_style():
         _save(figure, path)
     return path
 
@@ -64,7 +64,7 @@ def _save(figure: Figure, path: Path) -> None:
 def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
     """Return the figure of a run, for a notebook or a format other than PNG."""
     curves = read_curves(recording)
-    with own_style(STYLE):
+    with own_style():
         # Without pyplot, which keeps every figure and may need a screen.
         from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
@@ -132,7 +132,7 @@ def plot_signals(recording: Recording, path: Path) -> Path:
     signals = groupby(names, lambda name: (name.partition("[")[0], units.get(name, "")))
     panels = [(signal, unit, list(columns)) for (signal, unit), columns in signals]
     down = max(-(-len(panels[:MOST]) // ACROSS), 1)
-    with own_style(STYLE | {"text.parse_math": False}):
+    with own_style(**{"text.parse_math": False}):
         from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
         figure = Figure(figsize=(13.0, 1.2 + 2.2 * down), layout="constrained")
@@ -156,7 +156,7 @@ def plot_signals(recording: Recording, path: Path) -> Path:
 
 def plot_history(lines: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write a PNG with the ratios of `bench` over its runs, oldest first."""
-    with own_style(STYLE):
+    with own_style():
         from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
         figure = Figure(figsize=(9.0, 5.0), layout="constrained")

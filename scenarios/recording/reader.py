@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.atomic import check_replaceable, replacing
-from ...fmus.errors import CosimError, InputError
-from ...fmus.messages import did_you_mean, excerpt, one_line
+from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
 from .storage import (
     PARQUET_FILE,
     STREAM_FILE,

@@ -18,8 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, one_line
+from ...fmus.errors import InputError, excerpt, one_line
 from ..files import read_integer
 
 try:

@@ -15,16 +15,14 @@ from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.master.step import Coupling
-from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
 from ..fields import Quantity, check_choice, check_keys, field_names
-from ..scenario.input_table import InputTable
 from ..scenario.mismatch import Mismatch, default_of
 from ..scenario.scenario import DURATION, TABLE_FILE, Scenario
-from ..scenario.table import QUATERNION_COLUMNS
+from ..scenario.table import QUATERNION_COLUMNS, InputTable
 from .start import Overrides
 
 MAX_TIME_LIMIT = 1e9  # [s]

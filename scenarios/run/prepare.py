@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.types import in_row
 from ...fmus.master.system import OpenSystem, open_system
-from ...fmus.messages import did_you_mean
+from ...plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters
+from .. import rotations
 from ..scenario.scenario import Scenario
 from ..system.assembly import Assembly, assemble
+from .folder import model_in
 from .guarded import GuardedCommands
 from .options import Options, with_options
-from .start import StartValues, check_criteria, resolve, start_values, unsuitable_gains
+from .start import StartValues, check_criteria, resolve, start_pose, start_values, unsuitable_gains
 
 Array = NDArray[np.float64]
 CHUNK = 16_384  # ticks of inputs computed at a time; a whole hour would take 0.4 GB
@@ -101,11 +103,42 @@ def prepare(
     assembly.recorded()  # refuses columns of the same name
     prepared = Prepared(scenario, options, assembly, values)
     if scenario.route:
-        from .routing import routed  # noqa: PLC0415 - few scenarios need it
-
-        return prepare(routed(prepared), options, interactive=interactive, run_code=run_code)
+        return prepare(_routed(prepared), options, interactive=interactive, run_code=run_code)
     prepared.inputs()  # refuses a table that cannot be resolved
     return prepared
+
+
+def _routed(prepared: Prepared) -> Scenario:
+    """Return the scenario with its table, for the block where the camera sees it."""
+    import mujoco  # noqa: PLC0415 - few scenarios need it
+
+    from ...plant.scene import load_scene  # noqa: PLC0415 - see above
+    from ..route.route import route  # noqa: PLC0415 - see above
+    from ..route.scene import RouteScene  # noqa: PLC0415 - see above
+
+    scenario, plant = prepared.scenario, prepared.values["plant"]
+    mass = float(plant.get("block_mass", 0.0))
+    start = start_pose(plant, prepared.values.get("sensors"))
+    centre = np.array(start.target_position) - np.array([0.0, 0.0, BLOCK_HALF_HEIGHT])
+    block = np.concatenate((centre, rotations.about_z(start.block_yaw)))
+    if "plant" not in scenario.fmus:
+        # No route depends on what the scenes differ in.
+        model = load_scene(PlantParameters(robot=scenario.robot))
+        qpos = model.key("home").qpos
+        return route(scenario, RouteScene(model, qpos, block, scenario.robot), mass)
+    outputs = prepared.assembly.interfaces["plant"]
+    content = model_in(prepared.assembly.system.fmus["plant"])
+    if not content or "block_mass" not in plant:
+        raise InputError(
+            f"[fmus] plant: value {scenario.fmus['plant']!r}; must be a MuJoCo model that extends "
+            "PandaPlant, for a route to be planned in it"
+        )
+    names = outputs.variable("qpos").names()
+    qpos = np.empty((1, len(names)))
+    with prepared.open([]) as system:
+        system.slaves["plant"].bind_get(names, qpos)(0)
+    model = mujoco.MjModel.from_binary_path("plant.mjb", {"plant.mjb": content})
+    return route(scenario, RouteScene(model, qpos[0], block, scenario.robot), mass)
 
 
 class Inputs:

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from ...fmus.errors import InputError
-from ...fmus.messages import excerpt
+from ...fmus.errors import InputError, excerpt
 from ..scenario.scenario import Scenario
-from .adjustments import Adjustments
 from .folder import SCENARIO_FOLDER
-from .journal import END, Journal
+from .journal import END, Adjustments, Journal
 from .options import Options
 from .prepare import Prepared
 from .result import Run

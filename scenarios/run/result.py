@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ...fmus.messages import TEXT_LENGTH, legible
+from ...fmus.errors import TEXT_LENGTH, legible
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from .output import json_values
@@ -101,7 +101,7 @@ class Run:
         Args:
             path: Where to; None: `contact_sheet.png` in the run's folder.
         """
-        from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - slow to import
+        from ..pictures.video import contact_sheet  # noqa: PLC0415 - slow to import
 
         return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
 
@@ -126,7 +126,7 @@ class Run:
         Args:
             name: Its name on the page; None: the folder's.
         """
-        from ..view.export import show_source  # noqa: PLC0415 - slow to import
+        from ..view.page import show_source  # noqa: PLC0415 - slow to import
 
         name = name or self.folder.resolve().name
         return show_source(self.recording, name, summary=json_values(self.summary.to_dict()))
@@ -138,8 +138,7 @@ class Run:
             against: Another run, shown as a ghost.
             height: Of the page in the notebook [px].
         """
-        from ..view.export import view_page  # noqa: PLC0415 - slow to import
-        from ..view.page import Inline  # noqa: PLC0415 - see above
+        from ..view.page import Inline, view_page  # noqa: PLC0415 - slow to import
 
         runs = [self.shown("run" if against else None)]
         if against is not None:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from ...fmus.errors import CosimError, InputError
 from ...fmus.master.master import Master, RealtimePacer
 from ..scenario.scenario import Scenario, load_scenario
-from .adjustments import Adjustments
 from .folder import claimed_folder
-from .journal import END, Action
+from .journal import END, Action, Adjustments
 from .options import Options
 from .output import Output
 from .prepare import Prepared, prepare

@@ -18,8 +18,7 @@ from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.variables import Value
 from ...plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
-from ..judging.bodies import check_bodies
-from ..judging.signals import check_signals
+from ..judging.signals import check_bodies, check_signals
 from ..recording.storage import TEXTS
 from ..scenario.scenario import SCENARIO_FILE, TOUCH, Scenario
 from ..scenario.table import TrajectoryTable
@@ -153,7 +152,7 @@ def _timed(  # noqa: PLR0913 - all that new times depend on
 
         blends = np.array([row.blend for row in table.rows])
         return retimed(trajectory, blends, gains, load, share)
-    from ..timing.stretch import stretched  # noqa: PLC0415 - few scenarios need it
+    from ..timing.optimal import stretched  # noqa: PLC0415 - few scenarios need it
 
     return stretched(trajectory, gains, load, share)
 

@@ -25,16 +25,11 @@ PATIENCE = 1.0  # [s] after which a second signal ends the process at once
 
 
 class StopRequest:
-    """Asks a run to stop after the current step, for instance when another thread's event is set.
-
-    Attributes:
-        signal: Number of the signal that came first, or 0.
-        reason: What asked for it, or "".
-    """
+    """Asks a run to stop after the current step, such as when another thread's event is set."""
 
     def __init__(self, event: threading.Event | None = None) -> None:
-        self.signal = 0
-        self.reason = ""
+        self.signal = 0  # number of the one that came first
+        self.reason = ""  # what asked for it
         self._event = event
         self._came = 0.0
         self._deadline = float("inf")

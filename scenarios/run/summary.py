@@ -16,18 +16,16 @@ from numpy.typing import NDArray
 from ...fmus.master.master import RunStatistics
 from .. import rotations
 from ..fields import field_names
-from ..judging.block import measure_block
-from ..judging.bodies import judge_bodies
 from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
 from ..judging.criterion import Criterion, Direction, smallest_margin
 from ..judging.definitions import DEFINITIONS
-from ..judging.holds import COMMAND, Events, events, find_holds, moving_rows
+from ..judging.holds import COMMAND, Events, events, find_holds, measure_block, moving_rows
 from ..judging.limits import first_limit, largest_share, limit_shares
-from ..judging.signals import judge_signals
+from ..judging.signals import judge_bodies, judge_signals
 from ..recording import Recording, by_rows
+from ..scenario.criteria import Success
 from ..scenario.scenario import Scenario
-from ..scenario.success import Success
 
 Array = NDArray[np.float64]
 Metrics = dict[str, Any]

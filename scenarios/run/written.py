@@ -12,8 +12,7 @@ from typing import Final
 from ...fmus.build.native import NativeFmu
 from ...fmus.build.ssp import Component, WrittenSystem
 from ...fmus.errors import InputError
-from ...fmus.interface.tables import Connection
-from ...fmus.interface.trajectory import TABLE_FILE, TRAJECTORY
+from ...fmus.interface.tables import TABLE_FILE, TRAJECTORY, Connection
 from ...fmus.interface.types import type_of
 from ...fmus.interface.variables import Interface, Variable, output
 from ...fmus.master.fmu_file import read_fmu

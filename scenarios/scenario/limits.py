@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE, franka
-from ...fmus.errors import InputError
-from ...fmus.messages import excerpt
+from ...fmus.errors import InputError, excerpt
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,11 @@ import numpy as np
 from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
-from ...assets.franka import DEFAULT_ROBOT, ROBOTS
-from ...assets.robots import ROBOTS as REAL_ROBOTS
-from ...fmus.build.engines import check_engine
-from ...fmus.errors import InputError
+from ...assets.franka import DEFAULT_ROBOT, LIMIT_FILES, ROBOTS
+from ...fmus.build.libraries import check_engine
+from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
 from ...fmus.interface.plant import FORCE_MAX, FORCES
-from ...fmus.messages import did_you_mean, excerpt
 from ..fields import (
     Choice,
     Line,
@@ -30,10 +28,9 @@ from ..fields import (
     numbers,
 )
 from ..files import read_text
-from .input_table import InputTable
+from .criteria import Success
 from .mismatch import Mismatch
-from .success import Success
-from .table import TableRow, TrajectoryTable
+from .table import InputTable, TableRow, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
@@ -148,7 +145,7 @@ class Scenario:
     # installed one.
     mujoco: Annotated[str, PlainValidator(check_engine)] = ""
     # The real robot whose interface the run is judged by; empty: none.
-    preflight: Annotated[str, Choice(("", *REAL_ROBOTS))] = ""
+    preflight: Annotated[str, Choice(("", *LIMIT_FILES))] = ""
     # Factor on all inputs of the FMU `plant`; 1.00000000000001 shows how rounding errors grow.
     input_scale: Annotated[float, Quantity(0.99, 1.01, "1")] = 1.0
     expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"

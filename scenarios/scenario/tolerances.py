@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from ...assets import STEP_SIZE
-from ...fmus.errors import InputError
-from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.errors import InputError, did_you_mean, excerpt
 from ..fields import Quantity
 
 TIME: Final = STEP_SIZE  # [s] an event may fall into the next tick by rounding

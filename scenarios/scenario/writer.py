@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...fmus.atomic import check_replaceable, replacing
-from ...fmus.errors import InputError
-from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.errors import InputError, did_you_mean, excerpt
 from ..files import write_all
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios

@@ -17,8 +17,7 @@ from itertools import islice
 from typing import Any, Final
 
 from ...fmus.atomic import cache_folder, temporary_folder
-from ...fmus.errors import CosimError, InputError
-from ...fmus.messages import one_line
+from ...fmus.errors import CosimError, InputError, one_line
 from ..work import Workers
 from .row import Done, Job, Task, first_columns, run_rows, unpack_job
 

@@ -15,9 +15,8 @@ import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 from pydantic import PlainValidator
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, excerpt
 from ...fmus.interface.parameters import literal
-from ...fmus.messages import excerpt
 from ..fields import Choice, Line, Quantity, Vector, check_keys, checked, field_names
 from ..files import read_text
 from ..scenario.scenario import shipped_scenarios

@@ -1,13 +1,19 @@
-"""The values of each row, which depend only on the definition and the row's index."""
+"""The values of each row, which depend only on the definition and the row's index, or a search.
+
+A search is for the worst or best margin: Optuna proposes rows and gets their results. The table is
+its memory: when it resumes, Optuna gets all existing rows. The rows are not a sample of any
+distribution, so their counts are not probabilities.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import itertools
+import math
 import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +30,8 @@ from ..run.prepare import CHUNK, prepare
 from ..run.start import start_values
 from ..scenario.scenario import Scenario
 from .definition import MAX_SAMPLES, Distribution, Sweep
-from .scenarios import Loaded
+from .row import Done, Loaded, Row, Task, margin_column
+from .store import Store
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers, or a list
@@ -195,3 +202,60 @@ def _extremes(column: Array | Sequence[Any]) -> list[ParameterValue]:
     if any(isinstance(value, str | bool) for value in column):
         raise InputError("vary: values of a key must be all numbers, all switches or all text")
     return list(dict.fromkeys((float(min(column)), float(max(column)))))
+
+
+FIRST: Final = 10  # rows drawn at random before the search proper
+
+
+class Search:
+    """A search, with the rows so far."""
+
+    def __init__(self, sweep: Sweep, store: Store) -> None:
+        self._margin = margin_column(sweep.criterion, store.content["columns"])
+        try:
+            import optuna  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"design \"search\": {error}; pip install 'panda-cosim[search]'"
+            ) from None
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self._axes = {key: _axis(optuna, each) for key, each in sweep.vary.items()}
+        self._trials: dict[int, Any] = {}
+        known = store.table().to_pylist() if store.parts() else []
+        self._next = max((row["index"] for row in known), default=-1) + 1
+        self._left = sweep.samples - len(known)
+        sampler = optuna.samplers.TPESampler(
+            n_startup_trials=FIRST, seed=sweep.seed + self._next, constant_liar=True
+        )
+        self._study = optuna.create_study(
+            direction="minimize" if sweep.goal == "fail" else "maximize", sampler=sampler
+        )
+        for row in known:
+            params = {key: row[key] for key in self._axes}
+            self._study.add_trial(
+                optuna.trial.create_trial(
+                    params=params, distributions=self._axes, value=self._objective(row)
+                )
+            )
+
+    def tasks(self) -> Iterator[Task]:
+        """Yield Optuna's proposals until all samples are used."""
+        for index in range(self._next, self._next + self._left):
+            trial = self._trials[index] = self._study.ask(self._axes)
+            yield Task(index, 0, {key: trial.params[key] for key in self._axes})
+
+    def tell(self, done: Done) -> None:
+        """Give Optuna the result of a row."""
+        self._study.tell(self._trials.pop(done.task.index), self._objective(done.row))
+
+    def _objective(self, row: Row) -> float:
+        margin = row.get(self._margin)
+        return -math.inf if margin is None else float(margin)  # not finished or not measured
+
+
+def _axis(optuna: Any, distribution: Distribution) -> Any:
+    """Return a range, or choices, of Optuna's."""
+    if distribution.values:
+        return optuna.distributions.CategoricalDistribution(distribution.values)
+    low, high = (float(end) for end in distribution.extremes())
+    return optuna.distributions.FloatDistribution(low, high, log=distribution.kind == "log-uniform")

@@ -1,4 +1,7 @@
-"""Runs the missing rows of a sweep, part by part, until the table is complete."""
+"""Runs the missing rows of a sweep, part by part, until the table is complete.
+
+A sweep in a suite of `regress`, sweep.toml in a scenario's folder, is judged by its success rate.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +9,28 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
+from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Target, build
-from ..judging.criterion import Criterion
+from ..compare.regress import Outcome, Unusable, Verdict
+from ..judging.criterion import Criterion, miss_text
 from ..run.folder import SUMMARY_FILE, default_folder
 from ..run.options import with_values
-from ..scenario.success import Success
+from ..scenario.criteria import Success
+from ..scenario.scenario import Scenario
 from ..work import cores
 from .backend import Backend, backend
 from .definition import Sweep, load_sweep
-from .design import Design, check_design, keys_without_effect, make_design
-from .row import Done, Job, Task, margin_column
-from .scenarios import Loaded, load_scenarios, pack, scenario_names
-from .search import Search
-from .statistics import lower_bound
+from .design import Design, Search, check_design, keys_without_effect, make_design
+from .report import write_report
+from .results import lower_bound
+from .row import Done, Job, Loaded, Task, load_scenarios, margin_column, pack, scenario_names
 from .store import Store, origin, schema
 
 # Time between two parts [s], the most a kill can cost. It grows to this share of the sweep's time,
@@ -227,3 +231,45 @@ def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:
     for done in rows.run(tasks):
         if done is not None:
             store.keep(done)
+
+
+FILE: Final = "sweep.toml"
+
+
+@dataclass(frozen=True)
+class SuiteSweep:
+    """A sweep of a suite, which must require a success rate; an unusable one fails alone."""
+
+    file: Path
+    purpose: str = field(default="success rate of a sweep", init=False)
+
+    @property
+    def name(self) -> str:
+        """Name in reports, and of the folder of its results."""
+        return f"{self.file.resolve().parent.name} (sweep)"
+
+    def judge(
+        self, folder: Path, jobs: int, progress: Callable[[Progress], None] | None = None
+    ) -> Outcome:
+        """Run the sweep into a folder, and judge its success rate."""
+        began, rate = time.perf_counter(), None
+        verdict: Verdict = "failed"
+        try:
+            definition = Sweep.read(self.file)
+            if not definition.min_success:
+                raise InputError(f"{self.file}: min_success is missing; must be above 0 in a suite")
+            rate = sweep(definition, folder, jobs=jobs, progress=progress).gate
+            assert rate is not None  # as one is required
+            write_report(folder)
+            verdict, problem = ("holds", "") if rate.ok else ("missed", miss_text(rate))
+        except CosimError as error:
+            problem = str(error)
+        seconds = time.perf_counter() - began
+        criteria = () if rate is None else (rate,)
+        return Outcome(self, verdict, folder, seconds, error=problem, criteria=criteria)
+
+
+def find_sweeps(scenarios: Iterable[Scenario | Unusable]) -> list[SuiteSweep]:
+    """Return the sweeps in the folders of a suite's scenarios."""
+    files = (each.folder / FILE for each in scenarios if each.folder is not None)
+    return [SuiteSweep(file) for file in files if file.is_file()]

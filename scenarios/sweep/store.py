@@ -29,16 +29,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from ...fmus.atomic import replacing
-from ...fmus.errors import InputError
-from ...fmus.messages import one_line
+from ...fmus.errors import InputError, one_line
 from ..files import read_text
 from ..recording.storage import lock
 from ..run.output import PACKAGES
 from ..scenario.scenario import load_scenario
 from ..scenario.writer import write_scenario
 from .definition import Sweep
-from .row import Done, Row
-from .scenarios import Loaded, identity, pack, scenario_names
+from .row import Done, Loaded, Row, identity, pack, scenario_names
 
 SWEEP_FILE: Final = "sweep.json"
 FORMAT: Final = 2
@@ -51,7 +49,7 @@ _CODE: Final = (
     *("assets", "plant", "controller", "fmus", "scenarios/judging", "scenarios/recording"),
     *("scenarios/run", "scenarios/scenario", "scenarios/system", "scenarios/timing"),
     *("scenarios/fields.py", "scenarios/files.py", "scenarios/rotations.py"),
-    *(f"scenarios/sweep/{name}.py" for name in ("definition", "design", "row", "search")),
+    *(f"scenarios/sweep/{name}.py" for name in ("definition", "design", "row")),
 )
 _PACKAGE: Final = Path(__file__).parents[2]
 _CODE_SUFFIXES: Final = (".py", ".toml", ".xml", ".c", ".h", ".j2")

@@ -11,24 +11,21 @@ from typing import cast
 
 import numpy as np
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
-from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
-from ...fmus.interface.tables import INTERFACES, Connection
+from ...fmus.interface.tables import INTERFACES, MEASURED, SEEN, Connection, measurement_of
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.master.step import ITERATIONS
 from ...fmus.master.system import System
 from ...fmus.master.wiring import Array, Name
-from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
 from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Coupling, Scenario
-from .connector import Connector
-from .driven import DrivenInput, driven_inputs
+from .connector import Connector, DrivenInput, driven_inputs
 from .parts import Part, measures_a_panda, read_parts
 
 

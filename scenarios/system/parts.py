@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
-from ...fmus.errors import InputError
-from ...fmus.interface.sensors import MEASURED, SENSORS
-from ...fmus.interface.tables import INTERFACES
+from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...fmus.interface.tables import INTERFACES, MEASURED, SENSORS
 from ...fmus.interface.variables import Interface, Variable, joints
 from ...fmus.master.fmu_file import described_interface, read_fmu
-from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.sources.targets import Kind, Target, build, build_fmu
 from ..scenario.scenario import Scenario
 

@@ -1,8 +1,14 @@
-"""Demands of a trajectory on the robot, as shares of its limits."""
+"""Demands of a trajectory on the robot: shares of its limits, and what is beyond them.
+
+The joint reference is what the controller computes for the trajectory, with an ideal arm.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 import mujoco
@@ -10,12 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import BLOCK_WIDTH, ROBOTS, SERVO_DAMPING
-from ...controller.model import load_arm
-from ..scenario.limits import shares
+from ...assets.franka import BLOCK_WIDTH, HOME_Q, ROBOTS, SERVO_DAMPING
+from ...controller.gains import RANGES, Gains
+from ...controller.model import ArmModel, load_arm
+from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST, POSTURE_COMMANDS
+from ...fmus.interface.parameters import expand
+from ...fmus.interface.variables import Interface
+from ...fmus.master.system import System, open_system
+from ...fmus.sources.targets import build_fmu, own_fmu
+from ..scenario.limits import LIMITS, LIMITS_OF, shares
 from ..scenario.table import TrajectoryTable
-from ..scenario.trajectory import Trajectory
-from .joint_reference import JointReference
+from ..scenario.trajectory import TIME_TOLERANCE, Trajectory
 
 Array = NDArray[np.float64]
 Shares = dict[str, float]
@@ -123,3 +134,164 @@ def _torques(
 def largest(demanded: dict[str, Array]) -> Shares:
     """Return the largest share of each limit over all ticks [1]."""
     return {name: float(np.abs(share).max()) for name, share in demanded.items()}
+
+
+REACH_TOLERANCE: Final = 0.001  # [m] by which the hand may miss the command
+# [m] The same on the way, where new times are made: near singularities the damping makes the hand
+# lag, and more time does not always help.
+WAY_TOLERANCE: Final = 0.005
+
+
+@dataclass(frozen=True)
+class LimitViolation:
+    """One limit that one segment exceeds."""
+
+    row: int  # that the segment leads to, from 1
+    time: float  # when it is exceeded most [s]
+    joint: int  # from 1; 0 for the hand as a whole
+    quantity: str  # one of `LIMITS`, or `reach`: the hand misses the command
+    value: float  # largest magnitude, in the limit's unit; [m] for `reach`
+    limit: float  # what is allowed
+
+    @property
+    def share(self) -> float:
+        """Value over limit [1]."""
+        return self.value / self.limit
+
+    def __str__(self) -> str:
+        """Describe it in one line."""
+        if self.quantity == "reach":
+            return (
+                f"row {self.row}: the hand is {self.value:.3g} m off the command at "
+                f"t = {self.time:.3f} s; it must be within the arm's reach and joint ranges"
+            )
+        unit = LIMITS[self.quantity].unit
+        return (
+            f"row {self.row}: {self.quantity} of joint {self.joint} is {self.value:.3g} {unit} "
+            f"at t = {self.time:.3f} s; must be at most {self.limit:.3g} {unit} "
+            f"({100 * self.share:.0f} %)"
+        )
+
+
+def find_violations(
+    trajectory: Trajectory,
+    reference: JointReference,
+    load: float,
+    share: float,
+    reach: float = REACH_TOLERANCE,
+) -> tuple[list[LimitViolation], Shares]:
+    """Return the worst violation of each kind in each row, and the largest share of each limit.
+
+    The closed fingers carry `load` [kg], `share` is what may be used of each limit [1], and the
+    hand may miss the command by `reach` [m].
+    """
+    segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
+    demanded = joint_demands(trajectory, reference, load)
+    violations = []
+    for row in np.unique(segment):
+        ticks = np.flatnonzero(segment == row)
+        for quantity, demand in demanded.items():
+            part = np.abs(demand[ticks])
+            tick, joint = np.unravel_index(part.argmax(), part.shape)
+            if part[tick, joint] > share:
+                bound = float(LIMITS_OF[reference.robot][quantity].bound[joint])
+                if quantity == "velocity":  # it may depend on the position
+                    bound = abs(float(reference.velocity[ticks[tick], joint]) / part[tick, joint])
+                limit, value = share * bound, float(part[tick, joint] * bound)
+                time = float(reference.time[ticks[tick]])
+                violations.append(
+                    LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
+                )
+        worst = ticks[reference.miss[ticks].argmax()]
+        if reference.miss[worst] > reach:
+            miss, time = float(reference.miss[worst]), float(reference.time[worst])
+            violations.append(LimitViolation(int(row), time, 0, "reach", miss, reach))
+    # What is out of reach makes the joints jump: the cause comes first.
+    violations.sort(key=lambda v: (v.row, v.quantity != "reach", -v.share))
+    return violations, largest(demanded)
+
+
+LAW = "controller"
+MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos")
+REFERENCE = ("qpos_ref", "qvel_ref")
+OUT_OF_THE_WAY = 100.0  # times the robot's limits
+
+
+@dataclass(frozen=True, eq=False)
+class JointReference:
+    """Joint reference for a trajectory, of an arm that follows it exactly."""
+
+    time: Array  # (n,) [s]
+    position: Array  # (n, 7) [rad]
+    velocity: Array  # (n, 7) [rad/s]
+    # Distance of hand and command (n,) [m], less the lag behind commands without velocity (linear
+    # interpolation).
+    miss: Array
+    robot: str
+
+    def derivatives(self) -> dict[str, Array]:
+        """Return velocity, acceleration and jerk, each (n, 7), of the same instants."""
+        acceleration = np.diff(self.velocity, axis=0, prepend=self.velocity[:1]) / STEP_SIZE
+        jerk = np.diff(acceleration, axis=0, prepend=acceleration[:1]) / STEP_SIZE
+        return {"velocity": self.velocity, "acceleration": acceleration, "jerk": jerk}
+
+
+def _without_limits(gains: Gains) -> Gains:
+    return replace(
+        gains,
+        limit_share=OUT_OF_THE_WAY,
+        reference_lead=math.pi,
+        linear_correction=OUT_OF_THE_WAY,
+        angular_correction=OUT_OF_THE_WAY,
+        linear_braking=OUT_OF_THE_WAY,
+        angular_braking=OUT_OF_THE_WAY,
+    )
+
+
+@cache
+def _law() -> tuple[Path, Interface]:
+    """Build the controller's FMU, but with limits that can be put out of the way."""
+    free = tuple(
+        replace(variable, maximum=RANGES[variable.name][1]) if variable.name in MOST else variable
+        for variable in CONTROLLER.variables
+    )
+    interface = replace(CONTROLLER, variables=free)
+    return build_fmu(replace(own_fmu(LAW, in_python=False), interface=interface)), interface
+
+
+def joint_reference(
+    trajectory: Trajectory, times: Array, gains: Gains, *, limited: bool = False
+) -> JointReference:
+    """Compute the joint reference of commands at instants (n,), one a tick, starting at `home`.
+
+    Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
+    """
+    gains = replace(gains, reading_delay=0.0)  # readings are of their instant here
+    values = asdict(gains if limited else _without_limits(gains))
+    path, interface = _law()
+    commanded = COMMANDS if trajectory.postures is None else (*COMMANDS, *POSTURE_COMMANDS)
+    signals = (*commanded, *MEASURED)
+    inputs = [name for each in signals for name in interface.variable(each).names()]
+    system = System({LAW: path}, (), [(LAW, name) for name in inputs])
+    start = {LAW: expand(LAW, interface, values)}
+    arm, still, q = ArmModel(gains.robot), np.zeros(7), np.array(HOME_Q)
+    commands = trajectory.sample(times)
+    position, velocity = np.empty((2, len(times), 7))
+    miss, given, answer = np.empty(len(times)), np.empty((1, len(inputs))), np.empty((1, 14))
+    with open_system(system, start, stop=len(times) * STEP_SIZE) as session:
+        law = session.slaves[LAW]
+        put = law.bind_set(inputs, given)
+        get = law.bind_get([f"{n}[{i}]" for n in REFERENCE for i in range(1, 8)], answer)
+        for tick, command in enumerate(commands):
+            hand = arm.hand(q, still)
+            measured = (command, hand.position, hand.orientation, hand.jacobian.ravel(), q)
+            np.concatenate(measured, out=given[0])
+            put(0)
+            law.step(tick * STEP_SIZE, STEP_SIZE)
+            get(0)
+            position[tick], velocity[tick] = q, answer[0, 7:]
+            miss[tick] = np.linalg.norm(command[:3] - hand.position)
+            q = answer[0, :7] + STEP_SIZE * velocity[tick]
+    untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
+    lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
+    return JointReference(times, position, velocity, np.maximum(miss - lag, 0.0), gains.robot)

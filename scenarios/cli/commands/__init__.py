@@ -36,10 +36,15 @@ COMMANDS = {
 
 # Commands in a module of another name: MODULE:FUNCTION.
 ELSEWHERE = {
+    "compare": "render:compare_runs",
+    "inputs": "new:inputs",
+    "route": "retime:route",
+    "view": "render:view",
+    "mjcf2fmu": "build:mjcf2fmu",
     "replay": "run:replay",
     "list": "new:list_scenarios",
     "plot": "render:plot",
-    "export": "inputs:export",
+    "export": "render:export",
     "sweep report": "sweep:report",
     "sweep sheet": "sweep:sheet",
     "sweep show": "sweep:show_one",

@@ -13,8 +13,7 @@ from pydantic_core import to_json
 
 from ....fmus.atomic import MARK, check_replaceable, replacing
 from ....fmus.master.step import SWITCHED
-from ...analysis.analysis import Analysis, analyze
-from ...analysis.margins import STEP_TIME, Margins
+from ...analysis.analysis import STEP_TIME, Analysis, Margins, analyze
 from ...analysis.plot import plot_analysis
 from ...files import marked_json
 from ...run.options import Options

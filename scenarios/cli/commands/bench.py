@@ -12,8 +12,7 @@ from rich.table import Table
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
 from ....fmus.sources.targets import Kind
-from ...bench_history import Line, append, compared, read
-from ...benchmark import FIGURES, LABELS, RATIOS, BenchResult, bench
+from ...benchmark import FIGURES, LABELS, RATIOS, BenchResult, Line, append, bench, compared, read
 from ...files import marked_json
 from ...pictures.plot import plot_history
 from ..console import show, table, tell

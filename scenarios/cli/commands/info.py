@@ -11,12 +11,10 @@ from typing import Any
 
 from rich.table import Table
 
-from ....fmus.errors import InputError
-from ....fmus.interface.sensors import SENSORS
-from ....fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
+from ....fmus.errors import InputError, did_you_mean, excerpt
+from ....fmus.interface.tables import CONNECTIONS, INTERFACES, SENSORS, Connection
 from ....fmus.interface.variables import Interface, Variable
 from ....fmus.master.fmu_file import Fmu, described_interface
-from ....fmus.messages import did_you_mean, excerpt
 from ...scenario.scenario import SCENARIO_FILE, Scenario
 from ...system.assembly import assemble, system_scenario
 from ...system.parts import UnreadSlaveError

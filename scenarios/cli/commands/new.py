@@ -1,4 +1,4 @@
-"""`panda-cosim new` and `panda-cosim list`."""
+"""`panda-cosim new`, `panda-cosim list` and `panda-cosim inputs`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,21 @@ from pathlib import Path
 from ....fmus.errors import InputError
 from ...check.experiments import import_experiment
 from ...files import as_argument
-from ...scenario.scenario import Scenario, shipped_scenarios
-from ...scenario.writer import make_scenario
+from ...run.start import instants, resolve, start_values
+from ...scenario.scenario import TABLE_FILE, Scenario, shipped_scenarios
+from ...scenario.writer import make_scenario, write_input_csv
 from ..console import show, show_json, table
-from ..options import JSON, argument, option
+from ..options import (
+    CSV_FILE,
+    JSON,
+    OVERWRITE,
+    PARAMETERS,
+    SCENARIO,
+    argument,
+    find_scenario,
+    option,
+    overrides,
+)
 
 
 def command(
@@ -72,3 +83,28 @@ def list_scenarios(json: bool = JSON) -> None:
         return
     rows = [(s.name, f"{s.duration:g} s", s.scene, s.purpose) for s in scenarios]
     show(table(("scenario", "duration", "scene", "purpose*"), rows, right=("duration",)))
+
+
+def inputs(
+    scenario: str = SCENARIO,
+    file: Path = CSV_FILE,
+    assignments: list[str] | None = PARAMETERS,
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Write a scenario's commands as an FMI input file.
+
+    The file drives the controller FMU in other tools, such as `fmpy simulate`. Its columns are the
+    time and the controller's command inputs, with one row per tick.
+
+    ```
+    panda-cosim inputs tutorial commands.csv
+    fmpy simulate PandaController.fmu --input-file commands.csv
+    ```
+    """
+    chosen = find_scenario(scenario)
+    if chosen.is_system:
+        raise InputError(f"scenario {chosen.name!r}: commands no hand; must have a {TABLE_FILE}")
+    times = instants(chosen)
+    trajectory = resolve(chosen, start_values(chosen, overrides(assignments)))
+    write_input_csv(file, times, trajectory.sample(times), overwrite=overwrite)
+    show(f"{file}: {len(times)} rows")

@@ -10,22 +10,23 @@ import typer
 
 from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
-from ...compare.engines import engine_rows, variants
-from ...compare.formats import multiple
+from ...compare.differences import multiple
 from ...compare.junit import write_junit
 from ...compare.regress import (
     Outcome,
     Suite,
     candidate,
     changes,
+    engine_rows,
     exit_code,
     find_scenarios,
     headline,
     run_suite,
+    variants,
 )
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
 from ...run.folder import default_folder
-from ...sweep.suite import SuiteSweep, find_sweeps
+from ...sweep.engine import SuiteSweep, find_sweeps
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..options import ENGINES, JSON, OVERWRITE, PARAMETERS, argument, option, overrides

@@ -1,22 +1,27 @@
-"""`panda-cosim render` and `panda-cosim plot`."""
+"""`panda-cosim render`, `plot`, `view`, `compare` and `export`."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
-from ....fmus.atomic import check_replaceable
+from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
+from ...compare.between_runs import RunComparison, compare, extent_rows, judged_text
+from ...compare.differences import numbers, percent, signal_names
+from ...compare.reference import REFERENCE_FILE
+from ...compare.views import reference_of, shown_reference
 from ...pictures.motion import position_columns
 from ...pictures.plot import plot_recording
-from ...pictures.sheet import contact_sheet
-from ...pictures.video import check_video
+from ...pictures.video import check_video, contact_sheet
 from ...recording import Recording
 from ...run.folder import SUMMARY_FILE
 from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
-from ...view.export import read_summary
-from ..console import show, tell
-from ..options import MESHES, OVERWRITE, RUN, Meshes, option
+from ...view.page import VIEW_FILE, read_summary, shown_run, write_view
+from ...view.run import Shown
+from ..console import as_cell, show, show_file, show_json, table, tell
+from ..options import CSV_FILE, JSON, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, argument, option
 from ..outcome import PLOTTING, TILING, draw_video
 
 
@@ -92,3 +97,130 @@ def plot(
     tell(PLOTTING)
     summary = read_summary(recording.path.parent / SUMMARY_FILE)
     show(str(plot_recording(recording, path, summary)))
+
+
+def view(  # noqa: PLR0913 - one for each option
+    run: Path = RUN,
+    against: str | None = option(
+        "--against RUN",
+        "Show another run as a ghost: a run's folder, a scenario's folder, a "
+        "reference.parquet, or the word reference for that of the run's own scenario.",
+    ),
+    out: Path | None = option("--out -o FILE.html", "Page to write. Default: in the run's folder."),
+    meshes: Meshes = MESHES,
+    open_page: bool = OPEN_PAGE,
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Show a run in 3D in the browser: one page that needs no network.
+
+    The page shows the recording: turn the camera, scrub, follow the hand, add any signal as a
+    curve. Add #t=2.3&cam=front to its address to link to an instant and a camera.
+
+    ```
+    panda-cosim view runs/first --open
+    panda-cosim view runs/second --against runs/first --out compared.html
+    panda-cosim view runs/first --against reference
+    ```
+    """
+    path = out if out is not None else (run if run.is_dir() else run.parent) / VIEW_FILE
+    check_replaceable(path, overwrite=overwrite)
+    first = shown_run(run, meshes=meshes)
+    write_view([first] if against is None else [first, _other(first, against)], path)
+    show_file(path, open_page=open_page)
+
+
+def _other(first: Shown, against: str) -> Shown:
+    """Return the run given by `--against`."""
+    if against == "reference":
+        return shown_reference(reference_of(first.source))
+    path = Path(against)
+    reference = path if path.name == REFERENCE_FILE else path / REFERENCE_FILE
+    if reference.is_file():
+        return shown_reference(reference)
+    name = path.resolve().name
+    return shown_run(path, name=against if name == first.name else name)
+
+
+SHOWN = 8  # rows of a table
+PAGE = "compare.html"
+
+
+def compare_runs(
+    runs: list[Path] = argument(
+        "RUN RUN [RUN]...", "Folders of runs; the others are compared with the first."
+    ),
+    out: Path | None = option("--out -o DIR", f"Write {PAGE} there, with all details."),
+    json: bool = JSON,
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Compare runs: parameters, verdicts, metrics and signals.
+
+    Shows how the parameters, verdicts and signals of each run differ from the first run's. Signals
+    are ranked by the largest deviation as a share of the element's range; a range below a
+    thousandth of the signal's largest value counts as that. The page overlays the curves of all
+    runs. Runs of other lengths are compared where they overlap, and are not identical. Runs that
+    have nothing in common end the compare_runs with exit code 2.
+
+    ```
+    panda-cosim run push --out runs/a
+    panda-cosim run push --set controller.kp=6 --out runs/b
+    panda-cosim compare runs/a runs/b --out report
+    ```
+    """
+    if len(runs) < 2:
+        raise InputError("RUN: only one; must be at least two runs")
+    comparison = compare(runs[0], *runs[1:])
+    if out is not None:
+        check_replaceable(out / PAGE, overwrite=overwrite)
+        with replacing(out / PAGE) as temporary:
+            temporary.write_text(comparison.to_html(), encoding="utf-8")
+    if json:
+        show_json(comparison.to_dict())
+        return
+    _show(comparison)
+    if out is not None:
+        show(str(out / PAGE))
+
+
+def _show(comparison: RunComparison) -> None:
+    equal = comparison.identical and not comparison.unmet
+    names, others = comparison.names, comparison.names[1:]
+    show(comparison.verdict, "bold green" if equal else "bold")
+    _show_rows(("Recorded", *names), list(extent_rows(comparison)))
+    _show_names("Only some runs have", comparison.missing)
+    _show_names("Not compared, as their units differ:", comparison.other_units)
+    parameters = [(row.name, *numbers(row.values)) for row in comparison.parameters]
+    _show_rows(("Parameter*", *names), parameters, SHOWN)
+    criteria = [(row.name, *map(judged_text, row.judged)) for row in comparison.criteria]
+    _show_rows(("Criterion*", *names), criteria)
+    metrics = [(row.name, *numbers(row.values)) for row in comparison.metrics]
+    _show_rows(("Metric*", *names), metrics, SHOWN)
+    signals = [(row.name, percent(row.share), *row.texts) for row in comparison.signals]
+    _show_rows(("Signal", "of its range", *others), signals, SHOWN)
+
+
+def _show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], most: int | None = None) -> None:
+    """Show a table, if it has rows, or its first ones."""
+    if rows:
+        show(table(head, (map(as_cell, cells) for cells in rows[:most]), right=head[1:]))
+    if most is not None and len(rows) > most:
+        show(f"and {len(rows) - most} more", "dim")
+
+
+def _show_names(what: str, columns: tuple[str, ...]) -> None:
+    if columns:
+        show(f"{what} {signal_names(columns, SHOWN)}")
+
+
+def export(run: Path = RUN, file: Path = CSV_FILE, overwrite: bool = OVERWRITE) -> None:
+    """Write a recording as CSV.
+
+    One column per signal and one row per tick, in full precision (RFC 4180).
+
+    ```
+    panda-cosim export runs/first first.csv
+    ```
+    """
+    recording = Recording.open(run, in_order=True)
+    recording.to_csv(file, overwrite=overwrite)
+    show(f"{file}: {recording.rows} rows, {len(recording.columns)} columns")

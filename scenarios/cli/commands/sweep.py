@@ -17,15 +17,13 @@ from ...compare.reference import REFERENCE_FILE
 from ...judging.criterion import line as criterion_line
 from ...judging.criterion import miss_text
 from ...run.folder import default_folder
-from ...sweep.again import promote_row, show_row
 from ...sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...sweep.engine import SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.iso9283 import SHEET, write_sheet
-from ...sweep.report import REPORT_FILE, write_report
-from ...sweep.results import missing
+from ...sweep.report import REPORT_FILE, promote_row, show_row, write_report
+from ...sweep.results import missing, share_bounds
 from ...sweep.row import STATUSES, UNJUDGED
-from ...sweep.statistics import share_bounds
 from ...sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
 from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
