@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .gains import Gains
 from .limits import Box, clamp
 from .linalg import cholesky_solve, damped_factor, mat_t_vec, mat_vec
+from .model import FINGERTIPS
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -20,6 +21,14 @@ Matrix = NDArray[np.float64]
 QP_SCALE = 1e6
 FLAT_GRADIENT = 1e-6 * QP_SCALE
 MIN_DAMPING = 1e-5  # [1] within a box, so that the solution is unique
+# [m/rad] An error of the hand's orientation counts as much as it moves the fingertips, which are
+# this far below the hand's origin.
+LENGTH = FINGERTIPS[2]
+WEIGHTS = np.array([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH])
+SCALED = 8  # unknowns: joint velocities, and the scale of the hand's
+OFF_PATH = 0.018  # [m] pose error at which leaving the path costs as much as to stop
+LEAST_ERROR = 0.001  # [m] below which the price does not grow
+LEAST_SPEED = 0.001  # [m/s] in the price, for a hand at rest
 # Damping in the null-space projection, as a share of the task's damping. With 1, the hand stops
 # millimetres off near singularities. With 0, nothing keeps the stretched arm from folding the
 # wrong way.
@@ -78,40 +87,56 @@ def null_space_part(jac: Matrix, damping: float, drift: Vector) -> Vector:
     return damped_least_squares(jac, damped_factor(jac, damping), np.zeros(len(jac)), drift)
 
 
-def box_least_squares(
-    jac: Matrix, twist: Vector, drift: Vector, damping: float, box: Box
+def scaled_least_squares(
+    jac: Matrix, error: Vector, free: Vector, damping: float, box: Box
 ) -> Vector:
-    """Damped least squares as above, with the joint velocities (7,) [rad/s] within a box.
+    """Joint velocities (7,) [rad/s] within a box that move the hand along its path, or slower.
 
-    At least `MIN_DAMPING` is used. Where the solver finds no solution: those nearest to 0.
+    With W the weights 1 for metres and `LENGTH` for radians, and v = J free the twist of the joint
+    velocities without limits, they minimise over qd and the scale s, 0 <= s <= 1,
+
+        |W (J qd - s v)|^2 + price^2 (1 - s)^2 + damping^2 |qd - free|^2
+        price = |W v| (`OFF_PATH` / |W e|)^2
+
+    Where a limit begins to bind, they are `free` still, so that the joints do not jerk.
+
+    While the pose error e (6,) [m, rad] is small, the hand keeps its speed, and leaves its path as
+    little as it can; the further off it is, the more it slows down instead. The scale is that of
+    F. Flacco, A. De Luca, O. Khatib, "Control of Redundant Robots Under Hard Joint Constraints:
+    Saturation in the Null Space", IEEE Transactions on Robotics 31(3), 2015. At least `MIN_DAMPING`
+    is used. Where the solver finds no solution: the velocities nearest to 0.
     """
-    low, high = box
+    twist, task = mat_vec(jac, free), np.empty((6, SCALED))
+    task[:, :7], task[:, 7] = WEIGHTS[:, None] * jac, -WEIGHTS * twist
+    ratio = OFF_PATH / max(mujoco.mju_normalize(WEIGHTS * error), LEAST_ERROR)
+    price = max(mujoco.mju_normalize(WEIGHTS * twist), LEAST_SPEED) * ratio * ratio
     damping = max(damping, MIN_DAMPING)
-    square = damping * damping
-    hessian = np.empty((7, 7))
-    mujoco.mju_mulMatTMat(hessian, jac, jac)
-    hessian.reshape(-1)[::8] += square
+    squares = np.array([damping * damping] * 7 + [price * price])
+    hessian = np.empty((SCALED, SCALED))
+    mujoco.mju_mulMatTMat(hessian, task, task)
+    hessian.reshape(-1)[:: SCALED + 1] += squares
     hessian *= QP_SCALE
-    gradient = -QP_SCALE * (mat_t_vec(jac, twist) + square * drift)  # at qd = 0
-    free = -1
+    gradient = -QP_SCALE * (squares * np.append(free, 1.0))  # at qd = 0, s = 0
+    low, high = np.append(box[0], 0.0), np.append(box[1], 1.0)
+    unbound = -1
     # Where many joints reach their bounds at once, the solver may stop early: about two in a
     # thousand random problems. Started from another point in the box, it converges.
     starts = (0.5 * (low + high), low, high) if (low < high).all() else ()
     for start in starts:
-        qd: Vector = start.copy()
-        factor, index = np.empty((7, 14)), np.empty(7, dtype=np.int32)
-        free = mujoco.mju_boxQP(qd, factor, index, hessian, gradient, low, high)
-        if not np.isfinite(qd).all():  # a failure that MuJoCo 3 does not tell
-            free = -1
-        if free >= 0 and _is_minimum(qd, hessian, gradient, box):
-            return qd
-    if free >= 0:
-        return qd
-    return clamp(np.zeros(7), low, high)  # braking is always allowed
+        z: Vector = start.copy()
+        factor, index = np.empty((SCALED, SCALED + 7)), np.empty(SCALED, dtype=np.int32)
+        unbound = mujoco.mju_boxQP(z, factor, index, hessian, gradient, low, high)
+        if not np.isfinite(z).all():  # a failure that MuJoCo 3 does not tell
+            unbound = -1
+        if unbound >= 0 and _is_minimum(z, hessian, gradient, low, high):
+            return z[:7]
+    if unbound >= 0:
+        return z[:7]
+    return clamp(np.zeros(7), *box)  # braking is always allowed
 
 
-def _is_minimum(qd: Vector, hessian: Matrix, gradient: Vector, box: Box) -> bool:
-    """Whether the gradient vanishes along each joint that is inside its bounds."""
-    slope = np.abs(mat_vec(hessian, qd) + gradient)
-    inside = (qd > box[0]) & (qd < box[1])
+def _is_minimum(z: Vector, hessian: Matrix, gradient: Vector, low: Vector, high: Vector) -> bool:
+    """Whether the gradient vanishes along each unknown that is inside its bounds."""
+    slope = np.abs(mat_vec(hessian, z) + gradient)
+    inside = (z > low) & (z < high)
     return bool((slope[inside] <= FLAT_GRADIENT).all())

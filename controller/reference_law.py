@@ -11,11 +11,11 @@ from ..assets.franka import ROBOTS
 from .gains import Gains
 from .ik import (
     PULL_DAMPING,
-    box_least_squares,
     correcting_twist,
     damped_least_squares,
     null_space_part,
     pose_error,
+    scaled_least_squares,
 )
 from .limits import JointLimits, clamp, within
 from .linalg import (
@@ -38,15 +38,16 @@ class ReferenceLaw:
         v    = twist_cmd (extrapolated by half a period) + ik_gain e
         d    = posture_gain (posture - q_ref) + pull_from_ends(q_ref), or with `follow_posture`
         d    = posture_vel_cmd + posture_follow_gain (posture_cmd - q_ref)
-        qd   = argmin |J qd - v|^2 + damping^2 |qd - N d|^2, within the joint limits
+        qd   = argmin |J qd - v|^2 + damping^2 |qd - N d|^2, or slower where joint limits bind
         ctrl = q_ref + servo_lag qd + (bias + M qdd) / servo_stiffness + PID(q_ref - q)
         q_ref <- q_ref + T qd
 
     Readings that are late by `reading_delay` are compared with what was commanded when they were
     taken: e and q_ref - q take the pose command and q_ref of that update.
 
-    The damping is 0 except near singularities (`singular_damping`) and where limits bind
-    (`ik_damping`). N is the identity, except near singularities: there it keeps d out of the
+    Where joint limits bind, the hand keeps to its path rather than to its speed
+    (`scaled_least_squares`). The damping is 0 except near singularities (`singular_damping`) and
+    there (`ik_damping`). N is the identity, except near singularities: there it keeps d out of the
     task (`null_space_part`), unless d follows a posture, which moves the hand as the task does.
     """
 
@@ -127,7 +128,7 @@ class ReferenceLaw:
                 drift = null_space_part(jac, PULL_DAMPING * damping, drift)
         qd = damped_least_squares(jac, factor, twist, drift)
 
-        # Limits of the joint reference: where one binds, least squares within its bounds.
+        # Limits of the joint reference: where one binds, the hand slows down.
         dq = self._q_refs.recall(q_ref) - q
         y.limit[...] = 0.0
         if not self._limits.inactive(qd, q_ref, qd_before, state.qdd_before, dq):
@@ -135,7 +136,7 @@ class ReferenceLaw:
             box = self._limits.velocity_box(*before)
             if not within(qd, box):
                 damping = math.sqrt(damping * damping + gains.ik_damping * gains.ik_damping)
-                qd = box_least_squares(jac, twist, drift, damping, box)
+                qd = scaled_least_squares(jac, error, qd, damping, box)
                 y.limit[...] = self._limits.binding(qd, *before, box)
 
         # Feed-forward of servo lag, gravity and inertia, and the PID.

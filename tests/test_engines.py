@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from forked import command as cli
 from panda_cosim import Recording, Scenario, load_scenario
-from panda_cosim.controller.ik import box_least_squares
+from panda_cosim.controller.ik import scaled_least_squares
 from panda_cosim.fmus.atomic import cache_folder
 from panda_cosim.fmus.build.libraries import made_with
 from panda_cosim.fmus.errors import CosimError, InputError
@@ -201,7 +201,7 @@ def test_a_solver_that_gives_no_number_makes_the_joints_brake(
 
     monkeypatch.setattr(mujoco, "mju_boxQP", solve)
     box = np.stack((np.full(7, -0.2), np.full(7, 0.1)))
-    qd = box_least_squares(np.eye(6, 7), np.ones(6), np.zeros(7), 0.1, box)
+    qd = scaled_least_squares(np.eye(6, 7), np.ones(6), np.ones(7), 0.1, box)
     assert np.array_equal(qd, np.zeros(7))
 
 

@@ -9,7 +9,11 @@ static const double FLAT_GRADIENT = 1e-6 * 1e6;
 static const double MIN_DAMPING = 1e-5;
 static const double MIN_PIVOT = 1e-20;
 static const double START_DIRECTION[TWIST] = {1.0, 2.0, 3.0, 4.0, 5.0, 6.0};
-enum { START_ITERATIONS = 50 };
+static const double LENGTH = 0.1034;      /* m/rad, see controller/ik.py */
+static const double OFF_PATH = 0.018;     /* m */
+static const double LEAST_ERROR = 0.001;  /* m */
+static const double LEAST_SPEED = 0.001;  /* m/s */
+enum { START_ITERATIONS = 50, SCALED = JOINTS + 1 };
 
 void pose_error(const controller_functions *mj, const double cmd[POSE], const controller_inputs *in,
                 double error[TWIST])
@@ -61,28 +65,28 @@ void damped_least_squares(const controller_functions *mj, const double *jac, con
     for (int i = 0; i < JOINTS; i++) qd[i] = drift[i] + qd[i];
 }
 
-/* Whether the gradient vanishes along each joint that is inside its bounds. */
+/* Whether the gradient vanishes along each unknown that is inside its bounds. */
 static bool is_minimum(const controller_functions *mj, const double *hessian, const double *gradient,
-                       const double *low, const double *high, const double *qd)
+                       const double *low, const double *high, const double *z)
 {
-    double slope[JOINTS];
-    mj->mju_mulMatVec(slope, hessian, qd, JOINTS, JOINTS);
-    for (int i = 0; i < JOINTS; i++)
-        if (qd[i] > low[i] && qd[i] < high[i] && !(fabs(slope[i] + gradient[i]) <= FLAT_GRADIENT)) return false;
+    double slope[SCALED];
+    mj->mju_mulMatVec(slope, hessian, z, SCALED, SCALED);
+    for (int i = 0; i < SCALED; i++)
+        if (z[i] > low[i] && z[i] < high[i] && !(fabs(slope[i] + gradient[i]) <= FLAT_GRADIENT)) return false;
     return true;
 }
 
-static bool is_finite(const double *qd)
+static bool is_finite(const double *z)
 {
-    for (int i = 0; i < JOINTS; i++)
-        if (!isfinite(qd[i])) return false;
+    for (int i = 0; i < SCALED; i++)
+        if (!isfinite(z[i])) return false;
     return true;
 }
 
 /* False at extreme speeds, where rounding exceeds the box's width; mju_boxQP would then end the process. */
 static bool is_box(const double *low, const double *high)
 {
-    for (int i = 0; i < JOINTS; i++)
+    for (int i = 0; i < SCALED; i++)
         if (!(low[i] < high[i])) return false;
     return true;
 }
@@ -98,29 +102,51 @@ void keep_null_space_part(const controller_functions *mj, const double *jac, dou
     memcpy(drift, part, sizeof part);
 }
 
-void box_least_squares(const controller_functions *mj, const double *jac, const double *twist,
-                       const double *drift, double damping, const double low[JOINTS],
-                       const double high[JOINTS], double qd[JOINTS])
+/* Length of a twist, in metres. */
+static double length_of(const controller_functions *mj, const double twist[TWIST])
 {
-    double hessian[JOINTS * JOINTS], gradient[JOINTS], factor[JOINTS * (JOINTS + 7)], middle[JOINTS];
-    const double at_least = larger(damping, MIN_DAMPING), square = at_least * at_least;
-    const double *const starts[3] = {middle, low, high};
-    int index[JOINTS], free_joints = -1;
-    mj->mju_mulMatTMat(hessian, jac, jac, TWIST, JOINTS, JOINTS);
-    for (int i = 0; i < JOINTS; i++) hessian[(JOINTS + 1) * i] += square;
-    for (int i = 0; i < JOINTS * JOINTS; i++) hessian[i] *= QP_SCALE;
-    mj->mju_mulMatTVec(gradient, jac, twist, TWIST, JOINTS);
-    for (int i = 0; i < JOINTS; i++) {
-        gradient[i] = -QP_SCALE * (gradient[i] + square * drift[i]);
-        middle[i] = 0.5 * (low[i] + high[i]);
+    double weighted[TWIST];
+    for (int i = 0; i < TWIST; i++) weighted[i] = (i < 3 ? 1.0 : LENGTH) * twist[i];
+    return mj->mju_normalize(weighted, TWIST);
+}
+
+/* In place: joint velocities within a box that move the hand along its path, or slower. */
+void scaled_least_squares(const controller_functions *mj, const double *jac, const double *error,
+                          double damping, const double low[JOINTS], const double high[JOINTS],
+                          double qd[JOINTS])
+{
+    double twist[TWIST];
+    mj->mju_mulMatVec(twist, jac, qd, TWIST, JOINTS);
+    double task[TWIST * SCALED], hessian[SCALED * SCALED], gradient[SCALED], factor[SCALED * (SCALED + 7)];
+    double from[SCALED], to[SCALED], middle[SCALED], z[SCALED];
+    const double at_least = larger(damping, MIN_DAMPING);
+    const double ratio = OFF_PATH / larger(length_of(mj, error), LEAST_ERROR);
+    const double price = larger(length_of(mj, twist), LEAST_SPEED) * ratio * ratio;
+    const double *const starts[3] = {middle, from, to};
+    int index[SCALED], unbound = -1;
+    for (int row = 0; row < TWIST; row++) {
+        const double weight = row < 3 ? 1.0 : LENGTH;
+        for (int i = 0; i < JOINTS; i++) task[SCALED * row + i] = weight * jac[JOINTS * row + i];
+        task[SCALED * row + JOINTS] = -weight * twist[row];
     }
-    for (int i = 0; i < 3 && is_box(low, high); i++) {
-        memcpy(qd, starts[i], sizeof middle);
-        free_joints = mj->mju_boxQP(qd, factor, index, hessian, gradient, JOINTS, low, high);
-        if (!is_finite(qd)) free_joints = -1; /* a failure that MuJoCo 3 does not tell */
-        if (free_joints >= 0 && is_minimum(mj, hessian, gradient, low, high, qd)) return;
+    mj->mju_mulMatTMat(hessian, task, task, TWIST, SCALED, SCALED);
+    for (int i = 0; i < SCALED; i++) {
+        const double square = i < JOINTS ? at_least * at_least : price * price;
+        hessian[(SCALED + 1) * i] += square;
+        gradient[i] = -QP_SCALE * (square * (i < JOINTS ? qd[i] : 1.0));
+        from[i] = i < JOINTS ? low[i] : 0.0;
+        to[i] = i < JOINTS ? high[i] : 1.0;
+        middle[i] = 0.5 * (from[i] + to[i]);
     }
-    if (free_joints >= 0) return;
+    for (int i = 0; i < SCALED * SCALED; i++) hessian[i] *= QP_SCALE;
+    for (int i = 0; i < 3 && is_box(from, to); i++) {
+        memcpy(z, starts[i], sizeof z);
+        unbound = mj->mju_boxQP(z, factor, index, hessian, gradient, SCALED, from, to);
+        memcpy(qd, z, JOINTS * sizeof *z);
+        if (!is_finite(z)) unbound = -1; /* a failure that MuJoCo 3 does not tell */
+        if (unbound >= 0 && is_minimum(mj, hessian, gradient, from, to, z)) return;
+    }
+    if (unbound >= 0) return;
     for (int i = 0; i < JOINTS; i++) qd[i] = clamp(0.0, low[i], high[i]); /* braking is always permitted */
 }
 

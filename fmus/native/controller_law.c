@@ -108,9 +108,9 @@ static double solve(controller *c, const controller_functions *mj, const double 
     return damping;
 }
 
-/* Solves again within the joint limits if one binds. */
-static void limit(controller *c, const controller_functions *mj, const double *twist, const double *drift,
-                  const double *dq, double damping, double qd[JOINTS])
+/* Slows the hand down if a joint limit binds. */
+static void limit(controller *c, const controller_functions *mj, const double *dq, double damping,
+                  double qd[JOINTS])
 {
     joint_limits limits;
     double low[JOINTS], high[JOINTS];
@@ -122,7 +122,7 @@ static void limit(controller *c, const controller_functions *mj, const double *t
     velocity_box(&limits, &course, low, high);
     if (within(qd, low, high)) return;
     damping = sqrt(damping * damping + c->gains.ik_damping * c->gains.ik_damping);
-    box_least_squares(mj, c->inputs.jac, twist, drift, damping, low, high, qd);
+    scaled_least_squares(mj, c->inputs.jac, c->state.reference.error, damping, low, high, qd);
     for (int i = 0; i < JOINTS; i++)
         c->outputs.limit[i] = binding_limit(&limits, i, qd[i], &course, low[i], high[i]);
 }
@@ -163,7 +163,7 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
         dq[i] = q_due[i] - x->qpos[i];
     }
     const double damping = solve(c, mj, twist, drift, qd);
-    limit(c, mj, twist, drift, dq, damping, qd);
+    limit(c, mj, dq, damping, qd);
 
     /* Feed-forward of servo lag, gravity and inertia; the PID. */
     double qdd[JOINTS], force[JOINTS], pid[JOINTS];

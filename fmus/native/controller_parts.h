@@ -26,9 +26,9 @@ void damped_least_squares(const controller_functions *mj, const double *jac, con
                           const double *twist, const double *drift, double qd[JOINTS]);
 void keep_null_space_part(const controller_functions *mj, const double *jac, double damping,
                           double drift[JOINTS]);
-void box_least_squares(const controller_functions *mj, const double *jac, const double *twist,
-                       const double *drift, double damping, const double low[JOINTS],
-                       const double high[JOINTS], double qd[JOINTS]);
+void scaled_least_squares(const controller_functions *mj, const double *jac, const double *error,
+                          double damping, const double low[JOINTS], const double high[JOINTS],
+                          double qd[JOINTS]);
 double manipulability(const double *factor);
 double smallest_singular_value(const controller_functions *mj, const double *factor,
                                double weak_direction[TWIST]);
