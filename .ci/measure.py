@@ -201,12 +201,13 @@ def contact(folder: Path | None) -> str:
 
 
 def moves(_: Path | None) -> str:
-    """500 random straight moves from `home`, up to 120 deg, 0.5 m/s and 1 rad/s.
+    """Random straight moves, up to 120 deg, 0.5 m/s and 1 rad/s: `python tests/random_moves.py`.
 
-    `python tests/random_moves.py`; with `--retimed`, each gets the time that it needs.
+    500 from `home`; with `--retimed`, where each gets the time that it needs; and with `--starts
+    --count 100`, from random joint positions.
     """
-    both = ([], ["--retimed"])
-    texts = [_said([sys.executable, "tests/random_moves.py", *option], (0, 1)) for option in both]
+    ways = (["--touch"], ["--retimed"], ["--starts", "--count", "100"])
+    texts = [_said([sys.executable, "tests/random_moves.py", *option], (0, 1)) for option in ways]
     return "\n".join(
         f"- {line[0].upper()}{line[1:]}."
         for text in texts

@@ -87,8 +87,8 @@ def null_space_part(jac: Matrix, damping: float, drift: Vector) -> Vector:
     return damped_least_squares(jac, damped_factor(jac, damping), np.zeros(len(jac)), drift)
 
 
-def scaled_least_squares(
-    jac: Matrix, error: Vector, free: Vector, damping: float, box: Box
+def scaled_least_squares(  # noqa: PLR0913 - the problem as it is
+    jac: Matrix, error: Vector, free: Vector, damping: float, singular: float, box: Box
 ) -> Vector:
     """Joint velocities (7,) [rad/s] within a box that move the hand along its path, or slower.
 
@@ -101,16 +101,20 @@ def scaled_least_squares(
     Where a limit begins to bind, they are `free` still, so that the joints do not jerk.
 
     While the pose error e (6,) [m, rad] is small, the hand keeps its speed, and leaves its path as
-    little as it can; the further off it is, the more it slows down instead. The scale is that of
+    little as it can; the further off it is, the more it slows down instead. The damping's square is
+    `damping`^2 plus the square of `singular` (damping near a singularity), which grows with e up to
+    its value at `OFF_PATH`: an arm that cannot follow waits still. The scale is that of
     F. Flacco, A. De Luca, O. Khatib, "Control of Redundant Robots Under Hard Joint Constraints:
     Saturation in the Null Space", IEEE Transactions on Robotics 31(3), 2015. At least `MIN_DAMPING`
     is used. Where the solver finds no solution: the velocities nearest to 0.
     """
     twist, task = mat_vec(jac, free), np.empty((6, SCALED))
     task[:, :7], task[:, 7] = WEIGHTS[:, None] * jac, -WEIGHTS * twist
-    ratio = OFF_PATH / max(mujoco.mju_normalize(WEIGHTS * error), LEAST_ERROR)
+    off = mujoco.mju_normalize(WEIGHTS * error)
+    ratio = OFF_PATH / max(off, LEAST_ERROR)
     price = max(mujoco.mju_normalize(WEIGHTS * twist), LEAST_SPEED) * ratio * ratio
-    damping = max(damping, MIN_DAMPING)
+    singular *= min(off / OFF_PATH, 1.0)
+    damping = max(math.sqrt(damping * damping + singular * singular), MIN_DAMPING)
     squares = np.array([damping * damping] * 7 + [price * price])
     hessian = np.empty((SCALED, SCALED))
     mujoco.mju_mulMatTMat(hessian, task, task)

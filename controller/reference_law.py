@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar
 
 import numpy as np
@@ -135,8 +134,7 @@ class ReferenceLaw:
             before = (q_ref, qd_before, state.qdd_before, dq)
             box = self._limits.velocity_box(*before)
             if not within(qd, box):
-                damping = math.sqrt(damping * damping + gains.ik_damping * gains.ik_damping)
-                qd = scaled_least_squares(jac, error, qd, damping, box)
+                qd = scaled_least_squares(jac, error, qd, gains.ik_damping, damping, box)
                 y.limit[...] = self._limits.binding(qd, *before, box)
 
         # Feed-forward of servo lag, gravity and inertia, and the PID.

@@ -3,7 +3,8 @@
 `python tests/random_moves.py` tries 500 moves and prints how many end at their goal. A goal is the
 pose of a random joint configuration, so the arm reaches it; the straight way there may still lead
 past a singularity or a joint's end. `--retimed` gives each move the time that it needs, so that it
-keeps the torque rate, too. `--starts` lets each begin at a random joint configuration instead.
+keeps the torque rate, too. `--starts` lets each begin at a random joint configuration instead;
+`--touch` counts the moves in which the controller reports a collision.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from panda_cosim.assets.franka import (
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
+from panda_cosim.controller.touch import COLLISION
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
@@ -67,6 +69,7 @@ class Move:
     slower: float = 1.0  # its duration over that of the table [1]
     refused: str = ""  # why it got no other times
     off_path: float = 0.0  # largest distance of the hand from its straight path [m]
+    collided: bool = False  # as the controller's observer says, if it is on
 
     @property
     def ok(self) -> bool:
@@ -177,7 +180,7 @@ def run_move(
     x, y = plant.outputs, controller.outputs
     begin_at(plant, start)
     busy = 0.0  # [s]
-    off_path, errors = 0.0, np.empty(len(commands))
+    off_path, errors, collided = 0.0, np.empty(len(commands)), False
     motion = np.empty((4, len(commands), 7))
     for tick, command in enumerate(commands):
         if tick:
@@ -188,6 +191,7 @@ def run_move(
         controller.update()
         busy += time.thread_time() - begun
         plant.inputs["ctrl"] = y["ctrl"]
+        collided = collided or bool((y["joint_contact"] == COLLISION).any())
         off_path = max(off_path, _off(x["hand_xpos"], start.position, position))
         errors[tick] = np.linalg.norm(x["hand_xpos"] - command[:3])
         motion[:, tick] = x["qpos"][:7], x["qvel"][:7], y["qvel_ref"], x["actuator_force"][:7]
@@ -204,6 +208,7 @@ def run_move(
         slower,
         refused,
         off_path,
+        collided,
     )
 
 
@@ -269,10 +274,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="give each move the time it needs within this share of the limits; default: 0.95",
     )
     parser.add_argument("--starts", action="store_true", help="begin at random joint positions")
+    parser.add_argument("--touch", action="store_true", help="count collisions that are reported")
     options = parser.parse_args(arguments)
     moves = run_moves(
         options.count,
         options.seed,
+        Gains(observer=options.touch),
         processes=options.processes,
         timing_share=options.retimed,
         starts=options.starts,
@@ -294,6 +301,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{max(move.share for move in moves):.3f}; torque rate above the robot's limit in "
         f"{sum(rate > 1.0 for rate in rates)} moves, largest share {max(rates):.1f}; "
         f"off the path by up to {1e3 * max(m.off_path for m in moves):.0f} mm"
+        + f"; collisions reported in {sum(m.collided for m in moves)}"
+        * bool(options.touch)
     )
     slower = np.array([move.slower for move in moves if not move.refused])
     if options.retimed:

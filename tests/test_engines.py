@@ -201,7 +201,7 @@ def test_a_solver_that_gives_no_number_makes_the_joints_brake(
 
     monkeypatch.setattr(mujoco, "mju_boxQP", solve)
     box = np.stack((np.full(7, -0.2), np.full(7, 0.1)))
-    qd = scaled_least_squares(np.eye(6, 7), np.ones(6), np.ones(7), 0.1, box)
+    qd = scaled_least_squares(np.eye(6, 7), np.ones(6), np.ones(7), 0.1, 0.0, box)
     assert np.array_equal(qd, np.zeros(7))
 
 

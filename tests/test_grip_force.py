@@ -63,7 +63,8 @@ def test_an_impossible_force_is_refused(grip: float, force: float, bound: str) -
 
 def test_a_check_says_what_the_block_takes() -> None:
     heavy = {"block_mass": 2.0, "block_friction": 0.4}
-    prepared = prepare(replace(gripping(FORCE), scene="elastic", plant=heavy))
+    robust = replace(gripping(FORCE), gains="robust", scene="elastic", plant=heavy)
+    prepared = prepare(robust)
     grip = weakest_grip(rehearse(prepared).recording, prepared)
     assert grip is not None
     _, friction, needed = grip

@@ -195,20 +195,25 @@ def test_the_null_space_moves_the_posture_and_not_the_hand(seed: int) -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(seed=seeds, off=st.sampled_from([0.0, 0.003, 0.02, 0.1]))
-@example(seed=15208010, off=0.1)  # where the solver stopped short at first
-def test_within_a_box_scale_and_velocities_are_optimal(seed: int, off: float) -> None:
+@given(
+    seed=seeds, off=st.sampled_from([0.0, 0.003, 0.02, 0.1]), singular=st.sampled_from([0.0, 0.05])
+)
+@example(seed=15208010, off=0.1, singular=0.0)  # where the solver stopped short at first
+def test_within_a_box_scale_and_velocities_are_optimal(
+    seed: int, off: float, singular: float
+) -> None:
     rng = np.random.default_rng(seed)
     jac, free = jacobian(random_posture(seed)), rng.normal(size=7)
     low, high = -rng.uniform(0.05, 1.0, 7), rng.uniform(0.05, 1.0, 7)
     error = off * unit(rng.normal(size=6)) / WEIGHTS
-    qd = scaled_least_squares(jac, error, free, 5e-3, np.stack((low, high)))
+    qd = scaled_least_squares(jac, error, free, 5e-3, singular, np.stack((low, high)))
     assert (qd >= low).all()
     assert (qd <= high).all()
     asked, moved = WEIGHTS * (jac @ free), WEIGHTS * (jac @ qd)
     price = asked @ asked * (OFF_PATH / max(off, LEAST_ERROR)) ** 4
     scale = min(max((asked @ moved + price) / (asked @ asked + price), 0.0), 1.0)
-    gradient = (WEIGHTS[:, None] * jac).T @ (moved - scale * asked) + 25e-6 * (qd - free)
+    square = 25e-6 + (singular * min(off / OFF_PATH, 1.0)) ** 2
+    gradient = (WEIGHTS[:, None] * jac).T @ (moved - scale * asked) + square * (qd - free)
     inside = (qd > low) & (qd < high)
     assert np.abs(gradient[inside]).max(initial=0.0) <= 2e-6
     assert (gradient[qd == low] >= -1e-6).all()
@@ -223,7 +228,7 @@ def test_a_hand_that_is_late_slows_down_on_its_path(seed: int, half: bool) -> No
     assume(np.linalg.svd(jac)[1][-1] > 0.05)
     free = np.linalg.pinv(jac) @ twist
     width = np.abs(free) / 2.0 if half else np.abs(free) + 1.0
-    qd = scaled_least_squares(jac, np.ones(6), free, 0.0, np.stack((-width, width)))
+    qd = scaled_least_squares(jac, np.ones(6), free, 0.0, 0.0, np.stack((-width, width)))
     moved, asked = WEIGHTS * (jac @ qd), WEIGHTS * twist
     along = moved @ asked / (asked @ asked)
     assert (0.45 if half else 0.999) <= along <= 1.001
@@ -233,10 +238,10 @@ def test_a_hand_that_is_late_slows_down_on_its_path(seed: int, half: bool) -> No
 def test_without_a_solution_the_joints_brake() -> None:
     low, high = np.full(7, -0.2), np.array([-0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
     jac, one, free = np.full((6, 7), 1e200), np.ones(6), np.zeros(7)
-    qd = scaled_least_squares(jac, one, free, 0.0, np.stack((low, high)))
+    qd = scaled_least_squares(jac, one, free, 0.0, 0.0, np.stack((low, high)))
     assert np.array_equal(qd, [-0.1, 0, 0, 0, 0, 0, 0])
     flat = np.full((2, 7), 1e9)  # so fast that a width of 1e-9 is rounded away
-    assert (scaled_least_squares(jac, one, free, 0.0, flat) == 1e9).all()
+    assert (scaled_least_squares(jac, one, free, 0.0, 0.0, flat) == 1e9).all()
 
 
 # Singularities and inertia.

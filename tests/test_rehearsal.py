@@ -41,7 +41,7 @@ def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("place", "bodies"), [((0.5, 0.0), "block and table"), ((0.4, 0.4), "hand and table")]
+    ("place", "bodies"), [((0.5, 0.0), "block and table"), ((0.4, 0.4), "left_finger and table")]
 )
 def test_what_is_in_the_way_is_named_first(place: tuple[float, float], bodies: str) -> None:
     prepared, rehearsal = rehearsed({"block_pos": place})

@@ -105,7 +105,7 @@ def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction: str) -> N
     force = run.signals["plant.unwanted_contact_force"].ravel()
     first = int(np.argmax((run.signals["controller.joint_contact"] == COLLISION).any(axis=1)))
     assert run.summary.events["collision"] == pytest.approx(first * 0.001)
-    assert 10.0 < force.max() < 40.0  # N; 504 without a reaction
+    assert 10.0 < force.max() < 40.0  # N; 223 without a reaction
     assert force[first + 50 :].max() < 25.0  # N
     assert force[-1] < (25.0 if reaction == "stop" else 0.1)
     moved = run.signals["plant.hand_xpos"][-1] - run.signals["plant.hand_xpos"][first + 50]
@@ -115,7 +115,7 @@ def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction: str) -> N
 def test_without_a_reaction_the_hand_goes_on_pressing() -> None:
     scenario = replace(load_scenario("collision"), controller={"observer": True})
     run = run_in_memory(scenario)
-    assert run.signals["plant.unwanted_contact_force"].max() > 300.0  # N
+    assert run.signals["plant.unwanted_contact_force"].max() > 150.0  # N
     assert run.summary.events["collision"] is not None
 
 

@@ -112,15 +112,16 @@ static double length_of(const controller_functions *mj, const double twist[TWIST
 
 /* In place: joint velocities within a box that move the hand along its path, or slower. */
 void scaled_least_squares(const controller_functions *mj, const double *jac, const double *error,
-                          double damping, const double low[JOINTS], const double high[JOINTS],
-                          double qd[JOINTS])
+                          double damping, double singular, const double low[JOINTS],
+                          const double high[JOINTS], double qd[JOINTS])
 {
     double twist[TWIST];
     mj->mju_mulMatVec(twist, jac, qd, TWIST, JOINTS);
     double task[TWIST * SCALED], hessian[SCALED * SCALED], gradient[SCALED], factor[SCALED * (SCALED + 7)];
     double from[SCALED], to[SCALED], middle[SCALED], z[SCALED];
-    const double at_least = larger(damping, MIN_DAMPING);
-    const double ratio = OFF_PATH / larger(length_of(mj, error), LEAST_ERROR);
+    const double off = length_of(mj, error), ratio = OFF_PATH / larger(off, LEAST_ERROR);
+    const double far_off = singular * smaller(off / OFF_PATH, 1.0);
+    const double at_least = larger(sqrt(damping * damping + far_off * far_off), MIN_DAMPING);
     const double price = larger(length_of(mj, twist), LEAST_SPEED) * ratio * ratio;
     const double *const starts[3] = {middle, from, to};
     int index[SCALED], unbound = -1;

@@ -109,7 +109,7 @@ static double solve(controller *c, const controller_functions *mj, const double 
 }
 
 /* Slows the hand down if a joint limit binds. */
-static void limit(controller *c, const controller_functions *mj, const double *dq, double damping,
+static void limit(controller *c, const controller_functions *mj, const double *dq, double singular,
                   double qd[JOINTS])
 {
     joint_limits limits;
@@ -121,8 +121,8 @@ static void limit(controller *c, const controller_functions *mj, const double *d
     if (limits_inactive(&limits, qd, &course)) return;
     velocity_box(&limits, &course, low, high);
     if (within(qd, low, high)) return;
-    damping = sqrt(damping * damping + c->gains.ik_damping * c->gains.ik_damping);
-    scaled_least_squares(mj, c->inputs.jac, c->state.reference.error, damping, low, high, qd);
+    scaled_least_squares(mj, c->inputs.jac, c->state.reference.error, c->gains.ik_damping, singular, low,
+                         high, qd);
     for (int i = 0; i < JOINTS; i++)
         c->outputs.limit[i] = binding_limit(&limits, i, qd[i], &course, low[i], high[i]);
 }

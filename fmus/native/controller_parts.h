@@ -27,8 +27,8 @@ void damped_least_squares(const controller_functions *mj, const double *jac, con
 void keep_null_space_part(const controller_functions *mj, const double *jac, double damping,
                           double drift[JOINTS]);
 void scaled_least_squares(const controller_functions *mj, const double *jac, const double *error,
-                          double damping, const double low[JOINTS], const double high[JOINTS],
-                          double qd[JOINTS]);
+                          double damping, double singular, const double low[JOINTS],
+                          const double high[JOINTS], double qd[JOINTS]);
 double manipulability(const double *factor);
 double smallest_singular_value(const controller_functions *mj, const double *factor,
                                double weak_direction[TWIST]);
