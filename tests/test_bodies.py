@@ -77,7 +77,7 @@ def test_a_body_is_judged_at_another_instant(recording: Recording) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ('[[success.body]]\nbody = "cup"', "no bound is given"),
+        ('[[success.body]]\nbody = "cup"', "no bound; must have at least one of tolerance"),
         ('[[success.body]]\nbody = "cup"\ntolerance = 0.1', "position and tolerance"),
         ('[[success.body]]\nbody = "cup"\nmax_tilt = 200', "from 0 to 180 deg"),
         ('[[success.body]]\nbody = "cup"\nmax_tilt = 2\nat = "grasped"', "did you mean 'grasp'"),
