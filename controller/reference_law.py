@@ -56,7 +56,7 @@ class ReferenceLaw:
             ("qd_before", float, 7),  # [rad/s]
             ("qdd_before", float, 7),  # [rad/s^2]
             ("twist_before", float, 6),  # [m/s, rad/s] commanded
-            ("weak_direction", float, 6),  # see `singularity`
+            ("weak_direction", float, 6),  # see `linalg`
             ("error", float, 6),  # pose error after the low-pass [m, rad]
             ("pid", PID_STATE),
             ("poses", float, (KEPT, 7)),  # commanded in the last updates, see `Late`
