@@ -255,7 +255,8 @@ def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
         numbers=tuple(int(item.value) for item in items),
         fmi_type=described.type,
     )
-    if shape != tuple(described.shape or ()):  # what it starts with then is not described
+    # What an array of another shape starts with is not described.
+    if described.start is None or shape != tuple(described.shape or ()):
         return variable
     return replace(variable, start=_start(f"{place}: start", variable, described.start))
 
