@@ -19,7 +19,6 @@ from ..fields import field_names
 from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
 from ..judging.criterion import Criterion, Direction, smallest_margin
-from ..judging.definitions import DEFINITIONS
 from ..judging.holds import COMMAND, Events, events, find_holds, measure_block, moving_rows
 from ..judging.limits import first_limit, largest_share, limit_shares
 from ..judging.signals import judge_bodies, judge_signals
@@ -192,6 +191,8 @@ def _timing(recording: Recording, happened: Events, statistics: RunStatistics | 
 
 def _criteria(success: Success, measured: Mapping[str, Metrics]) -> Iterator[Criterion]:
     """Compare the metrics with the success conditions, in the scenario file's units."""
+    from ..judging.definitions import DEFINITIONS  # noqa: PLC0415 - read while FMUs step, for pages
+
     for name in field_names(Success):
         definition = DEFINITIONS.get(f"success.{name}")
         bound = getattr(success, name)
