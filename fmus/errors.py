@@ -45,7 +45,7 @@ def excerpt(value: object) -> str:
 def nearest(name: str, valid: Iterable[str]) -> str | None:
     """Return the valid name that is nearest to a mistyped one, or None if none is near."""
     lowered = {candidate.lower(): candidate for candidate in valid}
-    near = get_close_matches(name[:EXCERPT_LENGTH].lower(), lowered, n=1, cutoff=0.5)
+    near = get_close_matches(name[:EXCERPT_LENGTH].lower(), lowered, n=1)
     return lowered[near[0]] if near else None
 
 
