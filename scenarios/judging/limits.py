@@ -30,6 +30,9 @@ MORE_TIME: Final = (
 ELSEWHERE: Final = (
     "choose another path, or turn the hand: `panda-cosim route SCENARIO --robot {robot}`"
 )
+AFTER_TOUCH: Final = (
+    "it follows the touch at t = {touch:.3f} s: lead the path around, or touch more gently"
+)
 SMOOTH: Final = 'give that row more time; interpolation = "quintic" or "spline" has no kinks'
 START: Final = "begin at the measured pose"
 SETTLE: Final = "hold the last row until all joints are at rest: a longer `duration`"
@@ -113,13 +116,15 @@ CHECKS: Final[Mapping[str, Check]] = {
 }  # fmt: skip
 
 
-def outcome(preflight: Mapping[str, Any]) -> Iterator[tuple[Level, str]]:
-    """Yield in lines what the robot would refuse, by that section of summary.json."""
+def outcome(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[Level, str]]:
+    """Yield in lines what the robot would refuse, by that section of a run's summary.json."""
     if not preflight:
         return
     robot, own = preflight["robot"], preflight["interface"]
     if preflight["refusals"] is None:
         yield "wrong", f"{robot}: signals that the {own} interface is judged by are not recorded"
+    elif not preflight["refusals"] and not complete:
+        yield "hint", f"{robot} refuses nothing over the {own} interface up to where the run ended"
     elif not preflight["refusals"]:
         yield "good", f"{robot} refuses nothing over the {own} interface"
     for each in preflight["findings"]:
