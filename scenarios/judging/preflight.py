@@ -24,17 +24,7 @@ from ..recording import Recording
 from ..scenario.limits import robot_of
 from ..scenario.trajectory import TIME_TOLERANCE
 from .holds import first_collision
-from .limits import (
-    AFTER_TOUCH,
-    CHECKS,
-    DERIVATIVES,
-    LATE,
-    MORE_TIME,
-    NO_REFERENCE,
-    PERIOD,
-    SMOOTH,
-    SMOOTHER,
-)
+from .limits import CHECKS, DERIVATIVES, LATE, REMEDIES
 
 Array = NDArray[np.float64]
 Refusal = dict[str, Any]  # as `findings` of summary.json has them
@@ -77,9 +67,10 @@ class _Judge:
                 value, size = float(values[rows][row, k]), float(sizes[row, k])
                 zero = float(np.broadcast_to(origin, values.shape[1:])[k])
                 at, check = float(time[row]), CHECKS[key]
-                remedy = self._cause if check.remedy == MORE_TIME else ""
-                if at >= self._touch and check.remedy in (MORE_TIME, SMOOTH):
-                    remedy = AFTER_TOUCH
+                more_time = check.remedy == REMEDIES["more_time"]
+                remedy = self._cause if more_time else ""
+                if at >= self._touch and (more_time or check.remedy == REMEDIES["smooth"]):
+                    remedy = REMEDIES["after_touch"]
                 ahead = int(np.searchsorted(self._row_times, at - TIME_TOLERANCE)) + 1
                 self.first[key] = {
                     "name": key,
@@ -113,7 +104,7 @@ class _Late:
             if judge.first:
                 self.borne = count - 1
                 first = min(judge.first.values(), key=lambda each: each["time_s"])
-                self.refusal = {**first, "remedy": SMOOTHER}
+                self.refusal = {**first, "remedy": REMEDIES["smoother"]}
                 return
 
     def _received(self, count: int, rates: Rates) -> Rates:
@@ -265,8 +256,8 @@ def _gains(recording: Recording) -> Mapping[str, Any]:
 def _cause(recording: Recording) -> str:
     """Return what to change besides rows of the table if joints are too fast, or ""."""
     if _gains(recording).get("period", STEP_SIZE) > STEP_SIZE:
-        return PERIOD
-    return NO_REFERENCE if _reference(recording) == "controller.ctrl" else ""
+        return REMEDIES["period"]
+    return REMEDIES["no_reference"] if _reference(recording) == "controller.ctrl" else ""
 
 
 def _rates(values: Array, count: int) -> list[Array]:
