@@ -26,9 +26,9 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
 
 
-def one_line(said: object, limit: int = LINE_LENGTH) -> str:
+def one_line(said: object) -> str:
     """Return foreign text, or an exception's message, as one printable line."""
-    words = " ".join(str(said)[: 4 * limit].split())[:limit]
+    words = " ".join(str(said)[: 4 * LINE_LENGTH].split())[:LINE_LENGTH]
     return printable(words) or (type(said).__name__ if isinstance(said, BaseException) else "")
 
 

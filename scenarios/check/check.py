@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from itertools import islice
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from ..files import as_argument
 from ..judging.contacts import Touch
 from ..judging.criterion import miss_text
 from ..judging.holds import find_holds
-from ..judging.limits import outcome
+from ..judging.limits import Level, outcome
 from ..recording import Recording
 from ..run.options import Options, with_options, with_values
 from ..run.prepare import Prepared, prepare
@@ -54,8 +54,6 @@ from ..system.assembly import Assembly, system_scenario
 from ..system.connector import Connector
 from ..system.parts import UnreadSlaveError
 from ..timing.demand import LimitViolation, find_violations, joint_reference
-
-Level = Literal["wrong", "refused", "hint", "good"]
 
 SYSTEM: Final = ".ssp"
 SHOWN: Final = 4  # limit violations that are listed
