@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from difflib import get_close_matches
 from typing import Any, Final
 
 from ..assets.franka import (
@@ -218,6 +217,5 @@ PRESETS: Final[Mapping[str, Gains]] = {
 def preset(name: str, **changes: float | bool | str | Seven) -> Gains:
     """Return a named set of gains, with changes."""
     if name not in PRESETS:
-        near = get_close_matches(name, PRESETS, n=1, cutoff=0.0)[0]
-        raise ValueError(f"gains: {name!r} is not one of {', '.join(PRESETS)} (nearest: {near!r})")
+        raise ValueError(f"gains: {name!r} is not one of {', '.join(PRESETS)}")
     return replace(PRESETS[name], **changes)  # type: ignore[arg-type]

@@ -26,9 +26,9 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
 
 
-def one_line(said: object, limit: int = LINE_LENGTH) -> str:
+def one_line(said: object) -> str:
     """Return foreign text, or an exception's message, as one printable line."""
-    words = " ".join(str(said)[: 4 * limit].split())[:limit]
+    words = " ".join(str(said)[: 4 * LINE_LENGTH].split())[:LINE_LENGTH]
     return printable(words) or (type(said).__name__ if isinstance(said, BaseException) else "")
 
 
@@ -45,7 +45,7 @@ def excerpt(value: object) -> str:
 def nearest(name: str, valid: Iterable[str]) -> str | None:
     """Return the valid name that is nearest to a mistyped one, or None if none is near."""
     lowered = {candidate.lower(): candidate for candidate in valid}
-    near = get_close_matches(name[:EXCERPT_LENGTH].lower(), lowered, n=1, cutoff=0.5)
+    near = get_close_matches(name[:EXCERPT_LENGTH].lower(), lowered, n=1)
     return lowered[near[0]] if near else None
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from typing import Any, Final
 
 from ..assets import SCENES
@@ -52,11 +51,7 @@ class PlantParameters:
     def __post_init__(self) -> None:
         for kind, name, names in (("scene", self.scene, SCENES), ("robot", self.robot, ROBOTS)):
             if name not in names:
-                near = get_close_matches(name, names, n=1, cutoff=0.0)
-                raise ValueError(
-                    f"{kind}: {name!r} is not a {kind}; valid: {', '.join(names)} "
-                    f"(did you mean {near[0]!r}?)"
-                )
+                raise ValueError(f"{kind}: {name!r} is not a {kind}; valid: {', '.join(names)}")
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             for i, number in enumerate(value if isinstance(value, tuple) else (value,), start=1):

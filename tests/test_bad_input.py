@@ -14,7 +14,7 @@ import pytest
 from bounded import limited
 from fault_support import write_scenario
 from panda_cosim.fmus.atomic import replacing
-from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.errors import InputError, nearest
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.sources.targets import Target, build
@@ -189,6 +189,7 @@ BAD_KEYS = [
     (SIGNAL.replace("peak", "duration_above"), True, "level"),
     (SIGNAL + "color = 1\n", True, "color"),
     (SIGNAL + SIGNAL, True, "is taken; must be unique"),
+    ('[inputs]\n"plant.push_force" = 1e9\n', True, "[inputs] plant.push_force[1]: "),
 ]
 
 
@@ -209,6 +210,24 @@ def test_a_bad_key_is_refused(tmp_path: Path, text: str, has_table: bool, words:
     line = refused(tmp_path, "run", folder, "--out", tmp_path / "run")
     assert str(folder) in line
     assert words in line
+
+
+def test_a_duration_of_a_bad_type_is_told_the_bounds_that_hold(tmp_path: Path) -> None:
+    folder = written(tmp_path / "mine", "")
+    (folder / "scenario.toml").write_text('duration = "x"\n')
+    assert "must be a number from 0.001 to 3600 s" in refused(tmp_path, "run", folder)
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_gains_without_effect_are_refused(tmp_path: Path, command: str) -> None:
+    result = CliRunner().invoke(app, [command, "draw_circle", "--set", "gains=tutorial"])
+    assert result.exit_code == 2
+    assert "gains: acts only on the project's own controller" in result.output
+
+
+def test_only_close_names_are_suggested() -> None:
+    assert nearest("nope", ["wipe", "tutorial"]) is None
+    assert nearest("tutoral", ["wipe", "tutorial"]) == "tutorial"
 
 
 # Places to write to.

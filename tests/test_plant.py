@@ -281,7 +281,7 @@ def test_a_block_inside_something_is_refused(place: tuple[float, float]) -> None
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"scene": "tabeltop"}, "'tabeltop' is not a scene.*did you mean 'tabletop'"),
+        ({"scene": "tabeltop"}, "'tabeltop' is not a scene; valid: tabletop, "),
         ({"block_pos": (0.4, math.nan)}, r"block_pos\[2\]: nan m is out of range"),
         ({"block_mass": 0.0}, r"block_mass: 0.0 kg is out of range \[0.001, 3\]"),
         ({"servo_scale": (1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)}, r"servo_scale\[3\]: 0.0 1 is out"),

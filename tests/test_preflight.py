@@ -444,7 +444,13 @@ def test_what_is_not_recorded_is_not_called_accepted(signal: str, rested: dict[s
     del run.signals[signal]
     told = preflight(run, "fer")
     assert told["refusals"] is None
-    assert "good" not in [level for level, _ in outcome(told)]
+    assert "good" not in [level for level, _ in outcome(told, complete=True)]
+
+
+def test_a_run_that_ended_midway_is_not_called_accepted(rested: dict[str, Array]) -> None:
+    judged = preflight(recorded(rested), "fer")
+    assert "good" in [level for level, _ in outcome(judged, complete=True)]
+    assert "good" not in [level for level, _ in outcome(judged, complete=False)]
 
 
 def test_an_impedance_law_is_judged_by_its_torques_in_any_scene(rested: dict[str, Array]) -> None:

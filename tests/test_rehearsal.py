@@ -83,6 +83,12 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> Non
     assert "block_maas" in unknown[0].text
 
 
+def test_check_advises_no_more_time_for_what_is_out_of_reach() -> None:
+    texts = [each.text for each in check_folder(shipped_scenarios()["near_singular"])]
+    assert any("more time does not help" in text for text in texts)
+    assert not any("retime" in text for text in texts)
+
+
 def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
     calibrated = check_folder(FOLDER, settings={"mismatch.preset": "calibrated"})
     assert "mismatch of joint_offset" in calibrated[-1].text

@@ -103,3 +103,23 @@ def test_a_module_that_is_imported_in_a_method_is_named(laws: Path) -> None:
         assert code == 2, text
         assert "late.py, line 6: update imports clipped; must import it at the top" in text
     assert not (laws / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("head", "body", "code", "words"),
+    [
+        ("import no_such", "return [0.0] * 8", 2, "bad.py, line 1: ModuleNotFoundError"),
+        ("", "return 'text'", 1, "bad.py: update returned 'text'; must be numbers"),
+    ],
+)
+def test_a_law_that_cannot_be_imported_or_returns_no_numbers_is_named(
+    laws: Path, head: str, body: str, code: int, words: str
+) -> None:
+    (laws / "bad.py").write_text(
+        f"{head}\nclass Bad:\n    def update(self, time, qpos):\n        {body}\n"
+    )
+    law = ("--controller", f"{laws / 'bad.py'}:Bad")
+    done = said("run", laws / "hold", *law, "--no-video", "--out", laws / "run")
+    assert done[0] == code
+    assert words in done[1]
+    assert (laws / "run").exists() == (code == 1)

@@ -14,6 +14,7 @@ from panda_cosim import Session, load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.scenarios.judging.holds import COLLISION
+from panda_cosim.scenarios.judging.limits import outcome
 from panda_cosim.scenarios.pictures.motion import key_moments
 from panda_cosim.scenarios.scenario.criteria import SignalCriterion, Success
 from panda_cosim.scenarios.scenario.scenario import Push, Scenario
@@ -101,7 +102,7 @@ def test_a_criterion_about_touch_turns_the_observer_on() -> None:
 @pytest.mark.parametrize("reaction", ["stop", "yield"])
 def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction: str) -> None:
     scenario = load_scenario("collision")
-    run = run_in_memory(replace(scenario, controller={"reaction": reaction}))
+    run = run_in_memory(replace(scenario, controller={"reaction": reaction}, preflight="fer"))
     force = run.signals["plant.unwanted_contact_force"].ravel()
     first = int(np.argmax((run.signals["controller.joint_contact"] == COLLISION).any(axis=1)))
     assert run.summary.events["collision"] == pytest.approx(first * 0.001)
@@ -110,6 +111,9 @@ def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction: str) -> N
     assert force[-1] < (25.0 if reaction == "stop" else 0.1)
     moved = run.signals["plant.hand_xpos"][-1] - run.signals["plant.hand_xpos"][first + 50]
     assert np.linalg.norm(moved) < 0.001  # m, the rest of the run
+    advice = [text for _, text in outcome(run.summary.preflight, complete=True)]
+    assert any("it follows the touch at t = " in text for text in advice)
+    assert not any("retime" in text for text in advice)
 
 
 def test_without_a_reaction_the_hand_goes_on_pressing() -> None:

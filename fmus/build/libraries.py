@@ -102,9 +102,7 @@ def this_platform() -> str:
     raise CosimError(f"cannot build FMUs for {' '.join(here)}; known: {', '.join(PLATFORMS)}")
 
 
-def compile_library(
-    backend: str | Path, platform: str | None = None, extra_flags: tuple[str, ...] = ()
-) -> bytes:
+def compile_library(backend: str | Path, platform: str | None = None) -> bytes:
     """Compile the FMI layer and one backend, or the master's stepper."""
     name = platform or this_platform()
     with temporary_folder(cache_folder()) as folder:
@@ -113,7 +111,6 @@ def compile_library(
             *_compiler(name),
             *FLAGS,
             *("-I.", *(f"-isystem{include}" for include in includes())),
-            *extra_flags,
             *(FMI_LAYER if backend != STEPPER else ()),
             *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),)),
             *PLATFORMS[name].flags,

@@ -74,9 +74,14 @@ class LawSlave:
     def _update(self, time: float) -> None:
         given = {name: _value(view) for name, view in self._inputs.items()}
         try:
-            ctrl = np.asarray(self._law.update(time, **given), dtype=np.float64)
+            answer = self._law.update(time, **given)
         except Exception as error:
             raise ValueError(_where(error)) from error
+        try:
+            ctrl = np.asarray(answer, dtype=np.float64)
+        except (TypeError, ValueError):
+            text = f"{LAW.__module__}.py: update returned {ascii(answer)[:60]}; must be numbers"
+            raise ValueError(text) from None
         if ctrl.shape != self._ctrl.shape:
             raise ValueError(f"update: ctrl of shape {ctrl.shape}; must be {self._ctrl.shape}")
         if not np.isfinite(ctrl).all():

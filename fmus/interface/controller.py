@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import Field, fields
 from typing import Any
 
@@ -35,19 +36,21 @@ _PARTS = {
 }  # fmt: skip
 
 
-def _parameter(gain: Field[Any]) -> Variable:
-    """Return the parameter that sets a gain or a switch; it starts at its default."""
-    name, about = gain.name, gain.metadata
-    start: Any = gain.default
+def parameter_of(entry: Field[Any], fixed: Collection[str] = FIXED) -> Variable:
+    """Return the parameter that sets a gain, an error or a switch; it starts at its default."""
+    name, about = entry.name, entry.metadata
+    start: Any = entry.default
     shape = (len(start),) if isinstance(start, tuple) else ()
-    variability: Variability = "fixed" if name in FIXED else "tunable"
+    variability: Variability = "fixed" if name in fixed else "tunable"
     if "range" not in about:
         kind: Kind = "Boolean" if isinstance(start, bool) else "Enumeration"
         return Variable(name, shape, "", "parameter", variability, about["text"], start, kind=kind,
                         choices=about["choices"])  # fmt: skip
     low, high = about["range"]
+    start = start if shape else float(start)
     return Variable(name, shape, about["unit"], "parameter", variability, about["text"], start, low,
-                    MOST.get(name, high), parts=_PARTS.get(name, ()))  # fmt: skip
+                    MOST.get(name, high), multiple_of=about.get("multiple_of"),
+                    parts=_PARTS.get(name, ()))  # fmt: skip
 
 
 CONTROLLER = Interface(
@@ -103,7 +106,7 @@ CONTROLLER = Interface(
              "0", on_request=True),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
                  "held in between", STEP_SIZE, STEP_SIZE, 1.0, multiple_of=STEP_SIZE),
-        *map(_parameter, fields(Gains)),
+        *map(parameter_of, fields(Gains)),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

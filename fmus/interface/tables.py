@@ -6,22 +6,21 @@ commands. The other two have a module each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Final
 
-from ...assets import STEP_SIZE
-from ...assets.franka import ROBOTS
-from ...controller.sensor_errors import HAND_POSE_SOURCES, SensorErrors
-from .controller import COMMANDS, CONTROLLER
+from ...controller.sensor_errors import SensorErrors
+from .controller import COMMANDS, CONTROLLER, parameter_of
 from .plant import PLANT
 from .variables import Interface, Numbers, Variable, input_, output
 
-DELAY_MAX: Final = 0.1  # [s]
 # Measured signals: inputs of the controller, and outputs of the plant of the same names.
 MEASURED: Final = ("qpos", "qvel", "hand_xpos", "hand_xquat", "jac", "qfrc_bias")
 SEEN: Final = ("target_xpos", "target_xmat")
-_DEFAULTS = SensorErrors()
+_FIXED: Final = (  # errors, from the start on
+    "seed", "delay", "hand_pose_source", "block_position_error", "block_yaw_error", "robot",
+)  # fmt: skip
 _STARTS: Final[dict[str, Numbers]] = {
     "target_xpos": (0.4, -0.2, 0.1),
     "target_xmat": (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
@@ -58,43 +57,13 @@ def _signal(name: str) -> tuple[Variable, Variable]:
 _TRUTHS, _READINGS = zip(*map(_signal, (*MEASURED, *SEEN)), strict=True)
 
 
-def _error(  # noqa: PLR0913 - a row has this many columns
-    name: str, size: int, unit: str, bounds: tuple[float, float], words: str, *, fixed: bool = False
-) -> Variable:
-    start = getattr(_DEFAULTS, name)
-    shape = (size,) if size > 1 else ()
-    variability = "fixed" if fixed else "tunable"
-    return Variable(name, shape, unit, "parameter", variability, words, start, *bounds)  # type: ignore[arg-type]
-
-
 SENSORS = Interface(
     "PandaSensors",
     "Measurements of arm and block, with errors of encoders, camera and transmission",
     (
         *_TRUTHS,
         *_READINGS,
-        Variable("seed", (), "1", "parameter", "fixed", "Seed of the random numbers, a whole "
-                 "number", 0.0, 0.0, 2.0**32 - 1, multiple_of=1.0),
-        _error("joint_offset", 7, "rad", (-0.5, 0.5), "Offset of each encoder"),
-        _error("joint_noise", 7, "rad", (0.0, 0.1), "Noise of each encoder, root mean square"),
-        _error("joint_quantisation", 7, "rad", (0.0, 0.1), "Resolution of each encoder; 0: exact"),
-        _error("velocity_noise", 7, "rad/s", (0.0, 10.0), "Noise of each joint velocity, root "
-               "mean square"),
-        Variable("delay", (), "s", "parameter", "fixed", "Delay of the measurements", 0.0, 0.0,
-                 DELAY_MAX, multiple_of=STEP_SIZE),
-        _error("dropout", 1, "1", (0.0, 1.0), "Share of ticks whose measurement is lost; the "
-               "last one is held"),
-        Variable("hand_pose_source", (), "", "parameter", "fixed", "Where the hand's pose, its "
-                 "Jacobian and the bias force come from: the plant, or the robot's own model at "
-                 "the measured joints", _DEFAULTS.hand_pose_source, kind="Enumeration",
-                 choices=HAND_POSE_SOURCES),
-        _error("block_position_error", 3, "m", (-0.5, 0.5), "Error of the block's measured "
-               "position, world frame", fixed=True),
-        _error("block_yaw_error", 1, "rad", (-3.2, 3.2), "Error of the block's measured yaw "
-               "about the world's z axis", fixed=True),
-        Variable("robot", (), "", "parameter", "fixed", "Arm whose model gives the hand's pose: "
-                 "panda (Franka Emika Panda) or fr3 (Franka Research 3)", _DEFAULTS.robot,
-                 kind="Enumeration", choices=tuple(ROBOTS)),
+        *(parameter_of(error, _FIXED) for error in fields(SensorErrors)),
     ),
 )  # fmt: skip
 

@@ -219,7 +219,7 @@ class FmuSlave(ABC):
             self._instantiate(instance)
         except Exception as error:  # FMPy raises plain Exceptions
             cause = self.log.cause or one_line(error)
-            raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
+            raise InputError(f"in FMU {self.name!r}: cannot be instantiated: {cause}") from error
         return instance
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:

@@ -53,7 +53,7 @@ def units(model: Any, field: str) -> str | tuple[str, ...]:
         case "ctrl":
             return tuple(_unit_of_control(model, i) for i in range(model.nu))
         case "actuator_force":
-            return tuple(_unit_of_force(model, i) for i in range(model.nu))
+            return tuple(_FORCE.get(_joint_unit(model, i), "") for i in range(model.nu))
     if field.startswith("qfrc_"):
         return tuple(_FORCE[unit] for unit in dofs)
     return _FIELDS.get(field, "")
@@ -65,10 +65,6 @@ def _joint_unit(model: Any, actuator: int) -> str:
     if transmission in _ON_JOINTS:
         return {HINGE: "rad", SLIDE: "m"}.get(int(model.jnt_type[target]), "")
     return "m" if transmission == _TENDON else ""
-
-
-def _unit_of_force(model: Any, actuator: int) -> str:
-    return _FORCE.get(_joint_unit(model, actuator), "")
 
 
 def _unit_of_control(model: Any, actuator: int) -> str:

@@ -70,12 +70,9 @@ def build(
     return {name: _put(out / path.name, path.read_bytes()) for name, path in fmus.items()}
 
 
-def build_trajectory(
-    commands: NDArray[np.float64], path: Path | None = None, target: Target | None = None
-) -> Path:
-    """Build the FMU that plays commands (n, 14), in the cache or as a file."""
-    built = _own("trajectory", target or Target(), commands.astype("<f8").tobytes())
-    return built if path is None else _put(path, built.read_bytes())
+def build_trajectory(commands: NDArray[np.float64], target: Target | None = None) -> Path:
+    """Build the FMU that plays commands (n, 14), in the cache."""
+    return _own("trajectory", target or Target(), commands.astype("<f8").tobytes())
 
 
 def build_fmu(fmu: NativeFmu, path: Path | None = None, target: Target | None = None) -> Path:
@@ -87,9 +84,9 @@ def build_fmu(fmu: NativeFmu, path: Path | None = None, target: Target | None = 
     return cached(place, lambda: chosen.make(fmu))
 
 
-def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> list[str]:
+def outdated(target: Target | None = None) -> list[str]:
     """Model names of the project's own FMUs that `build` would have to build."""
-    places = {name: _own_place(name, target or Target()) for name in names}
+    places = {name: _own_place(name, target or Target()) for name in INSTANCES}
     return [OWN[name].interface.model for name, place in places.items() if not place.is_file()]
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from itertools import islice
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from ..files import as_argument
 from ..judging.contacts import Touch
 from ..judging.criterion import miss_text
 from ..judging.holds import find_holds
-from ..judging.limits import outcome
+from ..judging.limits import Level, outcome
 from ..recording import Recording
 from ..run.options import Options, with_options, with_values
 from ..run.prepare import Prepared, prepare
@@ -54,8 +54,6 @@ from ..system.assembly import Assembly, system_scenario
 from ..system.connector import Connector
 from ..system.parts import UnreadSlaveError
 from ..timing.demand import LimitViolation, find_violations, joint_reference
-
-Level = Literal["wrong", "refused", "hint", "good"]
 
 SYSTEM: Final = ".ssp"
 SHOWN: Final = 4  # limit violations that are listed
@@ -191,7 +189,8 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     Plant(PlantParameters(**grouped(PLANT, prepared.values["plant"])))  # refuses its block's place
     scenario, run = prepared.scenario, rehearse(prepared)
     trouble = _diagnostics("hint", [*_located(run, prepared), *_limits(prepared)])
-    lines, name = outcome(run.summary.preflight), _name(scenario)
+    lines = outcome(run.summary.preflight, complete=run.summary.complete)
+    name = _name(scenario)
     real = [Diagnostic(level, text.replace("SCENARIO", name)) for level, text in lines]
     criteria = run.summary.criteria if run.summary.complete else ()
     unmeasured = [miss_text(criterion) for criterion in criteria if not criterion.measured]
@@ -266,10 +265,14 @@ def _limits(prepared: Prepared) -> Iterator[str]:
     if len(violations) > SHOWN:
         texts.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more violations")
     name = _name(scenario)
-    if any(violation.quantity != "reach" for violation in violations):
-        texts[-1] += f"; `panda-cosim retime {name} --keep-times` gives these rows more time"
-    elif texts and scenario.success.block_position:
-        texts[-1] += f"; `panda-cosim route {name}` plans another path"
+    if all(violation.quantity != "reach" for violation in violations):
+        more = f"`panda-cosim retime {name} --keep-times` gives these rows more time"
+    elif scenario.success.block_position:
+        more = f"`panda-cosim route {name}` plans another path"
+    else:
+        more = "more time does not help: move the rows within reach, away from the stretched arm"
+    if texts:
+        texts[-1] += f"; {more}"
     yield from texts
 
 

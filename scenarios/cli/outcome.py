@@ -263,7 +263,8 @@ def outcome_lines(
             if at is None
             else (f"{name} ended early, at t = {at:.3f} s", "")
         )
-    yield from ((text, STYLES[level]) for level, text in outcome(summary.preflight))
+    for level, text in outcome(summary.preflight, complete=summary.complete):
+        yield text, STYLES[level]
     for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
         yield line, "yellow"
     if realtime:
@@ -318,16 +319,22 @@ def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
     beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
     if beyond:
         yield f"Beyond the robot's limits: {', '.join(beyond)}"
-    first = summary.first_limit
+    first, collision = summary.first_limit, summary.events["collision"]
     if first:
-        touched = contacts and contacts[0]["time_s"] <= first["time_s"]
         remedy = REMEDIES[first["kind"]] + (GAIN_REMEDIES.get(first["kind"], "") if ours else "")
-        remedy = "after the contact above" if touched else remedy
+        if contacts and contacts[0]["time_s"] <= first["time_s"]:
+            remedy = "after the contact above"
+        elif collision is not None and collision <= first["time_s"]:
+            remedy = f"after the collision at t = {collision:.3f} s"
         yield (
             f"The {first['kind']} limit of joint {first['joint']} first limited the motion at "
             f"t = {first['time_s']:.3f} s: {remedy}"
         )
-    elif not contacts and any(limit.startswith("torque rate") for limit in beyond):
+    elif (
+        collision is None
+        and not contacts
+        and any(limit.startswith("torque rate") for limit in beyond)
+    ):
         yield (
             f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently"
             f"{NOISE if ours else ''}"

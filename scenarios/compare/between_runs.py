@@ -122,7 +122,10 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     if not others:
         raise InputError("compare: only one run; must be at least two")
     runs = (first, *others)
-    recordings = tuple(_recording(run) for run in runs)
+    recordings = tuple(
+        run.recording if isinstance(run, Run) else Recording.open(run, in_order=True)
+        for run in runs
+    )
     summaries = [_summary(run) for run in runs]
     names = _names_of(runs)
     instants = differences.common_instants(names, [each.time for each in recordings])
@@ -148,10 +151,6 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         other_units=tuple(name for name in common if name not in compared),
         recordings=recordings,
     )
-
-
-def _recording(run: Run | str | Path) -> Recording:
-    return run.recording if isinstance(run, Run) else Recording.open(run, in_order=True)
 
 
 def _summary(run: Run | str | Path) -> Mapping[str, Any]:

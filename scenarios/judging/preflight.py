@@ -23,7 +23,8 @@ from .. import rotations
 from ..recording import Recording
 from ..scenario.limits import robot_of
 from ..scenario.trajectory import TIME_TOLERANCE
-from .limits import CHECKS, DERIVATIVES, LATE, MORE_TIME, NO_REFERENCE, PERIOD, SMOOTHER
+from .holds import first_collision
+from .limits import CHECKS, DERIVATIVES, LATE, REMEDIES
 
 Array = NDArray[np.float64]
 Refusal = dict[str, Any]  # as `findings` of summary.json has them
@@ -46,10 +47,11 @@ REGULAR: Final = 1e-12  # [m^2] keeps J J^T regular where the arm is singular
 class _Judge:
     """Keeps the largest share of each limit, and the first time that it is reached."""
 
-    def __init__(self, robot: str, recording: Recording) -> None:
+    def __init__(self, robot: str, recording: Recording, touch: float) -> None:
         self.shares: dict[str, Array] = {}
         self.first: dict[str, Refusal] = {}  # of each check
         self._robot, self._cause = robot, _cause(recording)
+        self._touch = touch  # when a joint first collides [s]
         self._row_times = np.array(recording.metadata.get("row_times", ()), dtype=float)
 
     def see(self, time: Array, measures: Iterable[Measure]) -> None:
@@ -65,12 +67,15 @@ class _Judge:
                 value, size = float(values[rows][row, k]), float(sizes[row, k])
                 zero = float(np.broadcast_to(origin, values.shape[1:])[k])
                 at, check = float(time[row]), CHECKS[key]
-                remedy = self._cause if check.remedy == MORE_TIME else ""
+                more_time = check.remedy == REMEDIES["more_time"]
+                remedy = self._cause if more_time else ""
+                if at >= self._touch and (more_time or check.remedy == REMEDIES["smooth"]):
+                    remedy = REMEDIES["after_touch"]
                 ahead = int(np.searchsorted(self._row_times, at - TIME_TOLERANCE)) + 1
                 self.first[key] = {
                     "name": key,
                     **vars(check),
-                    "remedy": (remedy or check.remedy).format(robot=self._robot),
+                    "remedy": (remedy or check.remedy).format(robot=self._robot, touch=self._touch),
                     "time_s": at,
                     "row": min(ahead, len(self._row_times)) or None,
                     "joint": k + 1 if values.shape[1] > 1 else None,
@@ -99,7 +104,7 @@ class _Late:
             if judge.first:
                 self.borne = count - 1
                 first = min(judge.first.values(), key=lambda each: each["time_s"])
-                self.refusal = {**first, "remedy": SMOOTHER}
+                self.refusal = {**first, "remedy": REMEDIES["smoother"]}
                 return
 
     def _received(self, count: int, rates: Rates) -> Rates:
@@ -170,7 +175,9 @@ def preflight(recording: Recording, robot: str) -> dict[str, Any]:
     """Return what one of `ROBOTS` would refuse, and the largest share of each of its limits [1]."""
     if not recording.rows:
         return {}
-    new_judge = partial(_Judge, robot, recording)
+    row = first_collision(recording)
+    touch = math.inf if row is None else float(recording.time[row])
+    new_judge = partial(_Judge, robot, recording, touch)
     limits, judge, reference = robot_limits(robot), new_judge(), _reference(recording)
     late = {key: _Late(limits, new_judge, delayed=key == "delay_ms") for key in LATE}
     arm = _Arm(recording, limits)
@@ -249,8 +256,8 @@ def _gains(recording: Recording) -> Mapping[str, Any]:
 def _cause(recording: Recording) -> str:
     """Return what to change besides rows of the table if joints are too fast, or ""."""
     if _gains(recording).get("period", STEP_SIZE) > STEP_SIZE:
-        return PERIOD
-    return NO_REFERENCE if _reference(recording) == "controller.ctrl" else ""
+        return REMEDIES["period"]
+    return REMEDIES["no_reference"] if _reference(recording) == "controller.ctrl" else ""
 
 
 def _rates(values: Array, count: int) -> list[Array]:

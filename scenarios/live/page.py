@@ -57,7 +57,10 @@ def page_of(session: Session) -> str:
         "model": describe_model(model),
         "signals": _signals(session),
         "columns": columns,
-        "roles": {role: _columns_of(columns, name) for role, name in ROLES.items()},
+        "roles": {
+            role: [column for column in columns if column.partition("[")[0] == signal]
+            for role, signal in ROLES.items()
+        },
         "bounds": {name: pair for name, pair in bounds.items() if name in columns},
         "duration": session.scenario.duration,
         "row": list(session.numbers().values()),
@@ -142,10 +145,6 @@ def _about(session: Session) -> dict[str, Any]:
         "curves": curves,
         **{key: [] for key in ("notes", "criteria", "limits", "moments", "waypoints")},
     }
-
-
-def _columns_of(columns: list[str], signal: str) -> list[str]:
-    return [name for name in columns if name.partition("[")[0] == signal]
 
 
 def _signals(session: Session) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from ...fmus.master.step import Coupling
 from ...fmus.sources.targets import Kind
 from ..fields import Quantity, check_choice, check_keys, field_names
 from ..scenario.mismatch import Mismatch, default_of
-from ..scenario.scenario import DURATION, TABLE_FILE, Scenario
+from ..scenario.scenario import TABLE_FILE, Scenario
 from ..scenario.table import QUATERNION_COLUMNS, InputTable
 from .start import Overrides
 
@@ -194,8 +194,8 @@ def _with_all(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scena
             parameters.setdefault(instance, {})[name] = value
         else:
             raise _no_such(key)
-    if "duration" in values and not scenario.is_system:
-        DURATION.check("duration", values["duration"])
+    if "gains" in values and "controller" in scenario.fmus:
+        raise InputError("gains: acts only on the project's own controller; must be left out here")
     if scenario.is_system and any(steps[0] == "table" for steps in changes):
         raise InputError(f"the scenario is a system, which has no {TABLE_FILE}")
     changed: Scenario = _changed(scenario, changes)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, PlainValidator
+from pydantic import BeforeValidator, PlainValidator, SkipValidation
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...assets.franka import DEFAULT_ROBOT, LIMIT_FILES, ROBOTS
@@ -122,7 +122,7 @@ class Scenario:
 
     name: Annotated[str, Line()]
     table: TrajectoryTable  # NO_TABLE: a system without a commanded hand
-    duration: Annotated[float, SYSTEM_DURATION]  # a whole number of steps
+    duration: Annotated[float, SkipValidation]  # see `_check_time`: a whole number of steps
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
     robot: Annotated[str, Choice(tuple(ROBOTS))] = DEFAULT_ROBOT
@@ -183,8 +183,8 @@ class Scenario:
             self.success.check_windows(0.0, self.duration)
 
     def _check_time(self) -> None:
-        if not self.is_system:
-            DURATION.check("duration", self.duration)
+        valid = SYSTEM_DURATION if self.is_system else DURATION
+        object.__setattr__(self, "duration", valid.check("duration", self.duration))
         off = abs(self.ticks * self.step - self.duration) / max(self.duration, 1.0)
         if not 1 <= self.ticks <= MAX_STEPS or off > 1e-9:
             nearest = self.step * min(max(self.ticks, 1), MAX_STEPS)

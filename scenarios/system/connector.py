@@ -281,7 +281,8 @@ def driven_inputs(
     driven: dict[Name, DrivenInput] = {}
     for instance, values in by_fmu.items():
         scalars = {scalar.name: scalar for scalar in interfaces[instance].scalars()}
-        for name, value in expand(instance, interfaces[instance], values, "input").items():
+        place = f"[inputs] {instance}"
+        for name, value in expand(place, interfaces[instance], values, "input").items():
             driven[instance, name] = DrivenInput(scalars[name], [value], np.zeros(1))
     table = scenario.input_table
     for key, cells in table.columns.items():

@@ -97,7 +97,8 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
 def refusals_of(summary: Mapping[str, Any]) -> list[str]:
     """Return what the real robot would refuse, in lines."""
     try:
-        return [text for level, text in outcome(summary["preflight"]) if level == "refused"]
+        lines = outcome(summary["preflight"], complete=summary["complete"])
+        return [text for level, text in lines if level == "refused"]
     except (LookupError, TypeError, ValueError):  # there is none, or it is another's
         return []
 
