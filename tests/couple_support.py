@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.fmus.build.libraries import PLATFORMS, includes
+from panda_cosim.fmus.build.libraries import PLATFORMS, SOURCES, includes
 from panda_cosim.fmus.interface.controller import COMMANDS
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.master.system import System
@@ -155,12 +155,12 @@ def _token(folder: Path) -> str:
 
 
 def compile_host(program: Path, *tool: str) -> None:
-    """Compile the host."""
+    """Compile the host as the libraries are: ziglang has by folder and flags what Windows needs."""
     folders = [f"-isystem{folder}" for folder in includes()]
     libraries = [] if program.suffix == ".exe" else ["-ldl", "-lpthread"]
-    flags = ["-std=gnu11", "-Wall", "-Wextra", "-O1"]
+    flags = ["-std=gnu11", "-Wall", "-Wextra", "-O1", "-s"]
     command = [*tool, *flags, *folders, str(HOST), "-o", str(program), *libraries]
-    subprocess.run(command, check=True, timeout=300)
+    subprocess.run(command, cwd=SOURCES, check=True, timeout=300)
 
 
 def read_rows(path: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:

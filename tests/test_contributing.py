@@ -69,48 +69,45 @@ def python(changed: Path, *arguments: object) -> str:
     return done.stdout
 
 
+BUILD = """
+import sys
+from pathlib import Path
+from panda_cosim import run_scenario
+from panda_cosim.fmus.sources.model_fmu import model_part
+from panda_cosim.fmus.sources.targets import build, build_fmu
+if not Path(sys.argv[2]).exists():
+    run_scenario(*sys.argv[1:3])
+print(*build(["plant", "controller"]).values(), build_fmu(model_part(Path(sys.argv[3]))), sep="\\n")
+"""
+BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+
+
 @pytest.mark.fmu
-def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: Path) -> None:
-    scenario = tmp_path / "small"
-    scenario.mkdir()
-    (scenario / "scenario.toml").write_text(SCENARIO)
-    (scenario / "trajectory.csv").write_text(TABLE)
-    run, fmus = tmp_path / "run", tmp_path / "fmus"
-    python(changed, "-m", "panda_cosim", "run", scenario, *QUIET, "--out", run)
-    recording = Recording.open(run)
+def test_an_output_of_the_plant_is_added_in_two_places_and_a_line_of_the_description_in_one(
+    changed: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "scenario.toml").write_text(SCENARIO)
+    (tmp_path / "trajectory.csv").write_text(TABLE)
+    model = tmp_path / "ball.xml"
+    model.write_text(BALL)
+    build = ("-c", BUILD, tmp_path, tmp_path / "run", model)
+    before = [Fmu(Path(path)) for path in python(changed, *build).split()]
+    recording = Recording.open(tmp_path / "run")
     passive, speeds = recording["plant.qfrc_passive"], recording["plant.qvel"][:, :7]
     assert passive.shape == (51, 7)
     assert recording.units["plant.qfrc_passive[7]"] == "N.m"
     # With no friction and no springs, passive forces are those of the joints' damping.
     moving = np.abs(speeds) > 1e-9
     assert np.all(passive[moving] * speeds[moving] < 0)
-    python(changed, "-m", "panda_cosim", "build", "--out", fmus)
-    described = Fmu(fmus / "PandaPlant.fmu").variable("qfrc_passive[1]")
-    assert described.variable.causality == "output"
+    assert before[0].variable("qfrc_passive[1]").variable.causality == "output"
 
-
-BUILD = """
-import sys
-from pathlib import Path
-from panda_cosim.fmus.sources.targets import build, build_fmu
-from panda_cosim.fmus.sources.model_fmu import model_part
-print(build(["controller"])["controller"], build_fmu(model_part(Path(sys.argv[1]))), sep="\\n")
-"""
-BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
-
-
-@pytest.mark.fmu
-def test_a_changed_line_of_the_description_is_in_the_next_fmu(
-    changed: Path, tmp_path: Path
-) -> None:
-    model = tmp_path / "ball.xml"
-    model.write_text(BALL)
     source = changed / "fmus" / "build" / "description.py"
-    for author in ("The panda-cosim engineers", "Somebody else"):
-        text = source.read_text(encoding="utf-8")
-        source.write_text(re.sub('"author": "[^"]*"', f'"author": "{author}"', text))
-        paths = python(changed, "-c", BUILD, model).split()
-        assert [Fmu(Path(path)).description.author for path in paths] == [author] * 2
+    text = source.read_text(encoding="utf-8")
+    source.write_text(re.sub('"author": "[^"]*"', '"author": "Somebody else"', text))
+    after = [Fmu(Path(path)) for path in python(changed, *build).split()]
+    assert len(before) == len(after) == 3
+    assert {fmu.description.author for fmu in before}.isdisjoint({"Somebody else"})
+    assert {fmu.description.author for fmu in after} == {"Somebody else"}
 
 
 def test_every_path_exists() -> None:
@@ -122,6 +119,7 @@ def test_every_path_exists() -> None:
 
 
 @pytest.mark.fmu
+@pytest.mark.long
 def test_a_changed_result_is_bisected(tmp_path: Path) -> None:
     """The commits of a repository change a law; the scenario and its reference stand outside."""
     repository, scenario = tmp_path / "repository", tmp_path / "push"

@@ -51,5 +51,6 @@ def test_a_joint_that_comes_to_its_end_slowly_keeps_the_torque_rate() -> None:
 @pytest.mark.long
 def test_a_joint_at_its_end_is_refused() -> None:
     (move,) = run_moves(55, only=(55,), timing_share=0.95)
-    assert "row 2: joint 6 reaches the end of its range" in move.refused
+    at_limits = [joint for joint, kind in enumerate(move.limit, 1) if kind]
+    assert any(f"row 2: joint {n} reaches the end of its range" in move.refused for n in at_limits)
     assert not move.keeps_all

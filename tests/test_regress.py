@@ -24,7 +24,7 @@ from panda_cosim.scenarios.compare.regress import Outcome, find_scenarios, start
 from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.work import Workers
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 
 LARGEST = 200_000  # bytes of a reference; noise compresses badly
 
@@ -49,7 +49,9 @@ class Dies:
 
 
 @pytest.fixture(scope="module")
-def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Future[Outcome]]]:
+def outcomes(
+    forked_workers: None, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, Future[Outcome]]]:
     """Run all shipped scenarios, two at a time."""
     build()  # once, not in each process
     folder = tmp_path_factory.mktemp("runs")

@@ -63,7 +63,7 @@ def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
     path.write_text(found.to_html(), encoding="utf-8")
     page.errors.clear()
     page.requests.clear()
-    page.open(path, 900, 600)
+    page.open(path, 760, 420)
     page.wait(SHOWN)
     assert page.value("PandaView.viewer.runs.map(({ name }) => name)") == ["wrong", "good"]
     assert page.value(NOW) == pytest.approx(found.signals[0].times[0], abs=1e-9)
@@ -80,7 +80,7 @@ def test_a_report_opens_at_the_worst_tick_and_shows_one_scenario_at_a_time(
 ) -> None:
     page.errors.clear()
     page.requests.clear()
-    page.open(report, 900, 600)
+    page.open(report, 760, 420)
     page.wait(SHOWN)
     comparison = outcomes[1].comparison
     assert comparison is not None

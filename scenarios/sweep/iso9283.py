@@ -107,12 +107,11 @@ def path_figures(cycles: Sequence[Cycle]) -> dict[str, float]:
     return {name: max(abs(values[name]) for values in each) for name in names}
 
 
-def stabilization(cycle: Cycle, band: float) -> tuple[float, float]:
-    """Return OV [mm] and t_s [s] at P1: after the first crossing into the band [mm]."""
+def stabilization(cycle: Cycle, band: float) -> tuple[float, float] | None:
+    """Return OV [mm] and t_s [s] at P1 from its first crossing into the band [mm]; or None."""
     inside = 1e3 * cycle.distance <= band
     if not inside[-1]:
-        where = f"P1: the hand is outside its limit band of {band:.4g} mm at the end of the dwell"
-        raise InputError(f"{where}; must dwell longer")
+        return None
     first = int(inside.argmax())
     outside = first + np.flatnonzero(~inside[first:])
     if not len(outside):
@@ -126,11 +125,16 @@ def figures(cycles: Sequence[Cycle]) -> dict[str, Any]:
     poses = np.array([cycle.poses for cycle in cycles]).swapaxes(0, 1)  # (5, n, 6)
     at_poses = {n: accuracy(p) | repeatability(p) for n, p in zip(POSES, poses, strict=True)}
     band = at_poses["P1"]["RP_l"]
-    over, times = zip(*(stabilization(c, band) for c in cycles[:STABLE_CYCLES]), strict=True)
+    settled = [s for c in cycles[:STABLE_CYCLES] if (s := stabilization(c, band))]
+    all_settle = len(settled) == STABLE_CYCLES
     return {
         "poses": at_poses,
         "path": path_figures(cycles[:PATH_CYCLES]),
-        "P1": {"limit_band": band, "OV": max(over), "t_s": float(np.mean(times))},
+        "P1": {
+            "limit_band": band,
+            "OV": max(over for over, _ in settled) if all_settle else None,
+            "t_s": float(np.mean([time for _, time in settled])) if all_settle else None,
+        },
     }
 
 
