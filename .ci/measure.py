@@ -1,8 +1,8 @@
 """Measures what docs/measured.md says, and writes it: python .ci/measure.py [SECTION ...].
 
 Without a section it measures all of them, which takes an hour on two idle cores. `--from DIR` takes
-a finished sweep's folder instead of running the sweep again; of `contact`, the folder of a sweep of
-each scenario.
+a finished sweep's folder instead of running the sweep again; of `contact` and `touch`, the folder
+of a sweep of each scenario.
 """
 
 from __future__ import annotations
@@ -36,7 +36,17 @@ ENGINES = ("3.10.0", "3.11.0", "3.14.0", "3.17.0")  # beside the installed MuJoC
 LARGEST = 12  # packages that are listed
 LOOKS = (("640x480", "60"), ("640x480", "30"), ("640x480", "15"), ("320x240", "60"))
 TASKS = ("pick_and_place_impedance", "wipe", "peg_in_hole", "stack_impedance", "open_door")
-ERRORS = ("", "joint_noise=1e-5", "delay=0.001", "joint_offset=3.5e-4")
+WORN = (
+    "mismatch.preset=worn", "mismatch.seed=1:100:100", "controller.kp=0.5", "controller.ik_gain=5",
+    "controller.error_filter=0.02",
+)  # fmt: skip
+HARD = 40.0  # [N] what presses on the table with more is a collision, as in `collision`
+OBSERVED = '\n[vary."controller.observer"]\nvalues = [true]\n'
+NOISE, DELAY = "mismatch.joint_noise=1e-5", "mismatch.delay=0.001"
+ERRORS: tuple[tuple[str, ...], ...] = (
+    (), (NOISE,), (NOISE, "gains=robust"), (DELAY,), (DELAY, "controller.reading_delay=0.001"),
+    ("mismatch.joint_offset=3.5e-4",),
+)  # fmt: skip
 
 
 def _said(command: Sequence[str], codes: Sequence[int] = (0, 3)) -> str:
@@ -100,18 +110,17 @@ def runs(_: Path | None) -> str:
 
 
 def errors(_: Path | None) -> str:
-    """Each error of `calibrated` alone.
+    """Each error of `calibrated` alone, and two remedies.
 
     `panda-cosim run pick_and_place --set KEY`, with the hand's pose from the controller's own model
     (`--set mismatch.hand_pose_source=model`).
     """
     rows = []
     for error in ERRORS:
-        settings = ["mismatch.hand_pose_source=model", *([f"mismatch.{error}"] if error else [])]
-        summary = _summary_of("pick_and_place", *settings)
+        summary = _summary_of("pick_and_place", "mismatch.hand_pose_source=model", *error)
         tracking = summary["tracking"]
         rows.append([
-            f"`mismatch.{error}`" if error else "none",
+            ", ".join(f"`{key}`" for key in error) or "none",
             f"{tracking['rms_mm']:.3f} ({tracking['max_mm']:.3f})",
             f"{summary['block']['place_error_mm']:.2f}",
             f"{max(summary['limits']['torque_rate_share']):.1f}",
@@ -132,12 +141,17 @@ def margins(_: Path | None) -> str:
     return _table(["delay, s", *DELAYS], [[name, *values] for name, values in variants.items()])
 
 
-def _swept(name: str, folder: Path | None) -> str:
-    if folder is None:
-        with tempfile.TemporaryDirectory() as new:
-            _said([*RUN, "sweep", name, "--out", f"{new}/sweep"])
-            return _swept(name, Path(new, "sweep"))
-    rows = ds.dataset(folder / "results").to_table()
+def _rows(folder: Path | None, name: str, sweep: str, *varied: str) -> pa.Table:
+    """Rows of a sweep: those in a subfolder, or of a new one."""
+    with tempfile.TemporaryDirectory() as new:
+        if folder is None:
+            options = [word for key in varied for word in ("--vary", key)]
+            _said([*RUN, "sweep", sweep, *options, "--out", f"{new}/{name}"])
+        return ds.dataset((folder or Path(new)) / name / "results").to_table()
+
+
+def _swept(name: str, folder: Path | None, *varied: str) -> str:
+    rows = _rows(folder, "", name, *varied)
     succeeded = rows["status"].to_numpy() == "success"
     rate = binomtest(int(succeeded.sum()), len(rows)).proportion_ci(0.95)
     rates = _largest(rows, "torque_rate_share")
@@ -177,6 +191,67 @@ def calibrated(folder: Path | None) -> str:
     return _swept("calibrated", folder)
 
 
+def worn(folder: Path | None) -> str:
+    """Worn robots with the gains `robust`, judged as calibrated ones.
+
+    `panda-cosim sweep calibrated --vary mismatch.preset=worn --vary mismatch.seed=1:100:100
+    --vary controller.kp=0.5 --vary controller.ik_gain=5 --vary controller.error_filter=0.02`.
+    """
+    return _swept("calibrated", folder, *WORN)
+
+
+def touch(folder: Path | None) -> str:
+    """What the arm feels, with the default thresholds.
+
+    `panda-cosim run collision`, whose force counts as held from 50 ms after the collision;
+    `sweep calibrated --vary mismatch.seed=5001:5300:300 --vary controller.observer=true`; blocks of
+    `random_box`, with two lines added to a copy of its file: `[vary."controller.observer"]`,
+    `values = [true]`; `sweep calibrated_guarded --vary mismatch.seed=60000:60059:60`.
+    """
+    lines = []
+    for reaction in ("stop", "none"):
+        settings = (f"controller.reaction={reaction}", "controller.observer=true")
+        criteria = _summary_of("collision", *settings)["criteria"]
+        forces = _numbers([c["value"] for c in criteria], 0)
+        lines.append(
+            [f"pressed on the table, reaction `{reaction}`: force at most, held, N", forces]
+        )
+    with tempfile.TemporaryDirectory() as new:
+        box = Path(new, "random_box.toml")
+        text = (ROOT / "scenarios/sweep/library/random_box.toml").read_text()
+        text = text.replace("samples = 10000", "samples = 300")
+        box.write_text(text + OBSERVED)
+        varied = ("mismatch.seed=5001:5300:300", "controller.observer=true")
+        tables = {
+            "calibrated": _rows(folder, "calibrated", "calibrated", *varied),
+            "random_box": _rows(folder, "random_box", str(box)),
+        }
+    for name, rows in tables.items():
+        reported = rows["event.collision"].is_valid().to_numpy()
+        force = rows["summary.block.set_down_force_N"].to_numpy().astype(float)
+        softly = np.count_nonzero(reported & ~(force > HARD))
+        lines.append([
+            f"`{name}`: collisions reported; of these, with at most {HARD:g} N of setting down",
+            f"{reported.sum()} of {len(rows)} runs; {softly}",
+        ])  # fmt: skip
+    rows = _rows(folder, "calibrated_guarded", "calibrated_guarded", "mismatch.seed=60000:60059:60")
+    succeeded = np.count_nonzero(rows["status"].to_numpy() == "success")
+    slip, force = (
+        np.nanmax(rows[f"summary.block.{key}"].to_numpy().astype(float))
+        for key in ("slip_mm", "set_down_force_N")
+    )
+    guarded = f"{succeeded} of {len(rows)}; {slip:.2f}, {force:.0f}"
+    lines.append(
+        ["`calibrated_guarded`: successful; slip, mm, and force on the table, N, at most", guarded]
+    )
+    return _table(["", "measured"], lines)
+
+
+def time_step(_: Path | None) -> str:
+    """Steps of the physics, with the controller at 1 ms: `python tests/time_step.py`."""
+    return _said([sys.executable, "tests/time_step.py"]).strip()
+
+
 def contact(folder: Path | None) -> str:
     """Tasks in contact by 100 calibrated robots each.
 
@@ -185,11 +260,7 @@ def contact(folder: Path | None) -> str:
     """
     lines = []
     for name in TASKS:
-        with tempfile.TemporaryDirectory() as new:
-            if folder is None:
-                seeds = ("--vary", "mismatch.seed=1:100:100", "--out", f"{new}/{name}")
-                _said([*RUN, "sweep", name, *seeds])
-            rows = ds.dataset((folder or Path(new)) / name / "results").to_table()
+        rows = _rows(folder, name, name, "mismatch.seed=1:100:100")
         succeeded, margins = rows["status"].to_numpy() == "success", rows["margin"].to_numpy()
         missed = ", ".join(sorted({m for m in rows["missed"].to_pylist() if m})) or "none"
         rates = _largest(rows, "torque_rate_share")
@@ -203,8 +274,8 @@ def contact(folder: Path | None) -> str:
 def moves(_: Path | None) -> str:
     """Random straight moves, up to 120 deg, 0.5 m/s and 1 rad/s: `python tests/random_moves.py`.
 
-    500 from `home`; with `--retimed`, where each gets the time that it needs; and with `--starts
-    --count 100`, from random joint positions.
+    500 from `home`, with `--touch`; with `--retimed`, where each gets the time that it needs; and
+    with `--starts --count 100`, from random joint positions.
     """
     ways = (["--touch"], ["--retimed"], ["--starts", "--count", "100"])
     texts = [_said([sys.executable, "tests/random_moves.py", *option], (0, 1)) for option in ways]
@@ -354,7 +425,7 @@ def video(_: Path | None) -> str:
 
 SECTIONS: dict[str, Callable[[Path | None], str]] = {
     "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
-    "contact": contact,
+    "worn": worn, "contact": contact, "touch": touch, "step": time_step,
     "moves": moves, "mink": mink, "cost": cost, "install": install, "video": video,
     "engines": engines,
 }  # fmt: skip

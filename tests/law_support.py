@@ -85,6 +85,7 @@ class LawInC:
         self.input_values, self.output_values, self.state_values = (
             record[name].view(float).reshape(-1) for name in ("inputs", "outputs", "state")
         )
+        self.inputs, self.outputs = record[0]["inputs"], record[0]["outputs"]
         record["period"] = period
         self.gains = gains
         self._law.controller_reset(self._controller)

@@ -1,10 +1,12 @@
 """Random straight moves of the hand from `home`, without FMUs.
 
-`python tests/random_moves.py` tries 500 moves and prints how many end at their goal. A goal is the
+`python tests/random_moves.py` tries 500 moves with the law in C, which has the bits of the law in
+Python, and prints how many end at their goal. A goal is the
 pose of a random joint configuration, so the arm reaches it; the straight way there may still lead
 past a singularity or a joint's end. `--retimed` gives each move the time that it needs, so that it
 keeps the torque rate, too. `--starts` lets each begin at a random joint configuration instead;
-`--touch` counts the moves in which the controller reports a collision.
+`--touch` counts the moves in which the controller reports a collision, and those in which it is a
+false alarm: nothing touched the arm in the `RECENT` time before, and no joint was on its stop.
 """
 
 from __future__ import annotations
@@ -15,10 +17,13 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
 import numpy as np
+from law_support import LawInC, compile_law
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import (
@@ -49,6 +54,8 @@ SPEED, TURN_RATE = 0.5, 1.0  # [m/s], [rad/s] at most
 PEAK = 1.875  # of a quintic's speed, over its mean
 LOWEST = 0.35  # [m] of the hand, so that no finger touches the table
 NEAREST = 0.3  # [m] of the hand from joint 1's axis
+RECENT = 0.02  # [s] before a collision, ten time constants of the observer
+CAUSES = ("contact", "joint on its stop", "false alarm")
 SETTLING = 0.5  # [s] after the move, before its end is measured
 AT_GOAL = (0.001, 0.5)  # [m], [deg]
 
@@ -69,7 +76,7 @@ class Move:
     slower: float = 1.0  # its duration over that of the table [1]
     refused: str = ""  # why it got no other times
     off_path: float = 0.0  # largest distance of the hand from its straight path [m]
-    collided: bool = False  # as the controller's observer says, if it is on
+    collision: str = ""  # why the controller's observer reports one, if it does: one of `CAUSES`
 
     @property
     def ok(self) -> bool:
@@ -180,7 +187,8 @@ def run_move(
     x, y = plant.outputs, controller.outputs
     begin_at(plant, start)
     busy = 0.0  # [s]
-    off_path, errors, collided = 0.0, np.empty(len(commands)), False
+    off_path, errors = 0.0, np.empty(len(commands))
+    collision, touched = "", np.full(2, -np.inf)  # touched: last ticks of a contact, on a stop
     motion = np.empty((4, len(commands), 7))
     for tick, command in enumerate(commands):
         if tick:
@@ -191,7 +199,12 @@ def run_move(
         controller.update()
         busy += time.thread_time() - begun
         plant.inputs["ctrl"] = y["ctrl"]
-        collided = collided or bool((y["joint_contact"] == COLLISION).any())
+        q = x["qpos"][:7]
+        on_stop = ((q <= Q_MIN) | (q >= Q_MAX)).any()
+        touched[[x["unwanted_contact_force"] > 0.0, on_stop]] = tick
+        if not collision and (y["joint_contact"] == COLLISION).any():
+            recent = (tick - touched) * STEP_SIZE <= RECENT
+            collision = CAUSES[int(recent.argmax()) if recent.any() else 2]
         off_path = max(off_path, _off(x["hand_xpos"], start.position, position))
         errors[tick] = np.linalg.norm(x["hand_xpos"] - command[:3])
         motion[:, tick] = x["qpos"][:7], x["qvel"][:7], y["qvel_ref"], x["actuator_force"][:7]
@@ -208,7 +221,7 @@ def run_move(
         slower,
         refused,
         off_path,
-        collided,
+        collision,
     )
 
 
@@ -276,14 +289,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--starts", action="store_true", help="begin at random joint positions")
     parser.add_argument("--touch", action="store_true", help="count collisions that are reported")
     options = parser.parse_args(arguments)
-    moves = run_moves(
-        options.count,
-        options.seed,
-        Gains(observer=options.touch),
-        processes=options.processes,
-        timing_share=options.retimed,
-        starts=options.starts,
-    )
+    with TemporaryDirectory() as folder:
+        moves = run_moves(
+            options.count,
+            options.seed,
+            Gains(observer=options.touch),
+            processes=options.processes,
+            make=partial(LawInC, compile_law(Path(folder))),
+            timing_share=options.retimed,
+            starts=options.starts,
+        )
     failed = [move for move in moves if not (move.keeps_all if options.retimed else move.ok)]
     for move in failed:
         joints = [joint for joint, kind in enumerate(move.limit, 1) if kind]
@@ -301,9 +316,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{max(move.share for move in moves):.3f}; torque rate above the robot's limit in "
         f"{sum(rate > 1.0 for rate in rates)} moves, largest share {max(rates):.1f}; "
         f"off the path by up to {1e3 * max(m.off_path for m in moves):.0f} mm"
-        + f"; collisions reported in {sum(m.collided for m in moves)}"
-        * bool(options.touch)
     )
+    if options.touch:
+        collisions = {move.number: move.collision for move in moves if move.collision}
+        print(
+            f"{len(collisions)} collisions reported: "
+            + ", ".join(f"{list(collisions.values()).count(cause)} {cause}" for cause in CAUSES)
+        )
+        print("".join(f"move {n}: {cause}\n" for n, cause in collisions.items()), end="")
     slower = np.array([move.slower for move in moves if not move.refused])
     if options.retimed:
         print(
