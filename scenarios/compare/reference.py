@@ -226,7 +226,9 @@ def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
 
 
 def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
-    steps = np.cumsum(np.cumsum(differences.astype(np.int64)))
+    steps = differences.astype(np.int64)
+    for _ in range(2):
+        np.cumsum(steps, out=steps)
     return np.asarray(steps * quantum, dtype=np.float64)
 
 
