@@ -26,8 +26,8 @@ DQ = COMPARED["controller.dq"]["rad"]  # rad, half-width of its tube
 @pytest.fixture
 def reference(tmp_path: Path) -> Reference:
     """Return a reference that was written and read."""
-    made = Reference.of(record(tmp_path / "before", columns()), SUMMARY, TOLERANCES)
-    made.write(tmp_path / "reference.parquet")
+    run = record(tmp_path / "before", columns())
+    Reference.of(run, SUMMARY, TOLERANCES).write(tmp_path / "reference.parquet", run)
     return Reference.read(tmp_path / "reference.parquet")
 
 

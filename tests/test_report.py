@@ -32,8 +32,9 @@ def outcome(folder: Path, name: str, *, offset: float, nan: bool = False) -> Out
     """Return an outcome of a small run that is off by a number of tolerances."""
     place = folder / name
     scenario = Scenario(name, TABLE, 0.4, purpose=f"<Tests> {name} & 'more'", folder=place)
-    reference = Reference.of(record(place / "before", columns()), SUMMARY, scenario.regression)
-    reference.write(place / "reference.parquet")
+    before = record(place / "before", columns())
+    reference = Reference.of(before, SUMMARY, scenario.regression)
+    reference.write(place / "reference.parquet", before)
     values = columns()
     values["controller.dq[2]"][150:250] += offset * 3e-7
     if nan:
@@ -84,7 +85,7 @@ def hostile_report(folder: Path, text: str) -> Path:
     object.__setattr__(scenario, "purpose", text)  # a scenario file refuses some of these
     before = record(folder / "before", columns(), units=units)
     reference = Reference.of(before, SUMMARY, tolerances)
-    reference.write(folder / "reference.parquet")
+    reference.write(folder / "reference.parquet", before)
     values = columns()
     values["controller.dq[2]"][150:250] += 1e-4
     metadata = {"versions": {text: text}, "parameters": {text: {text: text}}}

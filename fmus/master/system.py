@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -155,6 +156,8 @@ def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
             f"{one.unit!r} feeds unit {other.unit!r}; must be the same, or both defined by the "
             "same SI base units"
         )
+    if scale == PLAIN:  # no copy of each of the many
+        return connection
     is_difference = any(scalar.variable.name in fmu.relative for fmu, scalar in ends)
     factor, offset = scale[0], 0.0 if is_difference else scale[1]
     return replace(
@@ -209,17 +212,18 @@ def notes(
         if abs(size - round(size / own) * own) > 1e-9 * size:
             text = f"supports a single step size, {own:g} s; steps of {size:g} s may be refused"
             yield instance, "Warning", text
-    loop = _loop(fmus, system.connections)
+    loop = _loop(tuple(fmus.items()), tuple(system.connections))
     if loop:
         text = f"algebraic loop {' -> '.join(map('.'.join, loop))}: each step uses values of the "
         yield loop[0][0], "Warning", text + 'step before, unless coupling = "iterated"'
 
 
-def _loop(fmus: Mapping[str, Fmu], connections: Sequence[Connection]) -> Sequence[Name]:
+@lru_cache(maxsize=4)  # rows of a sweep have the same system
+def _loop(fmus: tuple[tuple[str, Fmu], ...], connections: tuple[Connection, ...]) -> Sequence[Name]:
     """Find a cycle of connections and of outputs that depend on inputs, as ModelStructure says."""
     fed = {connection.target: connection.source for connection in connections}
     before: dict[Name, set[Name]] = {target: {source} for target, source in fed.items()}
-    for instance, fmu in fmus.items():
+    for instance, fmu in fmus:
         arrays: dict[str, list[Name]] = {}
         for each, scalar in fmu.variables.items():
             arrays.setdefault(scalar.variable.name, []).append((instance, each))

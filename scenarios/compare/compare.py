@@ -204,10 +204,13 @@ def compare_with_reference(
     ]
     present = [name for name in reference.columns if name in recording.units]
     rows = matching_rows(time, reference)
+    matched = rows >= 0
+    time, rows = time[matched], rows[matched]
+    columns = (recording[name][matched].astype(float, copy=False) for name in present)
     deviations = sorted(
         (
-            _deviation(name, time, rows, recording[name].astype(float), reference, tolerances)
-            for name in present
+            _deviation(name, time, rows, values, reference, tolerances)
+            for name, values in zip(present, columns, strict=True)
         ),
         key=lambda d: -d.share,
     )
@@ -238,8 +241,10 @@ def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - slow to import
 
     size = 2 * ticks + 1
-    lower: Array = minimum_filter1d(values, size, mode="nearest") - tolerance
-    upper: Array = maximum_filter1d(values, size, mode="nearest") + tolerance
+    lower: Array = minimum_filter1d(values, size, mode="nearest")
+    upper: Array = maximum_filter1d(values, size, mode="nearest")
+    lower -= tolerance  # in place, as a long run's are large
+    upper += tolerance
     return lower, upper
 
 
@@ -260,14 +265,14 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
 ) -> Deviation:
     unit = reference.units[name]
     tolerance = tolerances.value(name, unit)
-    matched = rows >= 0
-    own, place = values[matched], rows[matched]
-    lower, upper = (edge[place] for edge in tube_of(name, reference, tolerances))
-    distance = tolerance + np.maximum(own - upper, lower - own)
-    distance = np.where(np.isfinite(own), np.maximum(distance, 0.0), np.inf)
+    lower, upper = tube_of(name, reference, tolerances)
+    distance = np.maximum(values - upper[rows], lower[rows] - values)
+    distance += tolerance
+    np.maximum(distance, 0.0, out=distance)
+    distance[~np.isfinite(values)] = np.inf
     if not len(distance):
         return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0)
-    instants, worst = time[matched], int(np.argmax(distance))
+    worst = int(np.argmax(distance))
     outside = distance > tolerance
     return Deviation(
         name=name,
@@ -275,8 +280,8 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
         tolerance=tolerance,
         share=float(distance[worst]) / tolerance,
         distance=float(distance[worst]),
-        time=float(instants[worst]),
-        first=float(instants[int(np.argmax(outside))]) if outside.any() else None,
+        time=float(time[worst]),
+        first=float(time[int(np.argmax(outside))]) if outside.any() else None,
         outside=int(outside.sum()),
     )
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -102,10 +102,8 @@ class Reference:
             summary=dict(summary),
         )
 
-    def write(self, path: Path) -> None:
-        """Write the file atomically."""
-        arrays = [pa.array(self._second_differences(name)) for name in self.columns]
-        table = pa.Table.from_arrays(arrays, schema=_schema(self.columns))
+    def write(self, path: Path, recording: Recording) -> None:
+        """Write the file atomically, block by block of the recording that it was made of."""
         text = json.dumps(
             {
                 "format": FORMAT,
@@ -120,7 +118,7 @@ class Reference:
             replacing(path) as temporary,
             pq.ParquetWriter(
                 literal(temporary),
-                table.schema,
+                _schema(self.columns),
                 compression="zstd",
                 compression_level=19,
                 use_dictionary=False,
@@ -130,15 +128,23 @@ class Reference:
                 store_schema=False,
             ) as writer,
         ):
-            writer.write_table(table)
+            for batch in self._second_differences(recording):
+                writer.write_batch(batch)
             writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
 
-    def _second_differences(self, name: str) -> NDArray[np.int32]:
-        steps = np.round(self.column(name) / self.quanta[name])
-        differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)
-        if np.abs(differences).max(initial=0.0) > _LARGEST:
-            raise InputError(f"[regression] {name}: the tolerance is too small for its values")
-        return differences.astype(np.int32)
+    def _second_differences(self, recording: Recording) -> Iterator[Any]:
+        before = 0  # rows at the start of a block that were in the one before
+        for block in recording.in_blocks(*self.columns, before=2):
+            arrays = []
+            for name, values in zip(self.columns, block, strict=True):
+                steps = np.round(values / self.quanta[name])
+                differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)[before:]
+                if np.abs(differences).max(initial=0.0) > _LARGEST:
+                    problem = "the tolerance is too small for its values"
+                    raise InputError(f"[regression] {name}: {problem}")
+                arrays.append(pa.array(differences.astype(np.int32)))
+            yield pa.RecordBatch.from_arrays(arrays, schema=_schema(self.columns))
+            before = 2
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -220,7 +226,9 @@ def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
 
 
 def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
-    steps = np.cumsum(np.cumsum(differences.astype(np.int64)))
+    steps = differences.astype(np.int64)
+    for _ in range(2):
+        np.cumsum(steps, out=steps)
     return np.asarray(steps * quantum, dtype=np.float64)
 
 

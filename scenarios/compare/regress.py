@@ -34,7 +34,8 @@ from .reference import Reference, how_to_make, reference_path
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 
-TIMEOUT: Final = 600.0  # [s] wall time of one scenario; a hanging one must not hang the others
+# Wall time of a scenario beyond its duration [s]; a hanging one must not hang the others.
+TIMEOUT: Final = 600.0
 
 
 class Member(Protocol):
@@ -132,7 +133,8 @@ def start(
         return refused
     failed = partial(_failed, scenario, run, time.perf_counter())
     judge = partial(_outcome, run=run, overrides=overrides or {}, exact=exact)
-    return workers.submit(judge, scenario, died=failed, late=failed, time_limit=TIMEOUT)
+    limit = TIMEOUT + scenario.duration
+    return workers.submit(judge, scenario, died=failed, late=failed, time_limit=limit)
 
 
 def _outcome(scenario: Scenario, *, run: Path, overrides: Overrides, exact: bool) -> Outcome:

@@ -106,7 +106,8 @@ class Execution:
         """
         if self._stack is not None:
             raise InputError("session: is already open; `close` or `restart` ends its run")
-        self._reset()
+        if self._output is not None:  # of a run before
+            self._reset()
         prepared = self.prepared
         with ExitStack() as stack:
             if self._writes:

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
@@ -89,11 +89,11 @@ def _probabilities(sweep: Sweep) -> Array:
     if sweep.design == "random":
         u = rng.random((sweep.samples, dimensions))
     elif sweep.design == "latin-hypercube":
-        u = qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
+        u = scipy.stats.qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
     else:
         with warnings.catch_warnings():  # any number is allowed; a power of 2 covers the cube best
             warnings.simplefilter("ignore", UserWarning)
-            u = qmc.Sobol(dimensions, scramble=True, rng=rng).random(sweep.samples)
+            u = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng).random(sweep.samples)
     return np.clip(u, _EDGE, 1.0 - _EDGE)
 
 

@@ -159,7 +159,7 @@ def _data(
         "labels": results.labels,
         "metrics": {name: _metric(name) for name in (*results.margins, *results.metrics)},
         "units": {key: _unit(key) for key in keys},
-        "points": {name: _rounded(c[chosen]) for name, c in _columns(store, results, keys)},
+        "points": {name: _rounded(c) for name, c in _columns(store, results, keys, chosen)},
         "index": results.index[chosen].tolist(),
         "bad": results.bad[chosen].astype(int).tolist(),
         "total": len(results.bad),
@@ -175,13 +175,13 @@ def _data(
 
 
 def _columns(
-    store: Store, results: Results, keys: Sequence[str]
+    store: Store, results: Results, keys: Sequence[str], rows: NDArray[np.intp]
 ) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield values, margins and metrics by name (n,); metrics are read one by one, as many are."""
-    yield from ((key, results.values[key]) for key in keys)
-    yield from results.margins.items()
-    for name in results.metrics:
-        yield name, store.table([name, "index"])[name].to_numpy()
+    """Yield values, margins and metrics of some rows (n,) by name, each (n,)."""
+    yield from ((key, results.values[key][rows]) for key in keys)
+    yield from ((name, margin[rows]) for name, margin in results.margins.items())
+    table = store.table([*results.metrics, "index"], results.index[rows].tolist())
+    yield from ((name, table[name].to_numpy()) for name in results.metrics)
 
 
 def _influences(
@@ -190,8 +190,8 @@ def _influences(
     """Yield the influences on each margin and metric: key, value and its bounds."""
     rows = _evenly(np.arange(len(results.bad)), min(len(results.bad), ESTIMATED))
     values = {key: column[rows] for key, column in results.values.items()}
-    for name, column in _columns(store, results, ()):
-        each = influences(values, results.labels, column[rows])
+    for name, column in _columns(store, results, (), rows):
+        each = influences(values, results.labels, column)
         yield name, [(e.key, e.value, *((e.low, e.high) if bounds else (None, None))) for e in each]
 
 
@@ -282,7 +282,7 @@ def promote_row(
         if run.summary.as_expected:
             reference = Reference.of(run.recording, run.summary.to_dict(), promoted.regression)
             with replacing(new / REFERENCE_FILE) as path:
-                reference.write(path)
+                reference.write(path, run.recording)
     return sorted(new.iterdir())
 
 

@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
+import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
-from scipy.stats import binomtest, kruskal, rankdata
 
 from .definition import Distribution
 from .row import MARGIN
@@ -37,13 +37,13 @@ def share_bounds(count: int, total: int) -> tuple[float, float]:
     """Bounds of a probability by Clopper and Pearson, at `CONFIDENCE`, after events in trials."""
     if not total:
         return 0.0, 1.0
-    bounds = binomtest(count, total).proportion_ci(CONFIDENCE, "exact")
+    bounds = scipy.stats.binomtest(count, total).proportion_ci(CONFIDENCE, "exact")
     return float(bounds.low), float(bounds.high)
 
 
 def lower_bound(count: int, total: int, confidence: float) -> float:
     """Return the one-sided lower bound of a probability by Clopper and Pearson."""
-    test = binomtest(count, total, alternative="greater")
+    test = scipy.stats.binomtest(count, total, alternative="greater")
     return float(test.proportion_ci(confidence, "exact").low)
 
 
@@ -64,13 +64,13 @@ def influences(values: Mapping[str, Array], labels: Labels, result: Array) -> li
     ranks lowest, and NaN leaves the row out (n,).
     """
     known = ~np.isnan(result)
-    ranks = rankdata(result[known])
+    ranks = scipy.stats.rankdata(result[known])
     if len(ranks) < FEWEST or np.ptp(ranks) == 0:
         return []
     strengths = [
         _of_words(key, column[known], ranks)
         if key in labels
-        else _of_numbers(key, rankdata(column[known]), ranks)
+        else _of_numbers(key, scipy.stats.rankdata(column[known]), ranks)
         for key, column in values.items()
         if len(np.unique(column[known])) > 1
     ]
@@ -99,7 +99,7 @@ def _of_words(key: str, codes: Array, result: Array) -> Influence:
     """
     groups = [result[codes == code] for code in np.unique(codes)]
     freedom = len(codes) - len(groups)
-    share = (kruskal(*groups).statistic - len(groups) + 1) / freedom if freedom else 0.0
+    share = (scipy.stats.kruskal(*groups).statistic - len(groups) + 1) / freedom if freedom else 0.0
     return Influence(key, math.sqrt(max(float(share), 0.0)))
 
 
@@ -174,7 +174,7 @@ def _by_share(codes: Array, bad: Flags) -> Array:
     """
     whole = codes.astype(np.intp)
     share = np.bincount(whole, weights=bad) / np.maximum(np.bincount(whole), 1)
-    order: Array = rankdata(share, method="ordinal").astype(np.float64)[whole]
+    order: Array = scipy.stats.rankdata(share, method="ordinal").astype(np.float64)[whole]
     return order
 
 

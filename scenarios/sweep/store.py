@@ -23,7 +23,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.dataset as pds
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
@@ -255,6 +255,8 @@ class Store:
         """Return rows and columns of the table, see `pyarrow.dataset.Dataset.to_table`."""
         if not self.parts():
             raise InputError(f"{self.folder}: has no results yet")
+        import pyarrow.dataset as pds  # noqa: PLC0415 - imports pandas, which is slow
+
         options = pds.ParquetFragmentScanOptions(page_checksum_verification=True)
         checked = pds.ParquetFileFormat(default_fragment_scan_options=options)
         try:
@@ -263,9 +265,12 @@ class Store:
         except (pa.ArrowException, OSError, ValueError) as error:
             raise InputError(f"{self.results}: cannot be read: {one_line(error)}") from None
 
-    def table(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return columns, the index among them, of all rows in the order of their index."""
-        return self.scan(columns=columns).sort_by("index")
+    def table(
+        self, columns: Sequence[str] | None = None, indices: Sequence[int] | None = None
+    ) -> pa.Table:
+        """Return columns, the index among them, of all or some rows in the order of their index."""
+        chosen = None if indices is None else pc.field("index").isin(indices)
+        return self.scan(columns=columns, filter=chosen).sort_by("index")
 
     def done(self) -> NDArray[np.int64]:
         """Return the indices of the completed rows, in order."""
@@ -273,7 +278,7 @@ class Store:
 
     def row(self, index: int) -> Row:
         """Return one row."""
-        rows = self.scan(filter=pds.field("index") == index).to_pylist()
+        rows = self.scan(filter=pc.field("index") == index).to_pylist()
         if not rows:
             known = self.done()
             raise InputError(
@@ -306,9 +311,7 @@ class Store:
 
     def rows(self, indices: Sequence[int], columns: Sequence[str]) -> list[Row]:
         """Return columns, the index among them, of some rows, in the order of their index."""
-        names = ["index", *columns]
-        table = self.scan(columns=names, filter=pds.field("index").isin(indices))
-        return list(table.sort_by("index").to_pylist())
+        return list(self.table(["index", *columns], indices).to_pylist())
 
     def beyond_limits(self) -> int | None:
         """Return how many successes exceeded a limit of the robot; None: none was measured."""
@@ -316,8 +319,8 @@ class Store:
                   if name.startswith("summary.limits.") and "_share" in name]  # fmt: skip
         if not shares:
             return None
-        exceeded = reduce(or_, (pds.field(name) > 1.0 for name in shares))
-        success = pds.field("status") == "success"
+        exceeded = reduce(or_, (pc.field(name) > 1.0 for name in shares))
+        success = pc.field("status") == "success"
         return int(self.scan(columns=["index"], filter=success & exceeded).num_rows)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -20,6 +20,7 @@ from ..files import model_file
 from ..judging.definitions import DEFINITIONS
 from ..judging.limits import CHECKS, outcome
 from ..pictures.motion import Signals, describe_run, key_moments
+from ..recording import Recording, by_rows
 from ..scenario.limits import METRICS, robot_of
 from .columns import Thinning, contact_forces, contact_rows, describe_time, encode
 
@@ -272,11 +273,11 @@ def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> li
         curves.append({"name": name, "columns": [name], "units": [unit], "words": words, **block})
 
     if _has(source, hand, command):
-        error = np.linalg.norm(source[hand] - source[command], axis=1)
+        error = _each_row(source, _distance, hand, command)
         if error.max(initial=0.0) >= CLEAR * max(_quanta(source, hand)):
             add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
     if _has(source, turn, ROLES["commanded_turn"]):
-        angle = _angle(source[ROLES["commanded_turn"]], source[turn])
+        angle = _each_row(source, _angle, ROLES["commanded_turn"], turn)
         if angle.max(initial=0.0) >= CLEAR * np.degrees(2 * max(_quanta(source, turn))):
             add("orientation error", "deg", "Angle of the hand from its command", angle)
     if against is not None and _has(source, hand) and _has(against, hand):
@@ -289,16 +290,23 @@ def _has(source: RunData, *signals: str) -> bool:
     return all(_columns(source, signal) for signal in signals)
 
 
+def _each_row(source: RunData, function: Callable[..., Array], *signals: str) -> Array:
+    """Return what a function computes of each row, in pieces: a long run needs little memory."""
+    if isinstance(source, Recording):
+        return by_rows(source, function, *signals)
+    whole = [source[signal] for signal in signals]
+    pieces = (slice(k, k + PIECE) for k in range(0, len(whole[0]), PIECE))
+    return np.concatenate([function(*(values[rows] for values in whole)) for rows in pieces])
+
+
+def _distance(one: Array, other: Array) -> Array:
+    return np.asarray(np.linalg.norm(one - other, axis=1))
+
+
 def _angle(commanded: Array, actual: Array) -> Array:
     """Return the angle between orientations (n, 4) (w, x, y, z), (n,) [deg]."""
-
-    def part(rows: slice) -> Array:
-        inverse = rotations.conjugate(actual[rows])
-        turn = rotations.log(rotations.multiply(commanded[rows], inverse))
-        return np.asarray(np.degrees(np.linalg.norm(turn, axis=1)))
-
-    # In pieces, so that a long run needs little memory.
-    return np.concatenate([part(slice(k, k + PIECE)) for k in range(0, len(actual), PIECE)])
+    turn = rotations.log(rotations.multiply(commanded, rotations.conjugate(actual)))
+    return np.asarray(np.degrees(np.linalg.norm(turn, axis=1)))
 
 
 def _difference(source: RunData, other: RunData, signal: str) -> Array:

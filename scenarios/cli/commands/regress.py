@@ -25,6 +25,7 @@ from ...compare.regress import (
     variants,
 )
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
+from ...recording import Recording
 from ...run.folder import default_folder
 from ...sweep.engine import SuiteSweep, find_sweeps
 from ...work import cores
@@ -218,7 +219,7 @@ def _show_engines(engines: list[str], rows: list[list[Outcome]]) -> None:
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:
     """Show what changes, and overwrite the references."""
-    new, changed, refused = [], [], 0
+    changed, refused = [], 0
     for outcome in outcomes:
         try:
             reference = candidate(outcome)
@@ -230,21 +231,20 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
         for line in lines or ["is unchanged"]:
             show(f"{outcome.name}: {line}", None if lines else "dim")
         if lines:
-            new.append((outcome.reference_path, reference))
-            changed.append(outcome)
-    replaced = sum(path.exists() for path, _ in new)
+            changed.append((outcome, reference))
+    replaced = sum(outcome.reference_path.exists() for outcome, _ in changed)
     if replaced and not yes:
         question = f"Overwrite {replaced} of {len(outcomes)} references?"
         _refuse_without_terminal(question)
         page = default_folder("update") / REPORT_FILE
-        write_report(changed, page, {})
+        write_report([outcome for outcome, _ in changed], page, {})
         show_file(page)  # with the differences from the references, before they are gone
         if not typer.confirm(question):
             warn("nothing was overwritten")
             raise typer.Exit(1)
-    for path, reference in new:
-        reference.write(path)
-        show_file(path)
+    for outcome, reference in changed:
+        reference.write(outcome.reference_path, Recording.open(outcome.run))
+        show_file(outcome.reference_path)
     if refused:
         raise typer.Exit(CosimError.exit_code)
 
