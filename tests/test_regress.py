@@ -232,7 +232,7 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: P
 SLIPS = [
     (("regress", "pus"), "did you mean 'push'"),
     (("regress", "push", "push"), "listed twice"),
-    (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
+    (("regress", "push", "--set", "controller.kpp=1"), "did you mean 'kp'"),
     (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
     (("regress", "push", "--overwrite"), "--overwrite: needs --report"),

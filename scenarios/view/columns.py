@@ -39,27 +39,30 @@ def pack(content: bytes, level: int = LEVEL) -> str:
 
 
 def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str, Any]:
-    """Encode columns for the page."""
-    quanta, offsets, gaps, whole = [], [], {}, []
-    for index, (values, step) in enumerate(zip(columns, steps, strict=True)):
-        filled, missing = _fill(values)
-        low, high = (float(filled.min()), float(filled.max())) if len(filled) else (0.0, 0.0)
-        if step is None and max(-low, high) < NOISE:
-            filled, low, high = np.zeros_like(filled), 0.0, 0.0
+    """Encode columns of the same length for the page."""
+    values, gaps = np.array(columns, np.float64), {}
+    for index in np.flatnonzero(~(np.abs(values) <= HUGE).all(axis=1)).tolist():
+        values[index], missing = _fill(values[index])
         if missing:
             gaps[index] = missing
-        offset = float(filled[0]) if len(filled) else 0.0
-        wanted = (high - low) / CURVE_STEPS if step is None else step
-        reach = max(high - offset, offset - low)
-        quanta.append(max(wanted, reach / LARGEST) or 1.0)  # coarse enough for int32
-        offsets.append(offset)
-        whole.append(np.rint((filled - offset) / quanta[-1]).astype(np.int32))
+    empty = np.zeros((2, len(values)))
+    low, high = (values.min(axis=1), values.max(axis=1)) if values.size else empty
+    curves = np.array([step is None for step in steps])
+    noise = curves & (np.maximum(-low, high) < NOISE)
+    values[noise] = low[noise] = high[noise] = 0.0
+    offsets = values[:, 0].copy() if values.size else empty[0]
+    quanta = np.where(curves, (high - low) / CURVE_STEPS, [step or 0.0 for step in steps])
+    reach = np.maximum(high - offsets, offsets - low)
+    quanta = np.maximum(quanta, reach / LARGEST)  # coarse enough for int32
+    quanta[quanta == 0.0] = 1.0
+    values -= offsets[:, None]
+    values /= quanta[:, None]
     return {
-        "rows": len(columns[0]) if columns else 0,
-        "steps": quanta,
-        "offsets": offsets,
+        "rows": values.shape[1],
+        "steps": quanta.tolist(),
+        "offsets": offsets.tolist(),
         "gaps": gaps,
-        "data": pack(_differences(whole)),
+        "data": pack(_differences(np.rint(values, out=values).astype(np.int32))),
     }
 
 
@@ -75,12 +78,11 @@ def _fill(values: Array) -> tuple[Array, list[tuple[int, int]]]:
     return filled, list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def _differences(whole: Sequence[NDArray[np.int32]]) -> bytes:
+def _differences(whole: NDArray[np.int32]) -> bytes:
     """Return second differences (mod 2^32, sign in the last bit), byte by byte of all numbers."""
-    zero = np.int32(0)
-    parts = [np.diff(np.diff(column, prepend=zero), prepend=zero) for column in whole]
-    numbers = np.concatenate(parts) if parts else np.empty(0, np.int32)
-    zigzag = ((numbers << 1) ^ (numbers >> 31)).astype("<u4")
+    whole[:, 1:] -= whole[:, :-1].copy()
+    whole[:, 1:] -= whole[:, :-1].copy()
+    zigzag = ((whole << 1) ^ (whole >> 31)).astype("<u4")
     return zigzag.view(np.uint8).reshape(-1, 4).T.tobytes()
 
 
