@@ -210,8 +210,10 @@ def run_program() -> None:
     # For all Python processes started from here, also by libraries: they must never import from
     # the working directory.
     os.environ["PYTHONSAFEPATH"] = "1"
-    # pydantic would search all installed packages for plugins.
+    # pydantic would search all installed packages for plugins, and OpenBLAS start threads that
+    # wait for large matrices.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     load_no_backend()
     for stream in (sys.stdout, sys.stderr):
         # A character that the terminal cannot encode must not end the program.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -122,12 +123,13 @@ def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
         import_module("rich.table")
         import_module("pyarrow.parquet")
         if view:
-            import_module("PIL.Image").preinit()  # its formats
+            import_module("PIL.PngImagePlugin")
             page = import_module("..view.page", __package__)
             page.code_elements()
             if values is not None:
                 page.described_model(page.plant_model({"parameters": values}))
 
+    sys.setswitchinterval(5e-4)  # [s] else the step waits up to 5 ms for this thread
     ThreadPoolExecutor(1).submit(load)
 
 

@@ -174,7 +174,8 @@ class _Shapes:
             image = Image.fromarray(self._pixels(texture).squeeze())
             image.thumbnail((TEXTURE_SIDE, TEXTURE_SIDE))
             file = io.BytesIO()
-            image.save(file, "PNG")
+            file.name = "texture.png"  # so that only this format is imported
+            image.save(file)
             self._texture_index[texture] = len(self.textures)
             self.textures.append(base64.b64encode(file.getvalue()).decode("ascii"))
         return self._texture_index[texture]
