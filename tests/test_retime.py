@@ -16,7 +16,7 @@ from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.check.check import feasibility
 from panda_cosim.scenarios.cli.commands.retime import retime
 from panda_cosim.scenarios.run.start import resolve, start_values
-from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.scenario.trajectory import Trajectory
 from panda_cosim.scenarios.scenario.writer import write_scenario
@@ -150,6 +150,14 @@ def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow: Scenario
     turned = replace(slow, table=TrajectoryTable(rows), duration=2.0)
     with pytest.raises(InputError, match=r"^corner: row 2: no timing .*: joint \d reaches the end"):
         retime(turned)
+
+
+@pytest.mark.parametrize(("name", "row"), [("near_singular", 3), ("beyond_reach", 4)])
+def test_shortest_times_along_a_stretched_arm_are_refused_soon(name: str, row: int) -> None:
+    """Motions follow each other there without a dwell."""
+    pytest.importorskip("toppra")
+    with pytest.raises(InputError, match=rf"^{name}: row {row}: no timing .* stretched arm"):
+        retime(load_scenario(name))
 
 
 @pytest.mark.parametrize(

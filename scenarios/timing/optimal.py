@@ -74,6 +74,7 @@ MOST_AT_ONCE: Final = 3.0  # times a segment's duration
 SPARE: Final = 1.005  # a little more than needed, so that few rounds suffice
 SPEED: Final = 0.5  # [m/s] a segment's mean speed, unless the table is slower
 SLOWEST: Final = 12.0  # times slower than that: what takes more is no matter of time
+STARTING: Final = 0.2  # [s] besides, to start and to stop
 MUCH_SLOWER: Final = 3.0  # times, from which a joint that is at its end is there for good
 HELPED: Final = 0.9  # a hand that misses more of what it did before does not come closer in time
 SLOWLY_CORRECTED: Final = 0.0008  # [m] 2 linear_braking / ik_gain^2
@@ -230,6 +231,7 @@ def retimed(
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load, gains.robot)
     bounds = [Bounds.of(share)] * len(parts)
     laws = [_slow(part) for part in parts]
+    slowest = SLOWEST * sum(part.length / SPEED + STARTING for part in parts)
     within: list[Timing] = []
     for number in range(MOST_ROUNDS):
         course = _course(trajectory, parts, laws)
@@ -253,6 +255,8 @@ def retimed(
         try:
             laws = [time_law(*motion, dynamics) for motion in each]
         except NoTimingError:
+            break
+        if sum(map(len, laws)) * STEP_SIZE > slowest:
             break
     if not within:
         raise InputError(_refusal(course, demanded, reference, share))
@@ -286,8 +290,9 @@ def _corrected(
     if spiky:  # the window is for the rest
         used |= {"jerk": float(without_spikes(rates).max()), "torque rate": 0.0}
     if spiky or missed:
-        moving = slice(0, len(law))
-        ceiling = lowered(bounds.ceiling, law, rates[moving], miss[moving], AIM * share)
+        ticks = min(len(law), len(rates))  # the last one is the next motion's if that follows
+        aim = AIM * share
+        ceiling = lowered(bounds.ceiling, law[:ticks], rates[:ticks], miss[:ticks], aim)
         bounds = replace(bounds, ceiling=ceiling)
     return bounds.corrected(used, AIM * share)
 
