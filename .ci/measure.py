@@ -1,8 +1,8 @@
 """Measures what docs/measured.md says, and writes it: python .ci/measure.py [SECTION ...].
 
 Without a section it measures all of them, which takes an hour on two idle cores. `--from DIR` takes
-a finished sweep's folder instead of running the sweep again; of `contact` and `touch`, the folder
-of a sweep of each scenario.
+a finished sweep's folder instead of running the sweep again; of `contact`, `touch` and `routes`,
+the folder of a sweep of each scenario.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import distributions
 from pathlib import Path
@@ -25,7 +26,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.benchmark import LABELS
+from panda_cosim.scenarios.run.options import with_values
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.sweep.definition import load_sweep
+from panda_cosim.scenarios.sweep.engine import check_sweep
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[1]
@@ -287,6 +293,41 @@ def moves(_: Path | None) -> str:
     )
 
 
+def routes(folder: Path | None) -> str:
+    """Planned routes: `panda-cosim sweep anywhere` and `panda-cosim sweep behind_wall`.
+
+    The first has blocks of any azimuth and yaw, 0.25 to 0.90 m from the arm's axis, the second a
+    wall between block and place. A plan's processor time is that of the preparation of a row.
+    """
+    lines = []
+    for name in ("anywhere", "behind_wall"):
+        rows = _rows(folder, name, name)
+        succeeded = np.count_nonzero(rows["status"].to_numpy() == "success")
+        forces = rows["summary.contact.unwanted_force_N"].to_numpy().astype(float)
+        limits = [n for n in rows.column_names if re.match(r"summary\.limits\..*_share\b", n)]
+        shares = [np.nanmax(rows[n].to_numpy().astype(float)) for n in limits]
+        plans = _numbers(np.quantile(_plan_times(name), [0.5, 0.95, 1.0]), 2)
+        unwanted = np.count_nonzero(forces > 0)
+        lines.append(
+            [f"`{name}`", f"{succeeded} of {len(rows)}", unwanted, f"{max(shares):.3f}", plans]
+        )
+    head = ["sweep", "successful", "with unwanted contact", "largest share of a limit"]
+    return _table([*head, "plan, s of processor time: median, 95 %, largest"], lines)
+
+
+def _plan_times(name: str) -> list[float]:
+    """Processor time of preparing each row of a sweep [s]."""
+    scenarios, design = check_sweep(load_sweep(name), None)
+    times = []
+    for index in range(len(design)):
+        scenario = scenarios[design.scenario(index)].scenario
+        began = time.process_time()
+        with suppress(InputError):  # there is no route, which takes its time, too
+            prepare(with_values(scenario, design.values(index)))
+        times.append(time.process_time() - began)
+    return times
+
+
 def mink(_: Path | None) -> str:
     """Our law beside the inverse kinematics of mink, over the same random moves.
 
@@ -426,8 +467,8 @@ def video(_: Path | None) -> str:
 SECTIONS: dict[str, Callable[[Path | None], str]] = {
     "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
     "worn": worn, "contact": contact, "touch": touch, "step": time_step,
-    "moves": moves, "mink": mink, "cost": cost, "install": install, "video": video,
-    "engines": engines,
+    "moves": moves, "routes": routes, "mink": mink, "cost": cost, "install": install,
+    "video": video, "engines": engines,
 }  # fmt: skip
 
 
