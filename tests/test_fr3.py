@@ -126,9 +126,10 @@ def test_check_names_what_is_too_fast_for_it() -> None:
 
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", ["pick_and_place", "elastic"])
-def test_native_fmus_give_the_bits_of_python(name: str) -> None:
+def test_native_fmus_give_the_bits_of_python(tmp_path: Path, name: str) -> None:
     scenario = with_values(with_fr3(name), {"duration": 2.0})
-    plain, recording = run_plain(scenario), run_scenario(scenario).recording
+    recording = run_scenario(scenario, tmp_path / "run").recording
+    plain = run_plain(scenario)
     assert np.array_equal(recording["plant.qpos"], plain.plant["qpos"])
     assert np.array_equal(recording["controller.ctrl"], plain.controller["ctrl"])
 

@@ -99,9 +99,11 @@ def test_each_mode_of_the_hand_on_its_springs_has_the_damping_ratio(ratio: float
 @pytest.mark.own_process
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("force", [-150.0, 150.0])  # N
-def test_a_hand_that_is_pushed_comes_back_to_its_path(axis: int, force: float) -> None:
+def test_a_hand_that_is_pushed_comes_back_to_its_path(
+    tmp_path: Path, axis: int, force: float
+) -> None:
     push = Push(start=0.6, duration=0.3, force=tuple(force * np.eye(3)[axis]))
-    record = run_scenario(replace(MOVING, push=(push,))).recording
+    record = run_scenario(replace(MOVING, push=(push,)), tmp_path / "run").recording
     error = np.linalg.norm(record["plant.hand_xpos"] - record["controller.pos_cmd"], axis=1)
     assert error.max() > 0.05  # m
     assert error[3900] < 1e-4  # m, 3 s later
@@ -111,9 +113,11 @@ def test_a_hand_that_is_pushed_comes_back_to_its_path(axis: int, force: float) -
 
 
 @pytest.mark.own_process
-def test_both_kinds_of_fmus_run_it_to_the_same_bits() -> None:
+def test_both_kinds_of_fmus_run_it_to_the_same_bits(tmp_path: Path) -> None:
     short = replace(MOVING, duration=0.3)
-    runs = [run_scenario(short, options=Options(kind=kind)) for kind in ("native", "python")]
+    runs = [
+        run_scenario(short, tmp_path / kind, Options(kind=kind)) for kind in ("native", "python")
+    ]
     one, other = (run.recording["plant.qpos"] for run in runs)
     assert np.array_equal(one, other)
 
@@ -121,11 +125,10 @@ def test_both_kinds_of_fmus_run_it_to_the_same_bits() -> None:
 @pytest.mark.long
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", TASKS)
-def test_a_task_in_contact_succeeds_with_other_robots(name: str) -> None:
+def test_a_task_in_contact_succeeds_with_other_robots(tmp_path: Path, name: str) -> None:
     for seed in (2, 3):
-        assert run_scenario(
-            with_values(load_scenario(name), {"mismatch.seed": seed})
-        ).summary.success
+        varied = with_values(load_scenario(name), {"mismatch.seed": seed})
+        assert run_scenario(varied, tmp_path / str(seed)).summary.success
 
 
 @pytest.mark.parametrize(

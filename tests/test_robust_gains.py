@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,26 +20,25 @@ NOISE = {"mismatch.joint_noise": 1e-5, "mismatch.hand_pose_source": "model"}  # 
 SETTLED = 100  # ticks, after which the servos carry the arm
 
 
-def torque_rate(**values: Any) -> float:
+def torque_rate(out: Path, **values: Any) -> float:
     """Largest torque rate of the approach, as a share of the robot's limit."""
-    run = run_scenario(with_values(APPROACH, {**NOISE, **values}))
+    run = run_scenario(with_values(APPROACH, {**NOISE, **values}), out)
     torques = run.recording["plant.actuator_force"][SETTLED:, :7]
     return float((np.abs(np.diff(torques, axis=0)) / (TORQUE_RATE_MAX * 1e-3)).max())
 
 
 @pytest.mark.own_process
-def test_noise_of_1e_5_rad_keeps_the_torque_rate() -> None:
-    assert torque_rate() > 5.0
-    assert torque_rate(gains="robust") < 1.0
+def test_noise_of_1e_5_rad_keeps_the_torque_rate(tmp_path: Path) -> None:
+    assert torque_rate(tmp_path / "default") > 5.0
+    assert torque_rate(tmp_path / "robust", gains="robust") < 1.0
 
 
 @pytest.mark.own_process
-def test_elastic_joints_do_not_swing() -> None:
+def test_elastic_joints_do_not_swing(tmp_path: Path) -> None:
     elastic = with_values(APPROACH, {"scene": "elastic"})
-    rms = [
-        run_scenario(with_values(elastic, {"gains": name})).summary.tracking["rms_mm"]
-        for name in ("default", "robust")
-    ]
+    gains = ("default", "robust")
+    runs = [run_scenario(with_values(elastic, {"gains": g}), tmp_path / g) for g in gains]
+    rms = [run.summary.tracking["rms_mm"] for run in runs]
     assert rms[0] > 5.0
     assert rms[1] < 1.0
 
