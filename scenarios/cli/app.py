@@ -117,7 +117,9 @@ class Program(PlainFlags, TyperGroup):
                 traceback.print_exc()
             # An import that a signal breaks off may fail with an error of its own.
             code = ending.code or report(error)
-        gc.freeze()  # at its end, Python would search all that is left for garbage
+        # At its end, Python would search all that is left for garbage. OMPL lists what it misses.
+        if "ompl" not in sys.modules:
+            gc.freeze()
         sys.exit(code)
 
 
