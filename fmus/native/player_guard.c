@@ -72,6 +72,20 @@ static double measured(const fmu *f, const player_guard *guard, guard_state *s, 
     return sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2]);
 }
 
+/* Command of the hand at a tick, along an axis. */
+static void command(const fmu *f, const guarded *g, int64_t tick, size_t axis, double *position, double *speed)
+{
+    const guard_state *s = &g->state;
+    const size_t place = (size_t)fmin((double)(tick + s->ahead), (double)(g->row_count - 1));
+    const double *row = g->rows + place * g->width + axis, *left = g->left + 2 * place;
+    const double u = fmin(STEP * (double)(tick - s->ended) / BRAKING, 1.0), cube = u * u * u;
+    const double way = u - cube + 0.5 * cube * u - 0.5, rate = 1.0 - 3.0 * u * u + 2.0 * cube;
+    *position = row[fmu_find(f->table, "pos_cmd[1]")->reference - g->first] + left[0] * s->offset[axis];
+    *position += way * (BRAKING * s->speed[axis]);
+    *speed = row[fmu_find(f->table, "vel_cmd[1]")->reference - g->first] + left[1] * s->offset[axis];
+    *speed += rate * s->speed[axis];
+}
+
 void guarded_look(const fmu *f, guarded *g, int64_t tick)
 {
     const size_t hand = fmu_find(f->table, "pos_cmd[1]")->reference - g->first;
@@ -83,10 +97,12 @@ void guarded_look(const fmu *f, guarded *g, int64_t tick)
         if (place <= (int64_t)guard->first || place >= last) continue;
         if (!(measured(f, guard, s, place) > guard->bound)) return;
         for (size_t axis = 0; axis < 3; axis++) {
-            const double now = g->rows[(size_t)place * g->width + hand + axis] +
-                               g->left[2 * place] * s->offset[axis];
-            s->offset[axis] = now - g->rows[(size_t)last * g->width + hand + axis];
+            double now, speed;
+            command(f, g, tick, axis, &now, &speed);
+            s->offset[axis] = now + 0.5 * (BRAKING * speed) - g->rows[(size_t)last * g->width + hand + axis];
+            s->speed[axis] = speed;
         }
+        s->ended = tick;
         s->ahead = last - tick;
         return;
     }
@@ -99,8 +115,5 @@ void guarded_show(const fmu *f, const guarded *g, int64_t tick)
     double *position = f->values + hand, *velocity = f->values + fmu_find(f->table, "vel_cmd[1]")->reference;
     const size_t place = (size_t)fmin((double)(tick + g->state.ahead), (double)(g->row_count - 1));
     memcpy(position, g->rows + place * g->width + hand - g->first, size * sizeof(double));
-    for (int axis = 0; axis < 3; axis++) {
-        position[axis] += g->left[2 * place] * g->state.offset[axis];
-        velocity[axis] += g->left[2 * place + 1] * g->state.offset[axis];
-    }
+    for (size_t axis = 0; axis < 3; axis++) command(f, g, tick, axis, position + axis, velocity + axis);
 }

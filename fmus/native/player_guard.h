@@ -5,6 +5,8 @@
 #include "backend.h"
 
 enum { BASE_FROM = 60, BASE_TO = 160, AVERAGED = 10 }; /* ticks, as in guarded.py */
+#define STEP 0.001   /* [s] */
+#define BRAKING 0.02 /* [s] in which the hand stops */
 
 /* A row that may end early, as the resource `guards` holds it. */
 typedef struct {
@@ -16,7 +18,9 @@ typedef struct {
 /* What the next step depends on. */
 typedef struct {
     int64_t ahead;         /* ticks by which the table is ahead */
-    double offset[3];      /* of the hand since the last early end [m] */
+    int64_t ended;         /* tick of the last early end */
+    double offset[3];      /* of the hand since then, once it has stopped [m] */
+    double speed[3];       /* of the hand at that tick [m/s] */
     double base;           /* sum of the forces that contact is measured against [N] */
     double felt[AVERAGED]; /* the last ones */
 } guard_state;

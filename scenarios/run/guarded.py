@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 # over some ticks, so that neither starting nor noise ends a row. The player in C has them, too.
 BASE: Final = (60, 160)
 AVERAGED: Final = 10  # ticks
+BRAKING: Final = 0.02  # [s] in which the hand stops
 CONTACT: Final = ("plant.jac", "plant.actuator_force", "plant.qfrc_bias")  # what it is computed of
 FORCE: Final = ("controller.external_force",)
 
@@ -76,13 +77,24 @@ def sampled(trajectory: Trajectory, first: int, count: int) -> Array:
     return trajectory.sample(STEP_SIZE * np.arange(first, first + count, dtype=np.float64))
 
 
+def braking(elapsed: Array) -> tuple[Array, Array]:
+    """Return what is left of the way of braking, in speed times time, and of the speed (n, 1).
+
+    The speed falls as 1 - 3 u^2 + 2 u^3; `elapsed` is the time since the end of the row (n,) [s].
+    """
+    u = np.minimum(elapsed / BRAKING, 1.0)[:, None]
+    cube = u * u * u
+    return u - cube + 0.5 * cube * u - 0.5, 1.0 - 3.0 * u * u + 2.0 * cube
+
+
 class Early(NamedTuple):
     """An early end of a row."""
 
     row: int
     tick: int
     ahead: int  # ticks by which the table is ahead from here on
-    offset: Array  # of the hand from the row (3,) [m]
+    offset: Array  # of the hand from the row, once it has stopped (3,) [m]
+    speed: Array  # of the hand when the row ends (3,) [m/s]
 
 
 class GuardedCommands:
@@ -124,6 +136,9 @@ class GuardedCommands:
         left = returning(self._path, early.row, times)
         commands[:, :3] += left[:, :1] * early.offset
         commands[:, 7:10] += left[:, 1:] * early.offset
+        way, rate = braking(STEP_SIZE * (first - early.tick + np.arange(count, dtype=np.float64)))
+        commands[:, :3] += way * (BRAKING * early.speed)
+        commands[:, 7:10] += rate * early.speed
         return commands
 
     def packed(self, count: int) -> dict[str, Array]:
@@ -169,9 +184,10 @@ class GuardedCommands:
         guard = next(active, None)
         if guard is None or self._measured(guard, place, value) <= guard.bound:
             return
-        there = sampled(self._path, guard.last, 1)[0, :3]
-        offset = self.commands(tick, 1)[0, :3] - there
-        self.ends.append(Early(guard.row, tick, guard.last - tick, offset))
+        row, now = sampled(self._path, guard.last, 1)[0], self.commands(tick, 1)[0]
+        speed = now[7:10]
+        offset = now[:3] + 0.5 * (BRAKING * speed) - row[:3]
+        self.ends.append(Early(guard.row, tick, guard.last - tick, offset, speed))
 
     def _measured(self, guard: Guard, place: int, value: Callable[[str], Array]) -> float:
         """What is compared with the bound [N] or [N.m]."""
