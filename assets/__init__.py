@@ -33,9 +33,7 @@ def asset_path(name: str) -> Path:
 
 @cache
 def asset_files() -> dict[str, bytes]:
-    """Return the contents of all MJCF files by name, as MuJoCo takes them from memory.
-
-    They are read once: when a second instance of an FMU is made, its host may have removed the
-    folder that the first one's modules came from.
-    """
+    """Return the contents of all MJCF files by name, as MuJoCo takes them from memory."""
+    # They are read once: when a second instance of an FMU is made, its host may have removed the
+    # folder that the first one's modules came from.
     return {path.name: path.read_bytes() for path in sorted(ASSETS.glob("*.xml"))}

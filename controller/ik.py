@@ -36,10 +36,8 @@ PULL_DAMPING = 0.05  # [1]
 
 
 def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -> Vector:
-    """Displacement and rotation vector (6,) [m, rad] that bring the hand to its command, world.
-
-    Positions (3,) are in m, orientations (w, x, y, z); the rotation is at most pi long.
-    """
+    """Displacement and rotation vector (6,) [m, rad] that bring the hand to its command, world."""
+    # Positions (3,) are in m, orientations (w, x, y, z); the rotation is at most pi long.
     error, in_hand = np.empty(6), np.empty(3)
     error[:3] = pos_cmd - xpos
     mujoco.mju_subQuat(in_hand, quat_cmd, xquat)
@@ -48,10 +46,8 @@ def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -
 
 
 def correcting_twist(error: Vector, gains: Gains) -> Vector:
-    """Twist ik_gain e (6,) [m/s, rad/s] that drives a pose error e (6,) [m, rad] to zero.
-
-    Its two parts are along the error's, and no faster than they can brake in time.
-    """
+    """Twist ik_gain e (6,) [m/s, rad/s] that drives a pose error e (6,) [m, rad] to zero."""
+    # Its two parts are along the error's, and no faster than they can brake in time.
     twist, rate = gains.ik_gain * error, gains.ik_gain
     _slow_down(twist[:3], error[:3], rate, gains.linear_correction, gains.linear_braking)
     _slow_down(twist[3:], error[3:], rate, gains.angular_correction, gains.angular_braking)
@@ -68,22 +64,18 @@ def _slow_down(twist: Vector, error: Vector, rate: float, fastest: float, brakin
 
 
 def damped_least_squares(jac: Matrix, factor: Matrix, twist: Vector, drift: Vector) -> Vector:
-    """Joint velocities qd (7,) [rad/s] that minimise |J qd - v|^2 + damping^2 |qd - drift|^2.
-
-    J (6, 7) is the hand's Jacobian, world axes, linear rows first; `factor` (6, 6) the Cholesky
-    factor of J J^T + damping^2; v (6,) the hand's twist [m/s, rad/s]. As the damping goes to 0,
-    `drift` (7,) [rad/s] acts in the null space of J alone.
-    """
+    """Joint velocities qd (7,) [rad/s] that minimise |J qd - v|^2 + damping^2 |qd - drift|^2."""
+    # J (6, 7) is the hand's Jacobian, world axes, linear rows first; `factor` (6, 6) the Cholesky
+    # factor of J J^T + damping^2; v (6,) the hand's twist [m/s, rad/s]. As the damping goes to 0,
+    # `drift` (7,) [rad/s] acts in the null space of J alone.
     rest = twist - mat_vec(jac, drift)
     return drift + mat_t_vec(jac, cholesky_solve(factor, rest))
 
 
 def null_space_part(jac: Matrix, damping: float, drift: Vector) -> Vector:
-    """Part of `drift` (7,) [rad/s] that does not move the hand.
-
-    It is (1 - J^T (J J^T + damping^2)^-1 J) drift; without damping, the projection onto the null
-    space of J (6, 7).
-    """
+    """Part of `drift` (7,) [rad/s] that does not move the hand."""
+    # It is (1 - J^T (J J^T + damping^2)^-1 J) drift; without damping, the projection onto the null
+    # space of J (6, 7).
     return damped_least_squares(jac, damped_factor(jac, damping), np.zeros(len(jac)), drift)
 
 

@@ -96,10 +96,7 @@ class JointLimits:
     def inactive(
         self, qd: Vector, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
     ) -> bool:
-        """Check cheaply that no limit is near; `velocity_box` then contains qd.
-
-        It is near where a joint could not stop from full speed before its end, for instance.
-        """
+        """Check cheaply that no limit is near; `velocity_box` then contains qd."""
         change = qd - qd_before
         turn = change - self._period * qdd_before  # at least as large as in `_changes`
         sizes = np.abs(np.array((qd, change, turn, lag, q_ref - self._middle)))
@@ -134,11 +131,9 @@ class JointLimits:
         return least, most
 
     def _stoppable(self, q_ref: Vector) -> Vector:
-        """Highest speeds at which the joints approach their lower and upper ends (2, 7).
-
-        They approach at `APPROACH_RATE`, and can stop in time: braking from v takes v^2 / (2 a) +
-        v (T + a / j) / 2, with the time in which the brake comes on.
-        """
+        """Highest speeds at which the joints approach their lower and upper ends (2, 7)."""
+        # They approach at `APPROACH_RATE`, and can stop in time: braking from v takes v^2 / (2 a) +
+        # v (T + a / j) / 2, with the time in which the brake comes on.
         room = np.maximum(_SIDES * (self._ends - q_ref), 0.0)
         speed = np.sqrt(self._twice_braking * room + self._half_squared) - self._half_change
         speed = np.minimum(speed, APPROACH_RATE * room)
@@ -146,10 +141,8 @@ class JointLimits:
         return stoppable
 
     def _reachable(self, room: Vector) -> Vector:
-        """Largest change of speed that can be reduced to 0, step by step, within a room (2, 7).
-
-        A change of d is followed by d - step, d - 2 step and so on.
-        """
+        """Largest change of speed that can be reduced to 0, step by step, within a room (2, 7)."""
+        # A change of d is followed by d - step, d - 2 step and so on.
         count = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * np.maximum(room, 0.0) / self._step) - 1.0))
         change: Vector = (room + 0.5 * self._step * count * (count + 1.0)) / (count + 1.0)
         return change

@@ -19,11 +19,9 @@ FINGERTIPS = (0.0, 0.0, 0.1034)  # [m] their centre in the hand's frame (Franka 
 
 @lru_cache(maxsize=8)
 def load_arm(load: float = 0.0, robot: str = DEFAULT_ROBOT) -> Any:
-    """Compile arm and hand, 9 joints, without geoms, which carry no mass.
-
-    `load` is the mass of a point between the fingertips [kg]. Compiling takes 50 ms, and nobody
-    writes to the model: all share it.
-    """
+    """Compile arm and hand, 9 joints, without geoms, which carry no mass."""
+    # `load` is the mass of a point between the fingertips [kg]. Compiling takes 50 ms, and nobody
+    # writes to the model: all share it.
     spec = read_spec("panda.xml", robot)
     for shape in [*spec.geoms, *spec.meshes, *spec.materials]:
         spec.delete(shape)

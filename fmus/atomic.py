@@ -60,11 +60,7 @@ def _is_ours(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Make a temporary path beside `path`, which replaces `path` if the block succeeds.
-
-    If the block fails, by Ctrl-C for instance, `path` is unchanged and the temporary file is
-    removed.
-    """
+    """Make a temporary path beside `path`, which replaces it if the block succeeds."""
     path = Path(path)
     with ExitStack() as stack:
         try:
@@ -119,11 +115,8 @@ def _refused(path: Path, error: Exception) -> InputError:
 
 
 def cache_folder() -> Path:
-    """Folder for built and unpacked FMUs: PANDA_COSIM_CACHE, or the user's cache.
-
-    It holds code that is run. It is therefore made for its user alone, and refused if others can
-    write to it.
-    """
+    """Folder for built and unpacked FMUs: PANDA_COSIM_CACHE, or the user's cache."""
+    # It holds code that is run, so it is made for its user alone.
     folder = _cache_place()
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

@@ -17,10 +17,8 @@ HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode categories
 
 
 def printable(text: str) -> str:
-    """Return text with line breaks and control characters escaped.
-
-    File names and messages of FMUs may contain any, and a terminal would act on them.
-    """
+    """Return text with line breaks and control characters escaped."""
+    # File names and messages of FMUs may contain any, and a terminal would act on them.
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
@@ -56,11 +54,9 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
 
 
 def legible(text: str, limit: int | None = None) -> str:
-    """Return foreign text for a page, with characters that are not seen written as escapes.
-
-    Control characters and marks of direction could turn the page's own words around, and HTML
-    cannot hold all of them. Line breaks and tabs stay, and so do the joiners that scripts need.
-    """
+    """Return foreign text for a page, with characters that are not seen written as escapes."""
+    # Control characters and marks of direction could turn the page's own words around, and HTML
+    # cannot hold all of them. Line breaks and tabs stay, and so do the joiners that scripts need.
     if limit is not None and len(text) > limit:
         text = f"{text[: limit - 1]}…"
     if text.isprintable():

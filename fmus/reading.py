@@ -24,10 +24,8 @@ _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def finite_number(text: str) -> float | None:
-    """Read a decimal number of an XML file; None if it is none, or not finite.
-
-    Python itself would also take `1_000`, `infinity` and the digits of all scripts.
-    """
+    """Read a decimal number of an XML file; None if it is none, or not finite."""
+    # Python itself would also take `1_000`, `infinity` and the digits of all scripts.
     text = text.strip()
     number = float(text) if _DECIMAL.fullmatch(text) else math.nan
     return number if math.isfinite(number) else None

@@ -35,11 +35,8 @@ Kinds = list[list[int]]
 
 
 def kinds_of(model: Any) -> Kinds:
-    """Return the kind of contact that two geoms make, [first][second].
-
-    In lists, as numpy would take longer to look up the few contacts of a step. A body that the
-    model lacks has no geoms.
-    """
+    """Return the kind of contact that two geoms make, [first][second]."""
+    # In lists, as numpy would take longer to look up the few contacts of a step.
     rank = np.where(model.body_weldid[model.geom_bodyid] == 0, _FIXED, 0)
     for names, value in (((BLOCK,), _BLOCK), (FINGERS, _FINGER), (ARM_AND_PALM, _ARM)):
         rank[_belongs(model, names)] = value
@@ -210,10 +207,7 @@ class Plant:
         }
 
     def _contact_normals(self) -> NDArray[np.float64]:
-        """Return 1 for each normal force among the sensors' values, and 0 for the others.
-
-        A contact sensor gives (normal, tangent, tangent) for each contact that it finds.
-        """
+        """Return 1 for each normal force of (normal, tangent, tangent) in the sensors, else 0."""
         normals = np.zeros(self.model.nsensordata)
         for side in ("left", "right"):
             sensor = self.model.sensor(f"{side}_finger_contact")
@@ -232,10 +226,7 @@ class Plant:
         self.output_values[FORCES] = 0.0
 
     def step(self, ticks: int = 1) -> None:
-        """Advance by a number of 1 ms ticks with the inputs held, then update the outputs.
-
-        A `DivergenceError` says when and where the physics has diverged.
-        """
+        """Advance by 1 ms ticks with the inputs held; a `DivergenceError` says when and where."""
         for place, value in self._passed_on:
             place[...] = value
         for _ in range(ticks):

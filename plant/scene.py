@@ -51,11 +51,9 @@ def stretch_springs(model: Any) -> None:
 
 
 def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
-    """Compile a scene (`mujoco.MjModel`) and make block and arm what the parameters say.
-
-    One that is `drawn`, for a picture of the outputs, has shapes that are only drawn, which cost a
-    sixth of `mj_step` and change no bit of it; it has no rotors, as no output tells where they are.
-    """
+    """Compile a scene (`mujoco.MjModel`) and make block and arm what the parameters say."""
+    # A `drawn` one has shapes that are only drawn, which cost a sixth of `mj_step` and change no
+    # bit of it; it has no rotors, as no output tells where they are.
     model = _compiled(parameters, drawn=drawn)
     body, geom = model.body("obj").id, model.geom("obj_geom").id
     # A box's inertia is proportional to its mass.
@@ -96,10 +94,7 @@ def _change_arm(model: Any, parameters: PlantParameters) -> None:
 
 
 def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:
-    """Put the block where the parameters say, on floor or table, with the arm at `home`.
-
-    A ValueError refuses a block that would start inside something else.
-    """
+    """Put the block on floor or table, with the arm at `home`; refuses a place inside something."""
     joint = data.joint("obj_freejoint")
     x, y = parameters.block_pos
     half_yaw = parameters.block_yaw / 2

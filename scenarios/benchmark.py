@@ -226,10 +226,7 @@ def bench(
     kind: Kind = "native",
     measure: Callable[[float], dict[str, float]] | None = None,
 ) -> BenchResult:
-    """Measure what a step costs in several ways, what whole commands take, and more figures.
-
-    These come from `measure`, which is given the cost of an `mj_step` [s].
-    """
+    """Measure steps and whole commands; `measure` gives more, by the cost of an `mj_step` [s]."""
     prepared = prepare(load_scenario(scenario), Options(kind=kind))
     workload = _Workload(prepared.scenario, prepared.assembly.system)
     passes = [_one_pass(workload, chunk) for _ in range(repeats)]

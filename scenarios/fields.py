@@ -154,11 +154,9 @@ def check_choice(place: str, value: object, valid: Collection[str]) -> str:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def checked(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass whose fields check their values.
-
-    A mapping given for a field that is such a class is made into one. Whatever cannot be used
-    raises an InputError; a `__post_init__` raises ValueError for what concerns several fields.
-    """
+    """Make a frozen dataclass whose fields check their values."""
+    # A mapping given for a field that is such a class is made into one. Whatever cannot be used
+    # raises an InputError; a `__post_init__` raises ValueError for what concerns several fields.
     dataclass = pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
     plain = dataclass.__init__
 

@@ -17,11 +17,9 @@ MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may
 
 
 def safe_name(name: str) -> str:
-    """Turn a name into the name of one file or folder.
-
-    Letters, digits and "_.-" stay; all else, path separators included, becomes "_". Leading dots
-    are dropped, so that it is neither hidden nor "..".
-    """
+    """Turn a name into the name of one file or folder."""
+    # Letters, digits and "_.-" stay; all else, path separators included, becomes "_". Leading dots
+    # are dropped, so that it is neither hidden nor "..".
     safe = "".join(c if c.isalnum() or c in "_.-" else "_" for c in name).lstrip(".")
     return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
 
@@ -34,10 +32,8 @@ def model_file(recording: object) -> Path | None:
 
 
 def as_argument(folder: Path) -> str:
-    """Return a scenario's folder as commands take it in a shell.
-
-    A bare name gets a "./", as it could be that of a shipped scenario, which takes precedence.
-    """
+    """Return a scenario's folder as commands take it in a shell."""
+    # A bare name gets a "./", as it could be that of a shipped scenario, which takes precedence.
     return shlex.quote(str(folder) if len(folder.parts) > 1 else f"./{folder}")
 
 

@@ -27,10 +27,7 @@ def conjugate(q: Array) -> Array:
 
 
 def exp(rotation_vector: Array) -> Array:
-    """Return the quaternion of a rotation about the vector by its length [rad].
-
-    Shapes (..., 3) -> (..., 4).
-    """
+    """Return the quaternion of a rotation about the vector by its length, (..., 3) -> (..., 4)."""
     angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
     # np.sinc(x) is sin(pi x) / (pi x), and 1 at 0.
     vector = 0.5 * np.sinc(angle / (2.0 * np.pi)) * rotation_vector

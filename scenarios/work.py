@@ -51,11 +51,7 @@ def processor() -> str:
 
 
 class Workers(AbstractContextManager["Workers"]):
-    """Processes that run one call each at a time; as a context manager, it ends them.
-
-    At most `count`, which are started as they are needed. A call may end up to `attempts` of them:
-    the machine may be at fault, not the call.
-    """
+    """At most `count` processes for one call at a time, with `attempts` for each call."""
 
     def __init__(self, count: int, attempts: int = 1) -> None:
         self._attempts = attempts

@@ -146,10 +146,8 @@ def _base_unit(unit: Unit) -> dict[str, float | None]:
 
 
 def _connectors(system: WrittenSystem, name: str) -> list[Variable]:
-    """Variables that are connected, outputs, and parameters that are given.
-
-    Other inputs get no connector, since FMPy feeds an unconnected one from the connector before it.
-    """
+    """Variables that are connected, outputs, and parameters that are given."""
+    # Others get no connector, since FMPy feeds an unconnected one from the connector before it.
     component = system.components[name]
     used = {end for c in system.connections for end in (c.source, c.target)}
     rows: dict[str, Variable] = {}
@@ -209,10 +207,8 @@ SEQUENTIAL: Final = {"gauss-seidel": True, "jacobi": False}  # whether FMUs are 
 
 
 def write_container(path: Path, system: WrittenSystem, fmi: int) -> Path:
-    """Write an FMU that steps a system of FMUs; those of FMI 2.0 may be within one of FMI 3.0.
-
-    With Gauss-Seidel coupling it steps them one after another, else all with the same inputs.
-    """
+    """Write an FMU that steps a system of FMUs; those of FMI 2.0 may be within one of FMI 3.0."""
+    # With Gauss-Seidel coupling it steps them one after another, else all with the same inputs.
     try:
         from fmu_manipulation_toolbox.container import FMUContainer  # noqa: PLC0415 - an extra
         from fmu_manipulation_toolbox.container.errors import FMUContainerError  # noqa: PLC0415

@@ -17,10 +17,7 @@ from .base import SharedSlave
 
 
 class _Warnings:
-    """Collects MuJoCo's warnings, which would otherwise go to a file in the working directory.
-
-    MuJoCo has one handler per process; warnings that do not come from the plant are passed on.
-    """
+    """Collects MuJoCo's warnings of the plant, which would go to a file; others are passed on."""
 
     def __init__(self) -> None:
         self.listening = False

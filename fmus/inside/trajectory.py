@@ -17,11 +17,7 @@ TIME_TOLERANCE: Final = 1e-9  # [s]
 
 
 class TrajectorySlave(SharedSlave):
-    """Plays a table of commands, one row per millisecond from t = 0 on.
-
-    At t_k the outputs are the commands for t_k: after initialization those for the start time,
-    after a step those for its end. After the last row the commands keep their values.
-    """
+    """Plays a table of commands, a row per millisecond from t = 0 on; the last row stays."""
 
     interface = TRAJECTORY
 

@@ -18,11 +18,9 @@ def expand(
     given: Mapping[str, ParameterValue],
     causality: Causality = "parameter",
 ) -> dict[str, Value]:
-    """Turn parameters, or inputs, that a user sets into start values by scalar variable.
-
-    One number for `kp` sets all seven gains, a sequence sets each of them, and `kp[3]`, wherever
-    it stands, the third.
-    """
+    """Turn parameters, or inputs, that a user sets into start values by scalar variable."""
+    # One number for `kp` sets all seven gains, a sequence sets each of them, and `kp[3]`, wherever
+    # it stands, the third.
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
     for name, value in general_first(given, scalars):
@@ -99,10 +97,7 @@ def _plain(value: Any) -> Any:
 def parse_assignment(
     text: str, instances: Sequence[str], keys: Sequence[str] = ()
 ) -> tuple[str, str, ParameterValue]:
-    """Read `INSTANCE.NAME=VALUE`, such as `plant.block_pos[1]=0.45` or `controller.kp=1,2,3`.
-
-    `keys` are what else the caller takes instead of INSTANCE.NAME; they are only named in messages.
-    """
+    """Read `INSTANCE.NAME=VALUE`, such as `controller.kp=1,2,3`; `keys` are named in messages."""
     left, equals, right = text.partition("=")
     instance, dot, name = left.strip().partition(".")
     if not (equals and dot and name and right.strip()):

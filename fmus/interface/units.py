@@ -25,10 +25,8 @@ Units = Mapping[str, Unit]
 def conversion(
     source: str, sources: Units, target: str, targets: Units
 ) -> tuple[float, float] | None:
-    """Factor and offset from one unit to another, by each side's definitions; None: there is none.
-
-    Equal names need no definition, and values without a unit are taken as they are.
-    """
+    """Factor and offset from one unit to another by both sides' definitions, or None."""
+    # Equal names need no definition, and values without a unit are taken as they are.
     if source == target or not (source and target):
         return PLAIN
     one, other = sources.get(source), targets.get(target)

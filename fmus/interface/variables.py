@@ -49,10 +49,7 @@ class Scalar:
     value_reference: int  # of FMI; in FMI 3.0, that of the whole array
 
     def checked(self, place: str, value: object) -> Value:
-        """Return a value in this scalar's type; of an enumeration, the name of a choice.
-
-        Messages call the scalar `place`.
-        """
+        """Return a value in this scalar's type; of an enumeration, the name of a choice."""
         match self.variable.kind:
             case "Binary":
                 if isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A):
@@ -204,10 +201,7 @@ class Variable:
         return tuple(f"{self.name}[{','.join(map(str, index))}]" for index in indices)
 
     def arrays(self) -> Iterator[Variable]:
-        """Yield the arrays of one unit each that FMI 3.0 has instead.
-
-        A row of several units has none in FMI 3.0.
-        """
+        """Yield the arrays of one unit each that FMI 3.0 has instead; of several units, none."""
         first, width = 0, self.size // self._rows
         columns = (self.unit, self.start, self.minimum, self.maximum)
         for name, rows, description in self._all_parts():

@@ -98,12 +98,7 @@ class MessageLog:
 
 
 class Access:
-    """A getter or setter of FMI, for the variables of some references.
-
-    Calling it with the index of a row reads them into that row of a block (n, values), or writes
-    them from there. A row's values are contiguous and have the C type of the function; `more` are
-    arguments after them.
-    """
+    """A getter or setter of FMI, called with the index of a row of a block (n, values)."""
 
     def __init__(
         self,

@@ -19,11 +19,9 @@ from .fmu import FmuSlave
 
 @cache
 def _logger2() -> Any:
-    """The callback through which FMUs log; it is never freed.
-
-    FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
-    calls it for all instances, also when the one that gave it has gone.
-    """
+    """The callback through which FMUs log; it is never freed."""
+    # FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
+    # calls it for all instances, also when the one that gave it has gone.
     return fmi2.fmi2CallbackLoggerTYPE(
         lambda number, name, status, _category, text: receive(number, name, status, text)
     )

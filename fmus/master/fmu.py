@@ -142,10 +142,7 @@ class FmuSlave(ABC):
         return self._bind("Get", names, block)
 
     def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make a function of a row's index that writes variables from that row of a block.
-
-        Elements of an array that are not named keep the values that they have now.
-        """
+        """Make a function that writes variables from a row of a block; other elements stay."""
         return self._bind("Set", names, block)
 
     def _bind(self, verb: str, names: Sequence[str], block: Array) -> Exchange:

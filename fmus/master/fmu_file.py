@@ -276,10 +276,8 @@ def _start(place: str, variable: Variable, text: str | None) -> Any:
 
 
 def described_interface(fmu: Fmu) -> Interface:
-    """Return an FMU's interface; scalars `q[1]`, `q[2]` become one variable `q` of shape (2,).
-
-    Its value references are not those of the FMU.
-    """
+    """Return an FMU's interface; scalars `q[1]`, `q[2]` become one variable `q` of shape (2,)."""
+    # Its value references are not those of the FMU.
     scalars = [s for s in fmu.variables.values() if s.variable.causality in _SHOWN]
     scalars.sort(key=lambda s: _SHOWN.index(s.variable.causality))
     variables: list[Variable] = []

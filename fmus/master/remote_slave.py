@@ -41,12 +41,7 @@ _CHILD: Final = (
 
 
 class RemoteSlave:
-    """One instance of an FMU in a process of its own, as the master steps it.
-
-    Its values equal those of `FmuSlave` bit for bit. A tick costs one exchange of messages: the
-    inputs go along with the request to step, and the outputs come back with the reply. A step that
-    takes longer than `step_timeout` [s] ends the process.
-    """
+    """An FMU in a process of its own, with the same bits; `step_timeout` [s] ends a late one."""
 
     def __init__(
         self,

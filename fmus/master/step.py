@@ -83,11 +83,7 @@ class Step:
 
 
 class IteratedStep(Step):
-    """A step that is repeated until outputs and inputs at its end agree.
-
-    External inputs are those of its begin. The last column counts the iterations. Each begins
-    with a share of the last one's change, which Aitken's method estimates from the two changes.
-    """
+    """A step that is repeated, by Aitken's method, until outputs and inputs at its end agree."""
 
     def __init__(
         self,

@@ -299,11 +299,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
 
 
 class PerturbedSystem:
-    """A system that has been stepped to some tick, to which it goes back before each run.
-
-    What is added acts on the named inputs alone: outputs are recorded, and reach other inputs, as
-    their FMU gave them.
-    """
+    """A system that goes back to some tick before each run, with values added to named inputs."""
 
     def __init__(
         self,

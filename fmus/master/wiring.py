@@ -82,11 +82,7 @@ class BoundSlave:
 
 
 class _Slow:
-    """Steps a slave once in some ticks, with the inputs of the first of them.
-
-    A leader steps in the first tick, from which on its outputs act; a follower in the last, after
-    which its outputs have the time of their row.
-    """
+    """Steps a slave once in some ticks: a leader in the first of them, a follower in the last."""
 
     def __init__(self, bound: BoundSlave, multiple: int, rows: Array) -> None:
         self._bound, self._multiple, self._rows = bound, multiple, rows
@@ -219,11 +215,7 @@ class ExternalInputs(Protocol):
 
 
 class RowBuffer:
-    """Rows of the recording: time, external inputs, outputs.
-
-    It holds `BLOCK_ROWS` rows and one more, for the outputs of the last tick. They are Python's
-    objects if any of their values is one that a float64 cannot hold: those of the names `objects`.
-    """
+    """`BLOCK_ROWS` rows of the recording, and one more for the outputs of the last tick."""
 
     rows: Array  # (BLOCK_ROWS + 1, 1 + external + outputs)
     first: int  # tick of the first row

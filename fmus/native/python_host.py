@@ -115,10 +115,8 @@ def check_need(name: str, minimum: str) -> None:
 
 @contextmanager
 def packages(options: dict[str, list[str]]) -> Iterator[None]:
-    """Make the required packages importable while the slave is imported.
-
-    Afterwards a host's search path is restored; a Python that the FMU started keeps the folders.
-    """
+    """Make the required packages importable while the slave is imported."""
+    # Afterwards a host's search path is restored; a Python that the FMU started keeps the folders.
     needs = [need.split() for need in options.get("need", [])]
     before = list(sys.path)
     chosen = [folder for folder in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if folder]
@@ -160,10 +158,8 @@ def _of(names: Sequence[str]) -> dict[str, ModuleType]:
 
 @contextmanager
 def private_modules(package: str, names: Sequence[str]) -> Iterator[None]:
-    """Make the FMU's own modules importable by their names, hidden from all other code.
-
-    Afterwards they are in `sys.modules` below the package's name, which is unique to the FMU.
-    """
+    """Make the FMU's own modules importable by their names, hidden from all other code."""
+    # Afterwards they are in `sys.modules` below the package's name, which is unique to the FMU.
     of_host = _of(names)
     for key in of_host:
         del sys.modules[key]

@@ -163,11 +163,9 @@ def law_fmu(
     start: tuple[float, ...],
     first: Mapping[str, Any] | None = None,
 ) -> NativeFmu:
-    """Describe a law's FMU; `start` is `ctrl` before the first update, by element.
-
-    `first`: bounds `low` and `high` of the first `ctrl`, for as many elements; whether all must be
-    `within`, or at least one beyond; the `reason` for the message.
-    """
+    """Describe a law's FMU; `start` is `ctrl` before the first update, by element."""
+    # `first`: bounds `low` and `high` of the first `ctrl`, for as many elements; whether all must
+    # be `within`, or at least one beyond; the `reason` for the message.
     set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n"
     slave = {SLAVE_FILE: SLAVE.read_bytes() + set_law.encode()}
     return python_fmu(

@@ -194,10 +194,8 @@ def interface(description: Description, model: Any) -> Interface:
 
 
 def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
-    """Take over an interface's variables that are not the user's, and the pose of each free body.
-
-    qpos and qvel are those of the whole model, in which the robot and the block come first.
-    """
+    """Take over an interface's variables but the user's, and the pose of each free body."""
+    # The whole model's qpos and qvel begin with those of the robot and the block.
     for kind, names in FIRST.items():
         for i, name in enumerate(names):
             if sources.find_id(kind, name) != i:

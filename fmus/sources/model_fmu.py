@@ -75,11 +75,9 @@ def model_fmu(
 
 
 def model_part(path: Path, robot: str = DEFAULT_ROBOT) -> NativeFmu:
-    """Describe the FMU of a scenario's model, by the TOML file of the same name beside it.
-
-    Without one, it has the default interface and starts at the keyframe `home`, if there is one.
-    The arm of `assets` in it is the robot's.
-    """
+    """Describe the FMU of a scenario's model, by the TOML file of the same name beside it."""
+    # Without one, it has the default interface and starts at the keyframe `home`, if there is one.
+    # The arm of `assets` in it is the robot's.
     model = load(path, robot=robot)
     keys = [model.key(i).name for i in range(model.nkey)]
     options = ModelOptions("home" if "home" in keys else "")
@@ -219,10 +217,8 @@ except Exception as error:
 
 @cache
 def _try_binary(path: Path, _size: int, _changed: int) -> None:
-    """Load and step a binary model in another process, with 4 GB of memory and 10 s.
-
-    MuJoCo trusts such files: a damaged one may crash it, or take all memory.
-    """
+    """Load and step a binary model in another process, with 4 GB of memory and 10 s."""
+    # MuJoCo trusts such files: a damaged one may crash it, or take all memory.
     command = [sys.executable, "-c", _TRIAL, str(path.absolute())]
     done = run(command, environment=os.environ | SAFE_PATH)
     if done.returncode > 0:

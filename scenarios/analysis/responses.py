@@ -150,11 +150,7 @@ class _Measurement:
         )
 
     def _find_loops(self) -> list[int]:
-        """Inputs whose feeding output answers to a step, unlike an open gripper's; sets the period.
-
-        A period is what lies between two changes of an answer: of the controller, or of a plant
-        that takes longer steps.
-        """
+        """Inputs whose feeding output answers to a step; sets the period between two answers."""
         for window in WINDOWS:
             self._resize(window)
             rows = self._system.run(SIZES[-1] * self._scale + self._nothing) - self._base

@@ -79,10 +79,7 @@ def check_folder(
     parts: Mapping[str, str] | None = None,
     robot: str = "",
 ) -> list[Diagnostic]:
-    """Check a scenario's folder, or an .ssp file, as `run` prepares it; say what is wrong.
-
-    With a `robot`, that is also what its interface would refuse.
-    """
+    """Check a scenario's folder, or an .ssp file, as `run` prepares it, also for a `robot`."""
     if folder.suffix != SYSTEM and not folder.is_dir():
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
@@ -279,12 +276,10 @@ def _limits(prepared: Prepared) -> Iterator[str]:
 def feasibility(
     scenario: Scenario, values: StartValues | None = None, share: float = 1.0
 ) -> tuple[list[LimitViolation], dict[str, float]]:
-    """Compare a table's joint reference with the robot's limits.
-
-    The controller itself, with its limits disabled and an ideal arm, turns the commands into the
-    reference; torques are those of the arm with the block in its hand where the fingers close.
-    Returns the worst violation of each kind in each row, and the largest share of each limit.
-    """
+    """Compare a table's joint reference with the robot's limits."""
+    # The controller itself, with its limits disabled and an ideal arm, turns the commands into the
+    # reference; torques are those of the arm with the block in its hand where the fingers close.
+    # Returns the worst violation of each kind in each row, and the largest share of each limit.
     values = values or start_values(scenario)
     trajectory = resolve(scenario, values)
     reference = joint_reference(trajectory, instants(scenario), law_gains(scenario, values))

@@ -323,10 +323,8 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
 
 
 def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
-    """Put an experiment into an FMU's file, with what the FMU answers now as references.
-
-    Without one, it is the FMU's default experiment. An FMU that holds some keeps these.
-    """
+    """Put an experiment into an FMU's file, with what the FMU answers now as references."""
+    # Without one, it is the FMU's default experiment. An FMU that holds some keeps these.
     fmu = read_fmu(path)
     if (fmu.folder / FOLDER / MANIFEST).is_file():
         return _first(fmu)
@@ -355,10 +353,8 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
 
 
 def csv_text(fmu: Fmu, series: Series) -> bytes:
-    """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column.
-
-    Its elements that have no values keep their start value.
-    """
+    """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
+    # Its elements that have no values keep their start value.
     arrays, times = by_array(fmu.variables.values()), series["time"]
     columns = {"time": map(repr, times.tolist())}
     for array in dict.fromkeys(fmu.variables[name].variable.name for name in list(series)[1:]):

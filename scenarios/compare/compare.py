@@ -138,11 +138,7 @@ COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of 
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of one column from its reference.
-
-    The share is the largest distance from the reference's values near that time, divided by the
-    tolerance; above 1 is outside the tube. It is infinite if a value is not finite or missing.
-    """
+    """Deviation of one column from its reference."""
 
     name: str
     unit: str

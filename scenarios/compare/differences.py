@@ -179,10 +179,7 @@ def differing(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def _relative_change(before: Any, now: Any) -> float:
-    """Return the size of a change, divided by the larger number; 1 if one is not a number.
-
-    Numbers below `SMALL` count as `SMALL`, so that rounding of what is 0 is no large change.
-    """
+    """Return the size of a change by the larger number, at least `SMALL`; 1 if not numbers."""
     if before == now:
         return 0.0
     if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in (before, now)):
@@ -216,10 +213,8 @@ def common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
 
 
 def signals_apart(names: Sequence[str], runs: Sequence[Recording]) -> tuple[SignalRow, ...]:
-    """Return the columns that are not equal in all runs, the largest share of a range first.
-
-    One column of each run is in memory at a time.
-    """
+    """Return the columns that are not equal in all runs, the largest share of a range first."""
+    # One column of each run is in memory at a time.
     times, units = [run.time for run in runs], runs[0].units
     with np.errstate(over="ignore", invalid="ignore"):
         rows = [

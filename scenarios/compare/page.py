@@ -142,11 +142,9 @@ def curve(  # noqa: PLR0913 - all that a figure shows
     tolerance: float | None = None,
     points: int = POINTS,
 ) -> dict[str, Any]:
-    """Return a column's curve for the page's script.
-
-    Numbers are float32. All but the baseline are stored as differences from it, so that a narrow
-    tube around a large value keeps its digits; where it has no value, they are stored as they are.
-    """
+    """Return a column's curve for the page's script."""
+    # Numbers are float32. All but the baseline are stored as differences from it, where it has a
+    # value, so that a narrow tube around a large value keeps its digits.
     baseline, *others = runs.values()
     origin = np.nan_to_num(baseline, posinf=0.0, neginf=0.0)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -214,10 +214,7 @@ class Suite:
 def run_suite(
     suite: Suite, folder: Path, tell: Callable[[Outcome], None] = lambda _: None
 ) -> list[Outcome]:
-    """Run a suite into a folder, the longest scenario first; return outcomes in its order.
-
-    `tell` is called with each outcome as it arrives.
-    """
+    """Run a suite into a folder, the longest first; `tell` is called with each outcome."""
     from ...fmus.sources.targets import Target, build  # noqa: PLC0415 - imports much
 
     for engine in dict.fromkeys(scenario.mujoco for scenario in suite.usable):

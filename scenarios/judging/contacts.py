@@ -50,10 +50,8 @@ def unwanted_contacts(recording: Recording) -> dict[str, Any]:
 
 
 def _touches(recording: Recording) -> Iterator[Touch]:
-    """Yield the unwanted contacts, row by row.
-
-    A force belongs to the step that ends in its row; its contacts are those of the step's start.
-    """
+    """Yield the unwanted contacts, row by row."""
+    # A force belongs to the step that ends in its row; its contacts are those of the step's start.
     import mujoco  # noqa: PLC0415 - slow to import
 
     from ...plant.plant import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above

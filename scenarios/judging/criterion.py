@@ -19,11 +19,7 @@ Direction = Literal["below", "above"]
 
 @dataclass(frozen=True)
 class Criterion:
-    """One condition of success.
-
-    The margin is the distance of the value from the bound, divided by the bound's magnitude (or by
-    1 if that is 0); negative just if the criterion is missed.
-    """
+    """One condition of success; the margin is the distance to the bound by its size, or by 1."""
 
     name: str  # key in the section [success], or the name of a [[success.signal]]
     value: float | None  # None: not measured, as the margin
@@ -63,10 +59,8 @@ class Criterion:
 
     @classmethod
     def read(cls, summary: Mapping[str, Any]) -> tuple[Self, ...]:
-        """Return the criteria of a `summary.json`; reads formats 1 and 2, too.
-
-        Margins are computed anew: format 1 has none, and format 2 limited them.
-        """
+        """Return the criteria of a `summary.json`; reads formats 1 and 2, too."""
+        # Margins are computed anew: format 1 has none, and format 2 limited them.
         entries = summary.get("criteria", ())
         if not isinstance(entries, list | tuple):
             raise InputError(f"criteria: value {excerpt(entries)}; must be a list")

@@ -99,10 +99,8 @@ def _hold(block: Sequence[Array], opening: Array, grasp: int, end: int) -> Hold:
 
 
 def _release_command(opening: Array, grasp: int, end: int) -> int:
-    """Return the last row at which the opening begins to rise to stay above what it was.
-
-    A grip that becomes weaker while the block is carried rises before, and does not let go.
-    """
+    """Return the last row at which the opening begins to rise to stay above what it was."""
+    # A grip that becomes weaker while the block is carried rises before, and does not let go.
     held = opening[grasp:end]
     rises = np.diff(held) > 0.0
     least_later = np.minimum.accumulate(held[::-1])[::-1][1:]
@@ -148,10 +146,8 @@ def first_collision(recording: Rows) -> int | None:
 
 
 def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:
-    """Return the row half a second after the last release.
-
-    None if the block is not released, the run ends before, or the block is held again by then.
-    """
+    """Return the row half a second after the last release."""
+    # None if the block is not released, the run ends before, or the block is held again by then.
     released = last_release(holds, len(time))
     if released is None:
         return None
@@ -194,10 +190,7 @@ POSE: Final = [f"plant.qpos[{i}]" for i in range(10, 17)]  # position, quaternio
 def measure_block(
     recording: Recording, held: Sequence[Hold], goal: tuple[float, float, float] | None
 ) -> Metrics:
-    """Return the metrics under `block` in summary.json; see `DEFINITIONS`.
-
-    `goal` is where the block shall be placed, world frame [m].
-    """
+    """Return the metrics under `block` in summary.json; `goal` is its place, world frame [m]."""
     time = recording.time
     if not len(time):
         return {}

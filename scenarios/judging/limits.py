@@ -88,12 +88,10 @@ KINDS: Final = ("position", "velocity", "acceleration", "jerk", "torque", "torqu
 
 
 def limit_shares(recording: Recording) -> dict[str, Any]:
-    """Largest use of each robot limit, per joint or finger, 1 at the limit.
-
-    Positions, speeds and torques are the plant's. Metrics named `reference_` are those of the
-    controller's joint reference: acceleration and jerk are finite differences between its updates.
-    The torque rate is that of the servos' torques, without their switching on.
-    """
+    """Largest use of each robot limit, per joint or finger, 1 at the limit."""
+    # Positions, speeds and torques are the plant's. Metrics named `reference_` are those of the
+    # controller's joint reference: acceleration and jerk are finite differences between its
+    # updates. The torque rate is that of the servos' torques, without their switching on.
     shares: dict[str, Any] = {}
     missing = {}
     controller = recording.metadata.get("parameters", {}).get("controller", {})
@@ -194,10 +192,7 @@ def largest_share(shares: Mapping[str, Any]) -> float | None:
 
 
 def exceeded(shares: Mapping[str, Any]) -> list[str]:
-    """List the exceeded limits, such as "torque rate of joint 2 (176%)".
-
-    One line per kind of limit, for the joint with the largest share.
-    """
+    """List each kind of exceeded limit, such as "torque rate of joint 2 (176%)"."""
     lines = []
     for key, metric in METRICS.items():
         values = shares.get(key)
@@ -211,10 +206,7 @@ def exceeded(shares: Mapping[str, Any]) -> list[str]:
 
 
 def first_limit(recording: Recording) -> dict[str, Any] | None:
-    """Return `time_s`, `joint` (from 1) and `kind` of the limit that bound first; None: none did.
-
-    The kind is one of the controller's `KINDS`; "torque" also of a servo.
-    """
+    """Return `time_s`, `joint` (from 1) and `kind` of the limit that bound first, or None."""
     plant = recording.metadata.get("parameters", {}).get("plant", {})
     scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
     names = [name for name in (FORCE, "controller.limit") if f"{name}[7]" in recording]

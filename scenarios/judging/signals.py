@@ -111,10 +111,8 @@ def time_of(instant: Instant, events: Events) -> float:
 
 
 def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | None:
-    """Time from the window's start until the signal stays in the band.
-
-    If it ends outside, the row after the window's last: it settles then at the earliest.
-    """
+    """Time from the window's start until the signal stays in the band."""
+    # If it ends outside, the row after the window's last: it settles then at the earliest.
     target = values[-1] if criterion.target is None else criterion.target
     outside = np.flatnonzero(~(np.abs(values - target) <= (criterion.band or 0.0)))
     if not len(outside):
@@ -124,10 +122,8 @@ def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | N
 
 
 def _overshoot(_time: Array, values: Array, criterion: SignalCriterion) -> float:
-    """Largest deviation from the target on its far side, seen from the first value.
-
-    A signal that starts at the target has no far side: its largest deviation counts.
-    """
+    """Largest deviation from the target on its far side, seen from the first value."""
+    # A signal that starts at the target has no far side: its largest deviation counts.
     target = values[-1] if criterion.target is None else criterion.target
     beyond = values - target
     if abs(beyond[0]) <= AT_TARGET * np.abs(beyond).max():

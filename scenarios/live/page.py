@@ -84,10 +84,7 @@ def page_of(session: Session) -> str:
 
 
 def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
-    """Yield the bodies that can be dragged: arm, block, and all with an input `NAME_force`.
-
-    Free bodies hang on a spring and a damper that suit their mass.
-    """
+    """Yield the bodies that can be dragged: arm, block, and all with an input `NAME_force`."""
     if _is_given(session, PUSH):
         yield HAND
     for body in range(1, model.nbody):

@@ -65,10 +65,7 @@ LOG.addHandler(logging.NullHandler())
 
 
 class LiveServer:
-    """Page and socket of a simulation, in a thread of its own; its first client may act.
-
-    `host` and `port` are what it listens on; with port 0, any free one.
-    """
+    """Page and socket of a simulation, in a thread of its own; its first client may act."""
 
     def __init__(self, simulation: Simulation, page: str, host: str = LOCAL, port: int = 0) -> None:
         self._simulation, self._page = simulation, page.encode()
@@ -230,11 +227,9 @@ def _response(kind: str, body: bytes, more: Mapping[str, str] | None = None) -> 
 
 @contextmanager
 def opened(address: str, folder: Path) -> Iterator[None]:
-    """Open a page in the browser without showing its address, with the token, to other users.
-
-    They see the arguments of each program. So the browser is given a file that only this user can
-    read, and that leads to the page; it goes at the end.
-    """
+    """Open a page in the browser without showing its address, with the token, to other users."""
+    # They see the arguments of each program. So the browser is given a file that only this user can
+    # read, and that leads to the page; it goes at the end.
     path = folder / OPEN_FILE
     path.touch(mode=0o600, exist_ok=False)
     path.write_text(OPEN_PAGE.format(address=escape(address)), encoding="utf-8")

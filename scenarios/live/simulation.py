@@ -138,10 +138,7 @@ def _row(session: Session) -> Array:
 
 
 class Simulation:
-    """A session in real time. One thread calls `run`; `ask` may be called from others.
-
-    `speed` is relative to the wall clock; `history` holds the last rows of the current run.
-    """
+    """A session in real time. One thread calls `run`; `ask` may be called from others."""
 
     def __init__(self, session: Session, speed: float = 1.0, *, playing: bool = True) -> None:
         self.history: deque[Array] = deque([_row(session)], maxlen=KEPT)
@@ -190,10 +187,7 @@ class Simulation:
         return plan(self._session)
 
     def journal(self) -> bytes:
-        """Return a zip archive of the current run's journal and scenario, for `replay`.
-
-        May be called from another thread.
-        """
+        """Return a zip archive of the current run's journal and scenario; from any thread."""
         folder, archive = self._session.folder, io.BytesIO()
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
             for path in (folder / JOURNAL_FILE, *sorted((folder / SCENARIO_FOLDER).rglob("*"))):

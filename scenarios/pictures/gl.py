@@ -38,10 +38,8 @@ class RenderError(CosimError):
 
 
 def load_no_backend() -> None:
-    """Keep MuJoCo from loading a backend in this process; the drawing process can still choose.
-
-    For programs, not for libraries: it changes the environment.
-    """
+    """Keep MuJoCo from loading a backend in this process; the drawing process can still choose."""
+    # For programs, not for libraries: it changes the environment.
     os.environ.setdefault(CHOICE, os.environ.get("MUJOCO_GL", ""))
     os.environ["MUJOCO_GL"] = "disable"
 

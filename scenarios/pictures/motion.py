@@ -129,11 +129,8 @@ def describe_run(recording: Signals) -> tuple[str, str]:
 
 
 def frame_times(time: FloatArray, fps: float) -> FloatArray:
-    """Return the instants (k,) [s] of a video's frames: k/fps from the first row on.
-
-    A frame is shown for 1/fps, so 6.5 s at 60 fps are 390 frames, the last of them at 6.483 s. A
-    recording of a single row is one frame.
-    """
+    """Return the instants (k,) [s] of a video's frames: k/fps from the first row on."""
+    # A frame is shown for 1/fps, so 6.5 s at 60 fps are 390 frames, the last of them at 6.483 s.
     count = max(1, round(float(time[-1] - time[0]) * fps))
     return np.asarray(time[0] + np.arange(count) / fps)
 
@@ -146,10 +143,7 @@ def slerp(quat_from: FloatArray, quat_to: FloatArray, share: FloatArray) -> Floa
 
 
 def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> FloatArray:
-    """Return qpos (k, nq) at instants (k,): linear between rows (n, nq), the block turns by slerp.
-
-    Outside the recording, the nearest row counts.
-    """
+    """Return qpos (k, nq) at instants (k,): linear between rows (n, nq), the block by slerp."""
     if len(time) == 1:
         return np.repeat(qpos, len(at), axis=0)
     row = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
@@ -162,11 +156,7 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
 
 
 def key_moments(recording: Signals, count: int) -> list[Moment]:
-    """Return up to `count` key instants of a run, in order.
-
-    Labelled ones (start, grasp, lift, set down ...) are chosen first; the others halve the longest
-    gaps.
-    """
+    """Return up to `count` key instants: labelled ones, then halves of the longest gaps."""
     time = recording.time
     begin, end = float(time[0]), float(time[-1])
     labelled = [Moment(begin, "start"), Moment(end, "end")]

@@ -73,10 +73,7 @@ def read_curves(recording: Recording) -> Curves:
 
 
 def thin(values: FloatArray, count: int) -> Any:
-    """Return at most `count` rows to draw a curve through.
-
-    The smallest and the largest value of each stretch are kept, so that no peak is lost.
-    """
+    """Return at most `count` rows to draw a curve through, with the extremes of each stretch."""
     if len(values) <= count:
         return slice(None)
     edges = np.linspace(0, len(values), count // 2 + 1).astype(int)

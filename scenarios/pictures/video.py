@@ -46,10 +46,7 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     meshes: Meshes = "never",
     progress: Progress | None = None,
 ) -> Path:
-    """Write a video (H.264, yuv420p, mp4) of a run, frame by frame; the file appears at the end.
-
-    Width and height are even [px]; `camera` is one of the scene's.
-    """
+    """Write a video (H.264, yuv420p, mp4) of a run; width and height are even [px]."""
     path = Path(path)
     check_video(path, fps, width, height)
     qpos = poses(recording, frame_times(recording.time, fps))

@@ -273,10 +273,8 @@ class Recording:
 def by_rows(
     recording: Recording, function: Callable[..., NDArray[Any]], *names: str, before: int = 0
 ) -> NDArray[Any]:
-    """Return what a function computes of each row of signals; no signal is whole in memory.
-
-    With `before`, the function also gets so many rows before each block but the first.
-    """
+    """Return what a function computes of each row of signals; no signal is whole in memory."""
+    # With `before`, the function also gets so many rows before each block but the first.
     parts = (function(*signals) for signals in recording.in_blocks(*names, before=before))
     first, row = next(parts), 0
     values = np.empty((max(recording.rows - before, 0), *first.shape[1:]), first.dtype)
@@ -295,11 +293,8 @@ def _library(name: str) -> Any:
 
 @lru_cache(maxsize=16)  # runs of a sweep have the same columns
 def shapes_of(columns: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
-    """Return each signal's shape, from its elements' indices, which start at 1.
-
-    Columns that do not form a complete array (`x[3]` alone, `y` beside `y[1]`) are signals of
-    their own.
-    """
+    """Return each signal's shape, from its elements' indices, which start at 1."""
+    # Columns of no complete array (`x[3]` alone, `y` beside `y[1]`) are signals of their own.
     elements: dict[str, dict[str, tuple[int, ...]]] = {}
     for column in columns:
         match = _INDEXED.fullmatch(column)

@@ -43,10 +43,7 @@ class _Context(ABC):
 
 
 class Recorder(_Context):
-    """Writes a recording; it only observes, and changes, checks or drops no value.
-
-    A full disk raises SimulationError; all rows flushed before are kept.
-    """
+    """Writes a recording; it only observes. A full disk raises SimulationError."""
 
     def __init__(
         self,
@@ -117,10 +114,7 @@ class Recorder(_Context):
             self._filled = 0
 
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
-        """End the recording, and return its file: Parquet, or the stream if that failed.
-
-        A second call does nothing, and what `append` or `flush` has raised is not raised again.
-        """
+        """End the recording, and return its file: Parquet, or the stream if that failed."""
         if not self._closed:
             self._closed = True
             failed_before = self._error is not None

@@ -66,21 +66,16 @@ def robot_of(metadata: Mapping[str, Any]) -> str:
 
 
 def saturated(torque: Array, scale: Array | float = 1.0) -> NDArray[np.bool_]:
-    """Whether a servo gives all the torque (n, 7) [N.m] that it has, at each tick (n, 7).
-
-    `scale` is the plant's `torque_limit_scale` [1].
-    """
+    """Whether a servo gives all the torque (n, 7) [N.m] that it has, times its `scale`."""
     most = (1.0 - _ROUNDING) * scale * LIMITS["torque"].bound
     full: NDArray[np.bool_] = np.abs(torque) >= most
     return full
 
 
 def torque_rates(torque: Array, on: int | None = None) -> Array:
-    """Rate of the servos' torques (n, 7) [N.m/s]; 0 while the servos are switched on.
-
-    They are in row `on`, when a torque first differs from 0, and take up what they hold in that
-    tick and the next. With `on`, the torque may be that of one servo (n,).
-    """
+    """Rate of the servos' torques (n, 7) [N.m/s]; 0 while the servos are switched on."""
+    # They are in row `on`, when a torque first differs from 0, and take up what they hold in that
+    # tick and the next. With `on`, the torque may be that of one servo (n,).
     rates = np.zeros_like(torque)
     on = int(np.append(torque.any(axis=1), True).argmax()) if on is None else on
     rates[on + 2 :] = np.diff(torque[on + 1 :], axis=0) / STEP_SIZE
@@ -90,12 +85,10 @@ def torque_rates(torque: Array, on: int | None = None) -> Array:
 def reference_rates(
     velocity: Array, metadata: Mapping[str, Any], *, held: bool = True
 ) -> tuple[Array, Array]:
-    """Acceleration and jerk of the joint reference, each (n, 7) [rad/s^2], [rad/s^3].
-
-    They are finite differences of its velocity (n, 7), or a joint's (n,) [rad/s], between the
-    controller's updates, 0 before there are enough of them; unless `held`, there is a row for each
-    update alone. The metadata has the controller's period and the coupling.
-    """
+    """Acceleration and jerk of the joint reference, each (n, 7) [rad/s^2], [rad/s^3]."""
+    # They are finite differences of its velocity (n, 7), or a joint's (n,) [rad/s], between the
+    # controller's updates, 0 before there are enough of them; unless `held`, there is a row for
+    # each update alone. The metadata has the controller's period and the coupling.
     parameters = metadata.get("parameters", {}).get("controller", {})
     period = parameters.get("period", STEP_SIZE)
     if not (isinstance(period, int | float) and period > 0.0):

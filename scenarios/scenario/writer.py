@@ -50,11 +50,9 @@ _RARE = ("system", "step", "timing", "timing_share", "route", "mujoco", "preflig
 def make_scenario(
     folder: Path, parts: Collection[str] = (), copied: str | None = None
 ) -> list[Path]:
-    """Make the files of a new scenario, which can be run without changes, and return them.
-
-    The folder's name becomes the scenario's. `parts` of `FROM_TEMPLATE` are added to the template,
-    or a sweep to the shipped scenario that is copied, without its reference.
-    """
+    """Make the files of a new scenario, which can be run without changes, and return them."""
+    # The folder's name becomes the scenario's. `parts` of `FROM_TEMPLATE` are added to the
+    # template, or a sweep to the shipped scenario that is copied, without its reference.
     check_name(folder)
     sources = _template(parts) if copied is None else _shipped(copied)
     contents = {folder / name: text for name, text in sources.items()}
@@ -97,10 +95,8 @@ def _shipped(name: str) -> dict[str, str]:
 
 
 def write_scenario(scenario: Scenario, folder: Path) -> None:
-    """Write a scenario's folder.
-
-    Files that it was read from are copied, with their comments, if they still describe it.
-    """
+    """Write a scenario's folder."""
+    # Files that it was read from are copied, with their comments, if they still describe it.
     written = {folder / SCENARIO_FILE: settings_text(scenario)}
     if not scenario.is_system:
         written[folder / TABLE_FILE] = table_text(scenario.table)

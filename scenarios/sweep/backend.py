@@ -41,10 +41,7 @@ class Backend(ExitStack):
         self._job = job
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
-        """Yield the results of tasks as they end, and None now and then.
-
-        Tasks are taken from the iterable as there is room for them.
-        """
+        """Yield the results of tasks, taken as there is room for them, and None now and then."""
         waiting = iter(tasks)
         pending: dict[Rows, list[Task]] = {}
         while True:

@@ -147,11 +147,9 @@ def check_design(sweep: Sweep, columns: Columns, scenarios: Sequence[Loaded]) ->
 
 
 def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str]:
-    """Return the keys that change no start value, input or criterion in the rows compared.
-
-    A key may act only beside certain values of others, as a seed does beside a preset. So each word
-    is in one of the rows, and the others are drawn.
-    """
+    """Return the keys that change no start value, input or criterion in the rows compared."""
+    # A key may act only beside certain values of others, as a seed does beside a preset. So each
+    # word is in one of the rows, and the others are drawn.
     pairs = list(itertools.product(map(design.values, _compared(design.columns)), scenarios))
     return [
         key

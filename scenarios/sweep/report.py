@@ -236,11 +236,7 @@ def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
 
 
 def show_row(folder: str | Path, index: int) -> Path:
-    """Run a row of a sweep's folder and its unvaried scenario, unless done before, for a 3D view.
-
-    The page is `shown/INDEX/view.html` in the sweep's folder. A row that failed in the sweep fails
-    again; its recording is kept.
-    """
+    """Run a row of a sweep and its unvaried scenario, unless done before, for a 3D view."""
     store = Store(folder)
     number, nominal, changed = scenario_of(store, index)
     place = store.folder / "shown"
@@ -265,11 +261,9 @@ def _run(scenario: Scenario, folder: Path) -> Path:
 def promote_row(
     folder: str | Path, index: int, new: str | Path, *, known_limit: bool = False
 ) -> list[Path]:
-    """Make a scenario of a row in a new folder; return its files.
-
-    A row with success gets a reference. One without fails in `regress`, by its criteria, until it
-    is mended; a known limit expects the failure instead, and has a reference of it.
-    """
+    """Make a scenario of a row in a new folder; return its files."""
+    # A row with success gets a reference. One without fails in `regress`, by its criteria, until it
+    # is mended; a known limit expects the failure instead, and has a reference of it.
     store, new = Store(folder), Path(new)
     _, _, changed = scenario_of(store, index)
     refuse_existing(new)

@@ -58,11 +58,9 @@ class Influence:
 
 
 def influences(values: Mapping[str, Array], labels: Labels, result: Array) -> list[Influence]:
-    """Return the influence of each value that varies, the strongest first; none of few rows.
-
-    Values are given by key (n,), those of words as their numbers in `labels`. A result of -inf
-    ranks lowest, and NaN leaves the row out (n,).
-    """
+    """Return the influence of each value that varies, the strongest first; none of few rows."""
+    # Values are given by key (n,), those of words as their numbers in `labels`. A result of -inf
+    # ranks lowest, and NaN leaves the row out (n,).
     known = ~np.isnan(result)
     ranks = scipy.stats.rankdata(result[known])
     if len(ranks) < FEWEST or np.ptp(ranks) == 0:
@@ -78,12 +76,10 @@ def influences(values: Mapping[str, Array], labels: Labels, result: Array) -> li
 
 
 def _of_numbers(key: str, ranks: Array, result: Array) -> Influence:
-    """Correlate ranks.
-
-    Ref: Bonett and Wright, Sample size requirements for estimating Pearson, Kendall and Spearman
-    correlations, 2000: the variance of its Fisher transform is (1 + r^2/2) / (n - 3). That of 1 is
-    infinite, so its bounds are those of the next lower correlation, with two neighbours swapped.
-    """
+    """Correlate ranks."""
+    # Ref: Bonett and Wright, Sample size requirements for estimating Pearson, Kendall and Spearman
+    # correlations, 2000: the variance of its Fisher transform is (1 + r^2/2) / (n - 3). That of 1
+    # is infinite, so its bounds are those of the next lower one, with two neighbours swapped.
     count, r = len(ranks), float(np.corrcoef(ranks, result)[0, 1])
     most = 1 - max(12 / (count * (count**2 - 1)), 1e-15)
     middle = math.atanh(max(min(r, most), -most))
@@ -92,11 +88,9 @@ def _of_numbers(key: str, ranks: Array, result: Array) -> Influence:
 
 
 def _of_words(key: str, codes: Array, result: Array) -> Influence:
-    """Return the root of the share of the ranks' variance that lies between words.
-
-    Ref: Tomczak and Tomczak, The need to report effect size estimates revisited, 2014: of
-    Kruskal and Wallis's H it is (H - k + 1) / (n - k).
-    """
+    """Return the root of the share of the ranks' variance that lies between words."""
+    # Ref: Tomczak and Tomczak, The need to report effect size estimates revisited, 2014: of Kruskal
+    # and Wallis's H it is (H - k + 1) / (n - k).
     groups = [result[codes == code] for code in np.unique(codes)]
     freedom = len(codes) - len(groups)
     share = (scipy.stats.kruskal(*groups).statistic - len(groups) + 1) / freedom if freedom else 0.0
@@ -116,11 +110,9 @@ class Leaf:
 def failure_tree(
     values: Mapping[str, Array], labels: Labels, bad: Flags, units: Mapping[str, str]
 ) -> list[Leaf]:
-    """Divide the rows by at most `DEPTH` cuts to separate failures from the rest.
-
-    Values are given by key (n,), those of words as their numbers in `labels`. The leaves with
-    failures are returned, the most failures first.
-    """
+    """Divide the rows by at most `DEPTH` cuts to separate failures from the rest."""
+    # Values are given by key (n,), those of words as their numbers in `labels`. The leaves with
+    # failures are returned, the most failures first.
     smallest = max(int(_SMALLEST * len(bad)), 1)
     leaves = []
 
@@ -167,11 +159,9 @@ def _best_cut(
 
 
 def _by_share(codes: Array, bad: Flags) -> Array:
-    """Number words by their share of failures.
-
-    Ref: Breiman et al., Classification and Regression Trees, 1984, theorem 4.5: the best of all
-    ways to part the words is a cut in this order.
-    """
+    """Number words by their share of failures."""
+    # Ref: Breiman et al., Classification and Regression Trees, 1984, theorem 4.5: the best of all
+    # ways to part the words is a cut in this order.
     whole = codes.astype(np.intp)
     share = np.bincount(whole, weights=bad) / np.maximum(np.bincount(whole), 1)
     order: Array = scipy.stats.rankdata(share, method="ordinal").astype(np.float64)[whole]
@@ -210,11 +200,7 @@ MOST_VALUES: Final = 60  # that have a bar each
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The columns that the page needs, each of all rows (n,).
-
-    A margin is -inf if the row did not finish, or it could not be measured, and NaN if the row's
-    scenario has no such criterion.
-    """
+    """The columns that the page needs (n,); margins are -inf if not measured, NaN if of others."""
 
     values: Mapping[str, Array]  # varied, by key; words as their numbers in `labels`
     labels: Mapping[str, list[str]]  # words by key, the scenarios' names among them
@@ -317,10 +303,7 @@ class Axis:
 
     @classmethod
     def of(cls, results: Results, key: str, bins: int) -> Axis:
-        """Divide a value's range, into bins if it has too many values.
-
-        Of a grid, few rows, too, have a part for each value.
-        """
+        """Divide a value's range: a part for each value if they are few or of a grid, else bins."""
         column = results.values[key]
         values, part = np.unique(column, return_inverse=True)
         few = results.is_grid or 2 * len(values) <= len(column) or len(values) == 1

@@ -75,10 +75,8 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
 
 
 def pack(loaded: Loaded) -> Loaded:
-    """Read the files of a scenario's own FMUs; models are sent as the FMUs built from them.
-
-    A law is sent as Python files: its FMU names the local Python, so each worker builds it.
-    """
+    """Read the files of a scenario's own FMUs; models are sent as the FMUs built from them."""
+    # A law is sent as Python files: its FMU names the local Python, so each worker builds it.
     if not loaded.scenario.has_own_parts:
         return loaded
     assembly = assemble(loaded.scenario)

@@ -295,11 +295,9 @@ class Store:
         return {each["values"]: each["counts"] for each in counts}
 
     def worst(self, number: int, keys: Sequence[str]) -> list[Row]:
-        """Return the worst rows, with some varied values.
-
-        First come those without success, and among them those without a margin; they are ordered
-        by margin then. A success without a margin, of a scenario without criteria, is the best.
-        """
+        """Return the worst rows, with some varied values."""
+        # First come those without success, and among them those without a margin; they are ordered
+        # by margin then. A success without a margin, of a scenario without criteria, is the best.
         table = self.table(["index", "margin", "status"])
         success = table["status"].to_numpy() == "success"
         margin = table["margin"].to_numpy()

@@ -151,11 +151,9 @@ def assemble(
     run_code: bool = True,
     from_outside: bool = False,
 ) -> Assembly:
-    """Read and connect the parts of a scenario; only PythonFMU slaves are built.
-
-    `files` are used instead of our own FMUs. `run_code`: slaves may be run to find their variables.
-    `from_outside`: all inputs that nothing feeds become external, as in a session.
-    """
+    """Read and connect the parts of a scenario; only PythonFMU slaves are built."""
+    # `files` are used instead of our own FMUs. `run_code`: slaves may be run to find their
+    # variables. `from_outside`: all inputs that nothing feeds become external, as in a session.
     if scenario.system:
         return _of_ssp(scenario, from_outside=from_outside)
     try:

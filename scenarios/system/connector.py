@@ -80,10 +80,8 @@ class Connector:
         self._fed.update(names)
 
     def connect(self, target: str, source: str) -> None:
-        """Connect two ends, written as in [connect]: `fmu.variable`, or an element of one.
-
-        The source may be `convert(fmu.variable)`, which also converts types with loss.
-        """
+        """Connect two ends, written as in [connect]: `fmu.variable`, or an element of one."""
+        # The source may be `convert(fmu.variable)`, which also converts types with loss.
         asked = _CONVERT.fullmatch(source)
         source = asked[1] if asked else source
         to_part, fed = self._end(target, "input")

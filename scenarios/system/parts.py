@@ -66,10 +66,8 @@ def read_parts(
     *,
     run_code: bool = True,
 ) -> list[Part]:
-    """Read all FMUs that a scenario names, in the order of stepping: the plant is last.
-
-    With a trajectory, `plant` and `controller` default to the project's own.
-    """
+    """Read all FMUs that a scenario names, in the order of stepping: the plant is last."""
+    # With a trajectory, `plant` and `controller` default to the project's own.
     for name in scenario.fmus:
         if not _NAME.fullmatch(name):
             raise InputError(f"[fmus] {excerpt(name)}: must be a name of letters, digits and _")
