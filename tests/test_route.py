@@ -58,7 +58,11 @@ def test_a_block_behind_the_arm_is_set_down_within_all_limits(routed: Path, tmp_
 def test_the_same_input_gives_the_same_bytes(routed: Path, tmp_path: Path) -> None:
     program = [sys.executable, "-m", "panda_cosim", "route", "pick_and_place", "--set", BEHIND]
     done = subprocess.run(
-        [*program, "--out", str(tmp_path / "again")], capture_output=True, text=True, check=True
+        [*program, "--out", str(tmp_path / "again")],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
     )
     assert "leaked" not in done.stderr  # OMPL's remains at the end of a process
     for file in ("scenario.toml", "trajectory.csv"):
