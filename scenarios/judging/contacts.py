@@ -32,7 +32,7 @@ class Touch:
         span = f"at t = {self.time_s:.3f} s"
         if self.end_s > self.time_s:
             span = f"from t = {self.time_s:.3f} to {self.end_s:.3f} s"
-        return f"{a} and {b} touch {span}, with up to {self.force_N:.3g} N"
+        return f"{a} and {b} touch {span}; unwanted contacts then have up to {self.force_N:.3g} N"
 
 
 def unwanted_contacts(recording: Recording) -> dict[str, Any]:
