@@ -98,12 +98,16 @@ def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
 
 
 def _name_waypoints(axes: Axes, curves: Curves) -> None:
-    """Write the names of the waypoints at their marks."""
+    """Write the names of the waypoints at their marks; those of close ones side by side."""
     begin, end = float(curves.time[0]), float(curves.time[-1])
+    size = 6  # points
+    line = 1.2 * size / 72 / (axes.bbox.width / axes.figure.dpi) * (end - begin)  # s
+    right = -np.inf
     for time, name in zip(curves.waypoints, curves.names, strict=False):
         if name and begin <= time <= end:
+            right = max(time, right + line)
             axes.text(
-                time, 0.97, name, color=GREY, fontsize=6, rotation=90, ha="right", va="top",
+                right, 0.97, name, color=GREY, fontsize=size, rotation=90, ha="right", va="top",
                 transform=axes.get_xaxis_transform(), parse_math=False,
             )  # fmt: skip
 

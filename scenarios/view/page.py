@@ -122,7 +122,7 @@ def _part(name: str) -> str:
 
 @cache
 def _packed_code() -> str:
-    return pack(_part("view.js").encode(), level=6)
+    return pack(_part("view.js").encode(), level=4)
 
 
 @dataclass(frozen=True)
