@@ -277,7 +277,7 @@ def _run_of(scenario: str) -> str:
     return f"panda-cosim run {scenario} --no-video"
 
 
-def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, list[float]]:
+def start_up(scenario: str, kind: Kind, times: int = 7) -> dict[str, list[float]]:
     """Times of whole commands, which take turns [s]."""
     taken: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:

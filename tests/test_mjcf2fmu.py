@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import resource
 import shutil
 import threading
 import zipfile
@@ -195,26 +194,13 @@ def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> No
     assert one.digest == two.digest
 
 
-@pytest.mark.parametrize("damage", ["cut", "sizes", "type"])
-def test_a_damaged_compiled_model_is_refused_in_a_line(
-    box: Path, tmp_path: Path, damage: str
-) -> None:
-    """MuJoCo would fill the memory with what the sizes say, and crash on the unknown type."""
-    model, path = mujoco.MjModel.from_xml_path(str(box)), tmp_path / "box.mjb"
-    if damage == "type":
-        model.geom_type[:] = 6619138
-    mujoco.mj_saveModel(model, str(path))
-    content = bytearray(path.read_bytes())
-    if damage == "sizes":
-        content[140:144] = (1 << 30).to_bytes(4, "little")
-    path.write_bytes(content[:1000] if damage == "cut" else content)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(
-        InputError, match=r"box\.mjb: MuJoCo (cannot load it: \w|crashed with )"
-    ) as refused:
+def test_a_model_that_was_cut_off_is_refused_in_a_line(box: Path, tmp_path: Path) -> None:
+    path = tmp_path / "box.mjb"
+    mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(path))
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(InputError, match=r"box\.mjb: MuJoCo cannot load it: \w") as refused:
         describe(path, ModelOptions())
     assert "\n" not in str(refused.value)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
 
 
 @pytest.mark.parametrize("clamps", [True, False])

@@ -326,16 +326,6 @@ FOREIGN = [
     (["time"], "float64", "{", "is damaged"),
     (["time"], "float64", "[]", "is damaged"),
     (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
-    *(
-        (["time"], "float64", f'{{"format": 1, {odd}}}', rf"metadata: {words}")
-        for odd, words in (
-            ('"fmus": 7', "fmus: value 7; must be values by FMU"),
-            ('"parameters": null', "parameters: value None; must be values by FMU"),
-            ('"parameters": {"plant": 7}', "parameters: value .*; must be values by FMU"),
-            ('"row_times": "abc"', "row_times: value 'abc'; must be a list of numbers"),
-            ('"row_names": [7]', r"row_names: value \[7\]; must be a list of texts"),
-        )
-    ),
     (["time"], "float16", WHOLE, "type halffloat; must be double"),
     ([], "float64", WHOLE, "the first column is not time"),
     (["time", "x", "x"], "float64", WHOLE, "two columns have the same name"),

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from threading import RLock
 from typing import Any, Final
@@ -23,7 +20,6 @@ from ...assets.franka import DEFAULT_ROBOT
 from ..build.native import NativeFmu
 from ..errors import InputError, one_line
 from ..interface.variables import Interface, Variable
-from ..processes import SAFE_PATH, run
 from .mjcf_interface import (
     SECTIONS,
     Description,
@@ -167,13 +163,9 @@ def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> An
     """Load a model with all its files; an MJCF may include those of `assets` by their names."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    is_binary = path.suffix.lower() == ".mjb"
-    if is_binary:
-        state = path.stat()
-        _try_binary(path, state.st_size, state.st_mtime_ns)
     try:
         with taken_warnings() as texts:
-            if is_binary:
+            if path.suffix.lower() == MODEL_SUFFIX:
                 model = mujoco.MjModel.from_binary_path(str(path))
             else:  # files beside the model go first: MuJoCo would take those that it is given
                 ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
@@ -197,35 +189,6 @@ def _fill_keyframes(model: Any, path: Path, files: Mapping[str, bytes]) -> None:
         spec = mujoco.MjSpec.from_file(str(path), include=files, assets=files)
         for key, row in zip(spec.keys, model.key_qpos, strict=False):  # <size nkey> may add some
             row[len(key.qpos) :] = model.qpos0[len(key.qpos) :]
-
-
-_TRIAL: Final = """
-import resource, sys
-limits = {resource.RLIMIT_AS: 4 << 30, resource.RLIMIT_CPU: 10, resource.RLIMIT_CORE: 0}
-for kind, most in limits.items():
-    hard = resource.getrlimit(kind)[1]
-    resource.setrlimit(kind, (most if hard < 0 else min(most, hard), hard))
-import mujoco
-mujoco.set_mju_user_warning(str)
-try:
-    model = mujoco.MjModel.from_binary_path(sys.argv[1])
-    mujoco.mj_step(model, mujoco.MjData(model), 10)
-except Exception as error:
-    sys.exit(str(error))
-"""
-
-
-@cache
-def _try_binary(path: Path, _size: int, _changed: int) -> None:
-    """Load and step a binary model in another process, with 4 GB of memory and 10 s."""
-    # MuJoCo trusts such files: a damaged one may crash it, or take all memory.
-    command = [sys.executable, "-c", _TRIAL, str(path.absolute())]
-    done = run(command, environment=os.environ | SAFE_PATH)
-    if done.returncode > 0:
-        raise InputError(f"{path}: MuJoCo cannot load it: {one_line(done.stderr)}")
-    if done.returncode:
-        end = signal.Signals(-done.returncode).name
-        raise InputError(f"{path}: MuJoCo crashed with {end} while loading it")
 
 
 _one_taker: Final = RLock()  # MuJoCo has one handler per process

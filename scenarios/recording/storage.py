@@ -307,38 +307,10 @@ def read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
         raise InputError(f"{path}: is damaged: {one_line(str(error))}") from None
     if version != FORMAT:
         raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
-    for name in _METADATA.keys() & metadata.keys():
-        words, fits = _METADATA[name]
-        if not fits(metadata[name]):
-            value = excerpt(metadata[name])
-            raise InputError(f"{path}: metadata: {name}: value {value}; must be {words}")
     return columns, metadata
 
 
-def _is_of(kind: Any, inner: Any = object) -> Callable[[Any], bool]:
-    """A check for values of a type, and for what they contain."""
-
-    def fits(value: Any) -> bool:
-        content = value.values() if isinstance(value, dict) else value
-        return isinstance(value, kind) and (
-            inner is object or all(isinstance(each, inner) for each in content)
-        )
-
-    return fits
-
-
 LATE: Final = ("row_times", "row_ends")  # metadata that a run's end may change
-
-# What is read of a recording's metadata: what it must be, and a check.
-_METADATA: Final[dict[str, tuple[str, Callable[[Any], bool]]]] = {
-    **dict.fromkeys(("scenario", "purpose", "scene", "system"), ("a text", _is_of(str))),
-    **dict.fromkeys(("parameters", "fmus"), ("values by FMU", _is_of(dict, dict))),
-    "versions": ("texts by package", _is_of(dict, str)),
-    "step_size": ("a number", _is_of((int, float))),
-    "row_times": ("a list of numbers", _is_of(list, (int, float))),
-    "row_ends": ("a list of mappings", _is_of(list, dict)),
-    "row_names": ("a list of texts", _is_of(list, str)),
-}
 
 
 def _read_column(path: Path, field: Any) -> Column:
