@@ -25,9 +25,10 @@ settings.load_profile("tests")
 # Files of half a minute each. They begin first, so that none is left for one process at the end;
 # the very first is the one for which ziglang may have to compile what Windows takes, for minutes.
 LONGEST = (
-    "test_native_cross", "test_view_page", "test_regress", "test_live", "test_sweep_run",
-    "test_engines", "test_run_faults", "test_analysis", "test_cli", "test_contributing",
+    "test_regress", "test_view_page", "test_engines", "test_live", "test_sweep_run",
+    "test_fmu_importers", "test_run_faults", "test_analysis", "test_cli", "test_contributing",
     "test_parts", "test_render", "test_experiments", "test_native_c", "test_route", "test_install",
+    "test_native_cross", "test_growth", "test_fmu_package", "test_report_view",
 )  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone
 # Hundreds of processes would compile the package anew, and each worker the tests.

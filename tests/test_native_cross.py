@@ -94,7 +94,9 @@ def here(tmp_path_factory: pytest.TempPathFactory, prefix: Path) -> Columns:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Wine and QEMU are used on Linux")
-@pytest.mark.parametrize(("platform", "fmi"), [("win64", 3), ("linux-arm64", 2)])
+@pytest.mark.parametrize(
+    ("platform", "fmi"), [pytest.param("win64", 3, marks=pytest.mark.long), ("linux-arm64", 2)]
+)
 def test_the_arm_sets_out_as_it_does_here(
     platform: str, fmi: int, prefix: Path, tmp_path: Path
 ) -> None:
