@@ -8,6 +8,7 @@ own session, so that Ctrl-C reaches only the caller, and it ends with the caller
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
 import subprocess
@@ -188,6 +189,8 @@ def main(socket: int, parent: int) -> None:
         while True:
             function, argument = connection.recv()
             connection.send(None)
+            if not gc.get_freeze_count():
+                gc.freeze()  # modules, which the search for garbage can leave out
             connection.send(function(argument))
 
 

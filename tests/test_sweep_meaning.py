@@ -14,7 +14,7 @@ from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.report import promote_row, scenario_of
-from panda_cosim.scenarios.sweep.row import Loaded, identity, pack, recording_digest
+from panda_cosim.scenarios.sweep.row import Loaded, identity, pack
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep, write_sweep
 
@@ -52,7 +52,7 @@ def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path: Path) -> None
     kept = [row for row in rows if store.run_folder(row["index"]).exists()]
     assert {2, 3} < {row["index"] for row in kept}
     for row in kept:
-        digest = recording_digest(Recording.open(store.run_folder(row["index"])))
+        digest = Recording.open(store.run_folder(row["index"])).sha256()
         assert digest == row["recording_sha256"]
     promote_row(out, 2, tmp_path / "mine")
     assert load_scenario(tmp_path / "mine").push[0].force == (0.0, 90.0, 0.0)

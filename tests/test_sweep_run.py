@@ -27,7 +27,7 @@ from panda_cosim.scenarios.sweep.definition import load_sweep
 from panda_cosim.scenarios.sweep.design import make_design
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.report import promote_row, show_row, write_report
-from panda_cosim.scenarios.sweep.row import Task, recording_digest
+from panda_cosim.scenarios.sweep.row import Task
 from panda_cosim.scenarios.sweep.store import Store
 from scipy.stats import beta
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
@@ -87,7 +87,7 @@ def test_a_table_has_a_row_for_each_sample(whole: Path) -> None:
         folder = store.run_folder(row["index"])
         assert folder.exists() == (row["status"] != "success")
         if folder.exists():
-            assert recording_digest(Recording.open(folder)) == row["recording_sha256"]
+            assert Recording.open(folder).sha256() == row["recording_sha256"]
 
 
 def check_that_it_repeats(row: dict[str, Any], out: Path) -> None:
@@ -96,7 +96,7 @@ def check_that_it_repeats(row: dict[str, Any], out: Path) -> None:
     assert program == "panda-cosim"
     code = command(*words, "--no-video", "--no-view", "--out", out).returncode
     assert code == {"success": 0, "missed": 3}[row["status"]]
-    assert recording_digest(Recording.open(out)) == row["recording_sha256"]
+    assert Recording.open(out).sha256() == row["recording_sha256"]
 
 
 def test_the_command_repeats_a_row_bit_for_bit(whole: Path, tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
     kept = sorted(int(path.name) for path in (out / "runs").iterdir())
     assert kept == sorted(row["index"] for row in rows[:2])
     worst = out / "runs" / f"{kept[0]:07d}"
-    assert recording_digest(Recording.open(worst))
+    assert Recording.open(worst).sha256()
     # A kill while its files are written leaves the first of them.
     (worst / "summary.json").unlink()
     sweep(short_sweep(tmp_path, 6, keep="worst:2"), out, jobs=1)

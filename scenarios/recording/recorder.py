@@ -196,7 +196,7 @@ class MemoryRecorder(_Context):
         self._path = folder / PARQUET_FILE  # where its file would be looked for
         self._columns = storage.distinct(columns)
         self._metadata = {**metadata, "format": storage.FORMAT}
-        self._values = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
+        self._values = np.empty((len(columns), 2 * _BUFFER_ROWS), storage.type_of_rows(columns))
         self.late: dict[str, Any] = {}
         self.rows = 0  # number of rows appended
         self._closed = False

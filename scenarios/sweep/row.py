@@ -21,7 +21,6 @@ from typing import Any, Final
 from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
 from ...fmus.interface.parameters import ParameterValue
-from ..recording import Recording
 from ..run.folder import with_files
 from ..run.options import Options, with_values
 from ..run.prepare import prepare
@@ -257,7 +256,7 @@ def measured(run: Run) -> Row:
         "error": "; ".join(unknown) or None,
         MARGIN: summary.margin,
         **{f"{MARGIN}.{c.name}": c.margin for c in criteria},
-        "recording_sha256": recording_digest(run.recording),
+        "recording_sha256": run.recording.sha256(),
     }
 
 
@@ -290,14 +289,6 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float | None]]:
             yield from _numbers(f"{name}[{number}]", item)
     elif value is None or isinstance(value, int | float):
         yield name, None if value is None else float(value)
-
-
-def recording_digest(recording: Recording) -> str:
-    """Return the SHA-256 of a recording's numbers, column by column; the same bits, the same."""
-    content = hashlib.sha256()
-    for name in recording.columns:
-        content.update(recording[name].data)
-    return content.hexdigest()
 
 
 def command(scenario: str, values: Mapping[str, ParameterValue]) -> str:
