@@ -15,7 +15,14 @@ from pathlib import Path
 from typing import IO, Any, NoReturn
 
 import forked
+import pytest
 from panda_cosim.fmus.build import libraries
+
+# The Reference-FMUs of the Modelica Association.
+REFERENCE_FMUS = Path(os.environ.get("REFERENCE_FMUS", "missing")).absolute()
+needs_reference_fmus = pytest.mark.skipif(
+    not (REFERENCE_FMUS / "fmi2" / "Feedthrough.fmu").is_file(), reason="needs REFERENCE_FMUS"
+)
 
 
 class JobError(AssertionError):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import shutil
 import zipfile
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_support import compiler
+from fmu_support import REFERENCE_FMUS, compiler, needs_reference_fmus
 from forked import command
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.run import run_scenario
@@ -24,7 +23,6 @@ from toy_fmu import toy_fmu
 pytestmark = pytest.mark.fmu
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MJCF = Path(__file__).parent / "mjcf" / "box.xml"
-SHARED = Path(os.environ.get("REFERENCE_FMUS", "/nonexistent"))
 ROUNDING = 1e-9  # [1] of FMPy, which interpolates inputs in its own way
 
 
@@ -248,13 +246,13 @@ def test_where_nothing_can_be_compared_check_is_not_content(
     assert "good" not in done.stdout
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs REFERENCE_FMUS")
+@needs_reference_fmus
 @pytest.mark.parametrize(
     ("name", "values"),
     [("fmi2/BouncingBall", 602), ("fmi3/BouncingBall", 602), ("fmi2/VanDerPol", 4002),
      ("fmi3/Dahlquist", 101), ("fmi3/Feedthrough", 294), ("fmi3/StateSpace", 33)],
 )  # fmt: skip
 def test_results_in_the_reference_fmus_are_found(name: str, values: int) -> None:
-    done = command("check", SHARED / f"{name}.fmu")
+    done = command("check", REFERENCE_FMUS / f"{name}.fmu")
     assert done.returncode == 0, done.stderr
     assert f" {values} values, largest difference " in done.stdout

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -19,12 +18,11 @@ import fmpy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from fmu_support import in_process
+from fmu_support import REFERENCE_FMUS, in_process, needs_reference_fmus
 from forked import command
 from panda_cosim import Recording, Session
 from panda_cosim.scenarios.scenario.scenario import Scenario
 
-FOLDER = Path(os.environ.get("REFERENCE_FMUS", "/nonexistent"))
 FMUS = ["BouncingBall", "Dahlquist", "Feedthrough", "Resource", "Stair", "VanDerPol"]
 STEP, TICKS = 0.1, 10  # s
 TIMES = STEP * np.arange(TICKS + 1)
@@ -35,14 +33,11 @@ WIDER = {  # input by the output that feeds it
     "Float64_discrete": "Float32_discrete",
 }  # fmt: skip
 
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(not (FOLDER / "fmi2").is_dir(), reason="needs REFERENCE_FMUS"),
-]
+pytestmark = [pytest.mark.fmu, needs_reference_fmus]
 
 
 def write(folder: Path, fmus: Mapping[str, str], more: str = "") -> Path:
-    lines = [f'{name} = "{FOLDER / fmu}.fmu"' for name, fmu in fmus.items()]
+    lines = [f'{name} = "{REFERENCE_FMUS / fmu}.fmu"' for name, fmu in fmus.items()]
     head = f"duration = {STEP * TICKS}\nstep = {STEP}\n[fmus]\n"
     (folder / "scenario.toml").write_text(head + "\n".join(lines) + f"\n{more}")
     return folder
@@ -56,7 +51,7 @@ def run(folder: Path, *arguments: str) -> Recording:
 
 def in_fmpy(fmu: str, step: float = STEP, **more: Any) -> Any:
     kind = {"fmi_type": "CoSimulation", "output_interval": step}
-    return fmpy.simulate_fmu(FOLDER / f"{fmu}.fmu", stop_time=STEP * TICKS, **kind, **more)
+    return fmpy.simulate_fmu(REFERENCE_FMUS / f"{fmu}.fmu", stop_time=STEP * TICKS, **kind, **more)
 
 
 def assert_equal(recording: Recording, name: str, wanted: Any) -> None:
@@ -68,7 +63,7 @@ def assert_equal(recording: Recording, name: str, wanted: Any) -> None:
 @pytest.mark.parametrize("name", FMUS)
 @pytest.mark.parametrize("fmi", ["fmi2", "fmi3"])
 def test_reference_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, name: str) -> None:
-    assert command("info", FOLDER / fmi / f"{name}.fmu").returncode == 0
+    assert command("info", REFERENCE_FMUS / fmi / f"{name}.fmu").returncode == 0
     recording = run(write(tmp_path, {"it": f"{fmi}/{name}"}))
     assert_equal(recording, "it", in_fmpy(f"{fmi}/{name}"))
     assert len(recording.columns) > 1
@@ -84,7 +79,7 @@ def test_state_space_takes_matrices_as_in_fmpy(tmp_path: Path) -> None:
 
 
 def test_an_fmu_without_co_simulation_is_refused_in_a_line() -> None:
-    done = command("info", FOLDER / "fmi3" / "Clocks.fmu")
+    done = command("info", REFERENCE_FMUS / "fmi3" / "Clocks.fmu")
     assert done.returncode == 2
     assert "not a co-simulation FMU; it must have a <CoSimulation> element" in done.stderr
 
@@ -95,7 +90,7 @@ def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, way: st
     pytest.importorskip("fmu_manipulation_toolbox")
     name, end = f"pair{fmi}{way}", "Feedthrough.fmu"
     for each in ("VanDerPol", "Feedthrough"):
-        shutil.copy(FOLDER / f"fmi{fmi}" / f"{each}.fmu", tmp_path)
+        shutil.copy(REFERENCE_FMUS / f"fmi{fmi}" / f"{each}.fmu", tmp_path)
     links = [["VanDerPol.fmu", "x0", end, "Float64_continuous_input"]]
     content = {"name": f"{name}.fmu", "step_size": STEP, "fmu": ["VanDerPol.fmu", end],
                "input": [], "output": [["VanDerPol.fmu", "x1", "x1"]], "link": links, "start": [],
@@ -177,8 +172,8 @@ A = {1}
 
 def test_a_loop_without_a_solution_names_the_time_and_the_output(tmp_path: Path) -> None:
     """The first of y = D u is y[1] = u[1] + 2, and u[1] = y[1]."""
-    text = (f'coupling = "iterated"\n[fmus]\nit = "{FOLDER}/fmi3/StateSpace.fmu"\n[connect]\n'
-            '"it.u[1]" = "it.y[1]"\n[parameters.it]\nD = [1, 1, 0, 0, 0, 0, 0, 0, 0]\n'
+    text = (f'coupling = "iterated"\n[fmus]\nit = "{REFERENCE_FMUS}/fmi3/StateSpace.fmu"\n'
+            '[connect]\n"it.u[1]" = "it.y[1]"\n[parameters.it]\nD = [1, 1, 0, 0, 0, 0, 0, 0, 0]\n'
             "C = 0.0\n")  # fmt: skip
     (tmp_path / "scenario.toml").write_text(f"duration = 1.0\nstep = 1.0\n{text}")
     done = command("run", tmp_path, "--out", tmp_path / "run", *QUIET)
@@ -191,7 +186,7 @@ def test_a_loop_is_solved_by_iteration(tmp_path: Path, isolate: Sequence[str]) -
     """In FMPy, each alone takes every step to its output with the other's at the step's end."""
     matrices = {"A": [-0.5, 0.3, 0.0, 0.0, -0.25, 0.0, 0.1, 0.0, -0.1],
                 "D": [-0.6, 0.0, 0.0, 0.0, -0.6, 0.0, 0.0, 0.0, -0.6]}  # fmt: skip
-    text = LOOP.format(FOLDER, matrices["A"], matrices["D"])
+    text = LOOP.format(REFERENCE_FMUS, matrices["A"], matrices["D"])
     (tmp_path / "scenario.toml").write_text(f"duration = 10.0\nstep = 1.0\n{text}")
     recording = run(tmp_path, *isolate)
     for name, other, values in (("a", "b", matrices), ("b", "a", {"A": matrices["A"]})):
@@ -205,7 +200,7 @@ def test_a_loop_is_solved_by_iteration(tmp_path: Path, isolate: Sequence[str]) -
 
 def _driven_in_fmpy(values: Mapping[str, list[float]], inputs: Sequence[float]) -> list[Any]:
     """Outputs of StateSpace after each step of 1 s, whose input u[1] is given."""
-    path = FOLDER / "fmi3" / "StateSpace.fmu"
+    path = REFERENCE_FMUS / "fmi3" / "StateSpace.fmu"
     description = fmpy.read_model_description(path)
     references = {v.name: v.valueReference for v in description.modelVariables}
     slave = fmpy.instantiate_fmu(fmpy.extract(path), description, "CoSimulation")
@@ -229,7 +224,9 @@ def _driven_in_fmpy(values: Mapping[str, list[float]], inputs: Sequence[float]) 
 def inputs(fmi: str) -> dict[str, Sequence[Any]]:
     """A value of each input at each instant, in its type."""
     random, columns = np.random.default_rng(5), {}
-    for variable in fmpy.read_model_description(FOLDER / fmi / "Feedthrough.fmu").modelVariables:
+    for variable in fmpy.read_model_description(
+        REFERENCE_FMUS / fmi / "Feedthrough.fmu"
+    ).modelVariables:
         if variable.causality == "input":
             columns[variable.name] = _values(random, variable.type)
     return columns

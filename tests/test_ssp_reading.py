@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_support import REFERENCE_FMUS, needs_reference_fmus
 from forked import command
 from lxml import etree
 from panda_cosim import Recording
@@ -338,13 +338,12 @@ def test_a_nested_fmu_is_named_on_the_command_line(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording["S/b.y[2,3]"][1:], given, rtol=1e-12)
 
 
-REFERENCE_FMUS = Path(os.environ.get("REFERENCE_FMUS", "/nowhere"))
 TYPES = {"Int32": ("Integer", "7"), "Boolean": ("Boolean", "true"), "String": ("String", "a b"),
          "Enumeration": ("Enumeration", "Option 2")}  # fmt: skip
 
 
 @pytest.mark.fmu
-@pytest.mark.skipif(not REFERENCE_FMUS.is_dir(), reason="needs REFERENCE_FMUS")
+@needs_reference_fmus
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_connections_and_parameters_of_all_types(tmp_path: Path, fmi: int) -> None:
     names = [f"{name}_{kind}put" for name in TYPES for kind in ("in", "out")]
