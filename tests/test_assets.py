@@ -88,7 +88,8 @@ def test_scene_has_the_tasks_sizes_names_and_options(scene: mujoco.MjModel) -> N
     assert (scene.nq, scene.nv, scene.nu) == (16, 15, 8)
     assert scene.opt.timestep == 1e-3
     assert scene.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    assert scene.opt.disableflags == mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    bits = mujoco.mjtDisableBit
+    assert scene.opt.disableflags == bits.mjDSBL_AUTORESET | bits.mjDSBL_MIDPHASE
     assert scene.vis.global_.offwidth >= 1920
     assert scene.vis.global_.offheight >= 1080
     for names_by_kind in (ARM_NAMES, TASK_NAMES):

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 
@@ -417,6 +418,30 @@ def test_paths_are_taken_literally(
         recorder.close(complete=True)
     assert Recording.open(folder).rows == 3
     assert (tmp_path / name / "recording.parquet").is_file()
+
+
+def test_a_short_recording_is_read_from_memory_while_its_file_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    may_go_on, plain = threading.Event(), storage.write_parquet
+
+    def slow(*arguments: object) -> None:
+        assert may_go_on.wait(60)
+        plain(*arguments)
+
+    monkeypatch.setattr(storage, "write_parquet", slow)
+    rows = make_rows(50)
+    recorder = Recorder(tmp_path, COLUMNS, METADATA)
+    recorder.append(rows)
+    recorder.end(complete=True)
+    early = recorder.recording()
+    assert early is not None
+    assert (all_columns(early) == rows).all()
+    assert not (tmp_path / "recording.parquet").exists()
+    may_go_on.set()
+    assert recorder.close(complete=False) == tmp_path / "recording.parquet"
+    assert Recording.open(tmp_path).complete
+    assert (all_columns(Recording.open(tmp_path)) == rows).all()
 
 
 def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
@@ -129,7 +130,7 @@ def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
             if values is not None:
                 page.described_model(page.plant_model({"parameters": values}))
 
-    sys.setswitchinterval(5e-4)  # [s] else the step waits up to 5 ms for this thread
+    sys.setswitchinterval(1e-4)  # [s] else each return from C waits up to 5 ms for this thread
     ThreadPoolExecutor(1).submit(load)
 
 
@@ -149,6 +150,7 @@ def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
             ours = "controller.limit" in done.recording
             for text, style in outcome_lines(done.summary, realtime=realtime, ours=ours):
                 show(text, style)
+        draw_view(output, done)
         for path in chain(_files(done), _draw(done, output)):
             if not output.json:
                 show_file(path)
@@ -159,33 +161,48 @@ def _files(done: Run) -> list[Path]:
     return sorted(path for path in done.folder.iterdir() if path.is_file())
 
 
-def _draw(done: Run, output: Output) -> Iterator[Path]:
-    """Draw page and pictures, the slowest last, and yield each as soon as it is there.
+def draw_view(output: Output, done: Run) -> None:
+    """Write the page of a run, unless it is there; that it cannot be drawn is a warning."""
+    if not output.view or done.signal or not _is_drawable(done):
+        return
+    from ..view.page import VIEW_FILE, write_view  # noqa: PLC0415 - imports MuJoCo
 
-    One that cannot be drawn is a warning, since the run is good.
-    """
-    drawable = "plant.qpos" in done.recording
+    path = done.folder / VIEW_FILE
+    if not path.exists():
+        with _drawing(done):
+            try:
+                write_view([done.shown()], path)
+            except InputError as error:
+                warn(f"no view: {error}")
+
+
+def _is_drawable(done: Run) -> bool:
     try:
         refuse_without_model(done.recording)
     except InputError:
-        drawable = False
-    try:
-        if output.view and drawable:
-            from ..view.page import VIEW_FILE, write_view  # noqa: PLC0415 - imports MuJoCo
+        return False
+    return "plant.qpos" in done.recording
 
-            try:
-                yield write_view([done.shown()], done.folder / VIEW_FILE)
-            except InputError as error:
-                warn(f"no view: {error}")
+
+def _draw(done: Run, output: Output) -> Iterator[Path]:
+    """Draw the pictures, the slowest last, and yield each as soon as it is there."""
+    with _drawing(done):
         if output.video if output.plot is None else output.plot:
             tell(PLOTTING)
             yield done.plot().path
-        if output.video and drawable:
+        if output.video and _is_drawable(done):
             tell(TILING)
             yield done.sheet().path
             yield draw_video(done.recording, done.folder, fps=output.fps)
         elif output.video:
             warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
+
+
+@contextmanager
+def _drawing(done: Run) -> Iterator[None]:
+    """What cannot be drawn is a warning, since the run is good."""
+    try:
+        yield
     except RenderError as error:
         warn(f"{error}; then `panda-cosim render {quote(str(done.folder))}` draws the pictures")
     except INTERRUPTS:

@@ -3,6 +3,7 @@
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -26,8 +27,12 @@ class _Context(ABC):
     """A recording whose block ends it, as incomplete if `close` was not called."""
 
     @abstractmethod
+    def end(self, *, complete: bool, reason: str | None = None) -> None:
+        """Take no more rows; the recording can be read from memory. A second call does nothing."""
+
+    @abstractmethod
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
-        """End the recording."""
+        """End the recording, unless it has ended, and wait for its file."""
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -67,7 +72,8 @@ class Recorder(_Context):
         self._saved = 0
         self._size = 0  # of the stream's whole messages [bytes]
         self._error: SimulationError | None = None
-        self._closed = False
+        self._ended = False
+        self._file_made: Future[None] | None = None
         try:
             self._make_place()
             self._file = self._stream.open("xb", buffering=0)
@@ -113,18 +119,29 @@ class Recorder(_Context):
             self._saved += self._filled
             self._filled = 0
 
+    def end(self, *, complete: bool, reason: str | None = None) -> None:
+        """End the stream; a thread makes the Parquet file meanwhile, which `close` waits for."""
+        if self._ended:
+            return
+        self._ended = True
+        failed_before = self._error is not None
+        try:
+            self._end_stream(complete, reason)
+        except SimulationError:
+            self._file.close()
+            if not failed_before:
+                raise
+        else:
+            self._file_made = ThreadPoolExecutor(1).submit(self._make_parquet)
+            if self._memory is None:  # it is read from the file
+                self._file_made.result()
+
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
         """End the recording, and return its file: Parquet, or the stream if that failed."""
-        if not self._closed:
-            self._closed = True
-            failed_before = self._error is not None
-            try:
-                self._finish(complete, reason)
-            except SimulationError:
-                if not failed_before:
-                    raise
-            finally:
-                self._file.close()
+        self.end(complete=complete, reason=reason)
+        made, self._file_made = self._file_made, None
+        if made is not None:
+            made.result()
         return self._parquet if self._parquet.exists() else self._stream
 
     def recording(self) -> Recording | None:
@@ -137,7 +154,7 @@ class Recorder(_Context):
             if path.exists():
                 raise InputError(f"{path}: already exists; must be a folder without a recording")
 
-    def _finish(self, complete: bool, reason: str | None) -> None:
+    def _end_stream(self, complete: bool, reason: str | None) -> None:
         try:
             self.flush()
         except SimulationError as error:
@@ -145,6 +162,8 @@ class Recorder(_Context):
                 self._mark_end(complete=False, reason=str(error))
             raise
         self._mark_end(complete, reason)
+
+    def _make_parquet(self) -> None:
         try:
             memory, stream = self._memory, self._stream
             source = memory.source() if memory is not None else storage.open_stream(stream)
@@ -152,11 +171,13 @@ class Recorder(_Context):
             self._stream.unlink()
         except (OSError, InputError) as error:
             raise self._failure(error) from error
+        finally:
+            self._file.close()
 
     def _mark_end(self, complete: bool, reason: str | None) -> None:
         if self._memory is not None:
             self._memory.late = self.late
-            self._memory.close(complete=complete, reason=reason)
+            self._memory.end(complete=complete, reason=reason)
         state = {"complete": complete, "reason": reason, **self.late}
         self._error = None
         self._write(storage.serialize_end(self._schema, state))
@@ -199,7 +220,7 @@ class MemoryRecorder(_Context):
         self._values = np.empty((len(columns), 2 * _BUFFER_ROWS), storage.type_of_rows(columns))
         self.late: dict[str, Any] = {}
         self.rows = 0  # number of rows appended
-        self._closed = False
+        self._ended = False
 
     def append(self, rows: Array) -> None:
         """Append a block of rows, shape (n, columns), copied."""
@@ -214,11 +235,15 @@ class MemoryRecorder(_Context):
     def flush(self) -> None:
         """Do nothing: there is no file."""
 
-    def close(self, *, complete: bool, reason: str | None = None) -> Path:
-        """End the recording; a second call does nothing."""
-        if not self._closed:
-            self._closed = True
+    def end(self, *, complete: bool, reason: str | None = None) -> None:
+        """Note the end."""
+        if not self._ended:
+            self._ended = True
             self._metadata |= {"complete": complete, "reason": reason, **self.late}
+
+    def close(self, *, complete: bool, reason: str | None = None) -> Path:
+        """End the recording, which has no file."""
+        self.end(complete=complete, reason=reason)
         return self._path.parent
 
     def recording(self) -> Recording:

@@ -61,11 +61,12 @@ def run_prepared(
     *,
     progress: Callable[[int, int], None] | None = None,
     stop: threading.Event | None = None,
+    meanwhile: Callable[[Run], None] | None = None,
 ) -> Run:
-    """Run what `prepare` has returned, see `run_scenario`."""
+    """Run what `prepare` has returned, see `run_scenario`; for `meanwhile`, `Execution.close`."""
     with stopping_on_signals(stop) as request, Execution(prepared, out) as execution:
         execution.advance(execution.ticks, request, progress)
-        return execution.close(request.text, number=request.signal)
+        return execution.close(request.text, number=request.signal, meanwhile=meanwhile)
 
 
 class Execution:
@@ -124,12 +125,19 @@ class Execution:
             self._stack = stack.pop_all()
         return self
 
-    def close(self, reason: str | None = None, *, number: int = 0) -> Run:
+    def close(
+        self,
+        reason: str | None = None,
+        *,
+        number: int = 0,
+        meanwhile: Callable[[Run], None] | None = None,
+    ) -> Run:
         """End the run: complete and judge the recording, free the FMUs.
 
         Args:
             reason: Why it ends before the scenario does, for the recording.
             number: That of the signal that stopped it, or 0.
+            meanwhile: Called with the judged run while the recording's file is being written.
 
         Raises:
             SimulationError: The last row is not finite, or the disk is full.
@@ -142,8 +150,11 @@ class Execution:
                 with self._guarded():
                     self._end(reason)
                     self._summary = self._begun.judge()
-        warnings = tuple(self.warnings)
-        return Run(self.folder, self._summary, number, warnings, self._begun.in_memory)
+            warnings, recording = tuple(self.warnings), self._begun.in_memory
+            run = Run(self.folder, self._summary, number, warnings, recording)
+            if meanwhile is not None:
+                meanwhile(run)
+        return run
 
     def _end(self, reason: str | None) -> None:
         """Record the last row and the end."""
@@ -156,7 +167,7 @@ class Execution:
     def _close_recording(self, reason: str | None, *, complete: bool) -> None:
         recorder = self._begun.recorder
         recorder.late |= self._adjustments.inputs.guarded.happened()
-        recorder.close(complete=complete, reason=reason)
+        recorder.end(complete=complete, reason=reason)
 
     def __enter__(self) -> Self:
         """Open it."""

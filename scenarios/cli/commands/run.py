@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ....fmus.errors import InputError
@@ -29,7 +30,7 @@ from ..options import (
     option,
     scenario_argument,
 )
-from ..outcome import Output, Progress, conclude, simulate
+from ..outcome import Output, Progress, conclude, draw_view, simulate
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
 FPS = option(
@@ -111,7 +112,7 @@ def command(  # noqa: PLR0913 - one for each option
     output = Output(out, video, plot, view, junit, json, fps)
 
     def run(folder: Path, update: Progress) -> Run:
-        return run_prepared(prepared, folder, progress=update)
+        return run_prepared(prepared, folder, progress=update, meanwhile=partial(draw_view, output))
 
     early, values = not realtime, prepared.values
     done = simulate(prepared.scenario, kind, output, run, early=early, values=values)
