@@ -263,10 +263,13 @@ class Kernel:
 
     def check(self, time: float) -> None:
         """Raise the error of the call that ended `take`, in the tick of a time, if one did."""
-        status, caller = self._course.status, self._made_by[self._course.failed]
+        status = self._course.status
+        if status <= WARNING:
+            return
+        caller = self._made_by[self._course.failed]
         if isinstance(caller, StepCall) and status in (ENDED, EARLY):
             caller.refuse_early(time, self._course.reached, ended=status == ENDED)
-        elif caller is not None and status > WARNING:
+        elif caller is not None:
             caller.fail(status, time)
 
     def _add(self, caller: Access | StepCall | None, **fields: int | None) -> _Call:

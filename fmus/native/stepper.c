@@ -60,7 +60,7 @@ typedef struct {
     const volatile int32_t *stop; /* set by another thread: return after this tick */
     int64_t filled;             /* complete rows */
     int64_t failed;             /* index of the call that failed, */
-    uint32_t status;            /* its status, or 0, */
+    uint32_t status;            /* its status, */
     double reached;             /* and where it ended a step early [s] */
 } course;
 
@@ -133,26 +133,18 @@ static unsigned carry_out(course *r, const call *c, int64_t k, double time)
     }
 }
 
-static bool take(course *r, int64_t k, double time)
-{
-    for (int64_t i = 0; i < r->call_count; i++) {
-        r->status = carry_out(r, &r->calls[i], k, time);
-        if (r->status <= WARNING) continue;
-        r->failed = i;
-        return false;
-    }
-    r->status = 0;
-    return true;
-}
-
 /* Takes up to `count` steps from `tick` on, whose row is `k`; returns how many were taken. Fewer are if a call
  * fails, if it was asked to stop, or after `seconds` of wall time. */
 EXPORT int64_t panda_take_steps(course *r, int64_t tick, int64_t k, int64_t count, double seconds)
 {
     const double until = now() + seconds;
-    for (int64_t i = 0; i < count; i++) {
-        if (!take(r, k + i, r->start + (double)(tick + i) * r->step_size)) return i;
-        if (*r->stop || now() >= until) return i + 1;
+    for (int64_t taken = 0; taken < count; taken++) {
+        const double time = r->start + (double)(tick + taken) * r->step_size;
+        for (r->failed = 0; r->failed < r->call_count; r->failed++) {
+            r->status = carry_out(r, &r->calls[r->failed], k + taken, time);
+            if (r->status > WARNING) return taken;
+        }
+        if (*r->stop || now() >= until) return taken + 1;
     }
     return count;
 }
