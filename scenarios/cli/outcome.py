@@ -290,7 +290,7 @@ def _verdict_line(summary: Summary) -> tuple[str, str]:
     if missed:
         return f"Success condition missed: {missed}", "bold red"
     if not summary.criteria:
-        return "Done; the scenario has no success condition", "bold"
+        return "Done; the scenario has no success criteria", "bold"
     count = len(summary.criteria)
     return f"Success: {count} of {count} criteria hold", "bold green"
 
