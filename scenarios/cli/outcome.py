@@ -311,7 +311,7 @@ def _contact_lines(summary: Summary) -> Iterator[str]:
     if contacts:
         more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
         named = "; ".join(contacts[:SHOWN])
-        yield f"Unwanted contacts: {named}{more}; the path must lead around"
+        yield f"Unwanted contacts: {named}{more}; the path must avoid them"
     elif peak := summary.contact.get("unwanted_force_N"):
         yield f"Unwanted contacts, with up to {peak:.3g} N"
 
