@@ -38,8 +38,8 @@ POSTURE_GAIN: Final = (0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0)  # [1/s]
 STIFFNESS: Final[Six] = (3000.0, 3000.0, 3000.0, 300.0, 300.0, 300.0)  # [N/m, N.m/rad]
 OFFSET_LIMIT: Final[Six] = (20.0, 20.0, 20.0, 5.0, 5.0, 5.0)  # [N, N.m]
 
-# External torques at which a contact and a collision begin. 1 of 100 calibrated robots sets its
-# block down so far too low, with 48 N and more, that joint 2 collides.
+# External torques at which a contact and a collision begin. 1 in 100 calibrated robots sets the
+# block down so low, with 48 N or more, that joint 2 counts as collided.
 CONTACT_TORQUE: Final[Seven] = (10.0, 10.0, 10.0, 10.0, 4.0, 4.0, 4.0)  # [N.m]
 COLLISION_TORQUE: Final[Seven] = (20.0, 20.0, 20.0, 20.0, 8.0, 8.0, 8.0)  # [N.m]
 
@@ -79,8 +79,8 @@ class Gains:
     ik_gain: float = _gain(50.0, "1/s", 0.0, 1e4, "Rate at which a pose error is driven to zero")
     error_filter: float = _gain(0.0, "s", 0.0, 1e3, "Time constant of the pose error's low-pass; "
                                 "0: none")
-    ik_damping: float = _gain(5e-3, "1", 0.0, 10.0, "Damping of the least squares where joint "
-                              "limits bind")
+    ik_damping: float = _gain(5e-3, "1", 0.0, 10.0, "Damping of the least-squares solution where "
+                              "joint limits bind")
     singular_damping: float = _gain(0.04, "1", 0.0, 10.0, "Damping at a singularity")
     singular_value: float = _gain(0.06, "1", 0.0, 10.0, "Smallest singular value of the Jacobian "
                                   "below which damping grows")
@@ -116,11 +116,11 @@ class Gains:
     grip_width: float = _gain(BLOCK_WIDTH, "m", 0.0, OPENING_MAX, "Width of what is held")
     grip_stiffness: float = _gain(GRIP_STIFFNESS, "N/m", 1.0, 1e6, "Stiffness of each finger's "
                                   "servo")
-    reading_delay: float = _gain(0.0, "s", 0.0, 0.02, "Age of the measured inputs, to the nearest "
-                                 "period; they are compared with the command and the reference of "
-                                 "their own time")
-    follow_posture: bool = _switch(False, "The null space follows posture_cmd, instead of the "
-                                   "pulls to posture and away from the joints' ends")
+    reading_delay: float = _gain(0.0, "s", 0.0, 0.02, "Age of the measured inputs, rounded to a "
+                                 "whole number of periods; they are compared with the command and "
+                                 "the reference of the time when they were taken")
+    follow_posture: bool = _switch(False, "The null space follows posture_cmd, instead of being "
+                                   "pulled to posture and away from the joints' ends")
     posture_follow_gain: float = _gain(20.0, "1/s", 0.0, 1e4, "Rate at which an error of the "
                                        "commanded posture goes to zero")
     observer: bool = _switch(False, "Compute external_torque, external_force and joint_contact, "
@@ -130,24 +130,27 @@ class Gains:
                                           "External torque above which a joint is in contact")
     upper_torque_threshold: Seven = _gain(COLLISION_TORQUE, "N.m", 0.0, 1e6,
                                           "External torque above which a joint collides")
-    reaction: str = _switch("none", "What the arm does once a joint has collided, until it is "
-                            "none: none; stop (hold the joints where they are); yield (give way, "
-                            "held up against gravity alone); with impedance always none", REACTIONS)
+    reaction: str = _switch("none", "What the arm does once a joint has collided, until this is "
+                            "set to none: none; stop (hold the joints where they are); yield (give "
+                            "way, held up against gravity alone); with impedance always none",
+                            REACTIONS)
     robot: str = _switch(DEFAULT_ROBOT, "Arm whose model and limits are used: panda (Franka Emika "
                          "Panda) or fr3 (Franka Research 3)", tuple(ROBOTS))
-    impedance: bool = _switch(False, "Torques of a Cartesian impedance for the scene motors, "
+    impedance: bool = _switch(False, "Cartesian impedance law: torques for the scene motors "
                               "instead of servo targets")
-    stiffness: Six = _gain(STIFFNESS, STIFFNESS_UNITS, 1.0, 1e5, "Of the hand, along and about the "
-                           "world's axes")
-    spring_force: float = _gain(60.0, "N", 0.0, 1e4, "Largest force of these springs")
-    spring_torque: float = _gain(10.0, "N.m", 0.0, 1e4, "Largest torque of these springs")
-    damping_ratio: float = _gain(1.0, "1", 0.0, 10.0, "Of each mode of the hand on these springs")
+    stiffness: Six = _gain(STIFFNESS, STIFFNESS_UNITS, 1.0, 1e5, "Stiffness of the hand along and "
+                           "about the world's axes, if impedance is true")
+    spring_force: float = _gain(60.0, "N", 0.0, 1e4, "Largest force of the hand's springs")
+    spring_torque: float = _gain(10.0, "N.m", 0.0, 1e4, "Largest torque of the hand's springs")
+    damping_ratio: float = _gain(1.0, "1", 0.0, 10.0, "Damping ratio of each mode of the hand on "
+                                 "its springs")
     offset_rate: float = _gain(4.0, "1/s", 0.0, 100.0, "Rate at which the wrench that the law's "
-                               "model lacks is found, but not along axes of a commanded force")
-    offset_limit: Six = _gain(OFFSET_LIMIT, WRENCH_UNITS, 0.0, 1e3, "Largest such wrench")
-    posture_stiffness: float = _gain(20.0, "N.m/rad", 0.0, 1e4, "Of each joint to the posture, in "
-                                     "the null space")
-    posture_damping: float = _gain(4.0, "N.m.s/rad", 0.0, 1e3, "Of each joint, in the null space")
+                               "model lacks is estimated, but not along axes of a commanded force")
+    offset_limit: Six = _gain(OFFSET_LIMIT, WRENCH_UNITS, 0.0, 1e3, "Largest estimated wrench")
+    posture_stiffness: float = _gain(20.0, "N.m/rad", 0.0, 1e4, "Stiffness of each joint towards "
+                                     "the posture, in the null space")
+    posture_damping: float = _gain(4.0, "N.m.s/rad", 0.0, 1e3, "Damping of each joint, in the null "
+                                   "space")
     # fmt: on
 
     @property

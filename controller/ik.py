@@ -26,7 +26,7 @@ MIN_DAMPING = 1e-5  # [1] within a box, so that the solution is unique
 LENGTH = FINGERTIPS[2]
 WEIGHTS = np.array([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH])
 SCALED = 8  # unknowns: joint velocities, and the scale of the hand's
-OFF_PATH = 0.018  # [m] pose error at which leaving the path costs as much as to stop
+OFF_PATH = 0.018  # [m] pose error at which leaving the path costs as much as stopping
 LEAST_ERROR = 0.001  # [m] below which the price does not grow
 LEAST_SPEED = 0.001  # [m/s] in the price, for a hand at rest
 # Damping in the null-space projection, as a share of the task's damping. With 1, the hand stops
@@ -90,12 +90,12 @@ def scaled_least_squares(  # noqa: PLR0913 - the problem as it is
         |W (J qd - s v)|^2 + price^2 (1 - s)^2 + damping^2 |qd - free|^2
         price = |W v| (`OFF_PATH` / |W e|)^2
 
-    Where a limit begins to bind, they are `free` still, so that the joints do not jerk.
+    Where a limit just begins to bind, they still equal `free`, so that the joints do not jerk.
 
     While the pose error e (6,) [m, rad] is small, the hand keeps its speed, and leaves its path as
     little as it can; the further off it is, the more it slows down instead. The damping's square is
     `damping`^2 plus the square of `singular` (damping near a singularity), which grows with e up to
-    its value at `OFF_PATH`: an arm that cannot follow waits still. The scale is that of
+    its value at `OFF_PATH`: an arm that cannot follow comes to rest. The scale is that of
     F. Flacco, A. De Luca, O. Khatib, "Control of Redundant Robots Under Hard Joint Constraints:
     Saturation in the Null Space", IEEE Transactions on Robotics 31(3), 2015. At least `MIN_DAMPING`
     is used. Where the solver finds no solution: the velocities nearest to 0.

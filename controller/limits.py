@@ -13,18 +13,18 @@ Box = NDArray[np.float64]  # rows lowest and highest joint velocity (2, 7) [rad/
 POSITION, VELOCITY, ACCELERATION, JERK = 1.0, 2.0, 3.0, 4.0  # kinds of limit
 # [rad/s] Smallest width of the box: the solver needs one even where a joint must brake fully.
 MIN_WIDTH = 1e-9
-# Share of the acceleration that braking before an end counts on. The brake comes on late, as the
-# jerk is limited; what is left catches up.
+# Share of the acceleration that is planned for braking before an end. Braking sets in late, as the
+# jerk is limited; the rest of the acceleration makes up for that.
 BRAKING = 0.95
 ROUNDING = 1e-9  # of a change
 RETURN_RATE = 20.0  # [1/s] rate at which a joint reference that is too far ahead returns
 
 END_MARGIN = 0.001  # [rad] between a joint reference and the joint's end, for the servo's overshoot
-# [1/s] A joint comes no closer to its end than at this rate, so that the other joints take over
-# gradually. If it braked as late as it can, they would jump.
+# [1/s] A joint's speed towards its end is at most this rate times the distance left, so that the
+# other joints take over gradually. If it braked as late as it can, they would jump.
 APPROACH_RATE = 5.0
 # Within a zone before its end, a joint is pulled back in the null space, by 60 w^2 where it is w
-# inside. So few joints come to their ends where the hand's path leaves the choice. The pull has a
+# inside. So joints rarely reach their ends where the hand's path leaves a choice. The pull has a
 # largest speed: if the arm turned about the hand as fast as it can, the hand would leave its path.
 # Joint 4 is not pulled: the hand's distance decides where it is, and near its end the arm is
 # stretched.

@@ -1,4 +1,4 @@
-"""Touch: the torques that others exert on the arm, thresholds on them, and the reaction."""
+"""Touch: external torques on the arm, thresholds on them, and the reaction."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from .signals import Layout, Views
 
 FREE, CONTACT, COLLISION = 0.0, 1.0, 2.0  # states of a joint
 # The plant's servos damp implicitly: by the joint's velocity at the end of a step of the physics,
-# while `actuator_force` is of its beginning. So each acts as if its rotor had this inertia more.
+# while `actuator_force` is that at its beginning. So each acts as if its rotor had this much more
+# inertia.
 ROTOR: Final = np.array(SERVO_DAMPING) * STEP_SIZE  # [kg.m^2]
 
 
@@ -33,9 +34,9 @@ class Touch:
     would exert them at the hand. Source: A. De Luca, R. Mattone, "Actuator Failure Detection and
     Isolation Using Generalized Momenta", ICRA 2003.
 
-    A joint is in contact while |r| is above its lower threshold. Above the upper one it collides,
-    and stays so: then the reaction `stop` holds the joints where they are, and `yield` lets them
-    give way, held up against gravity alone, until the reaction is `none`.
+    A joint is in contact while |r| is above its lower threshold. Above the upper one it has
+    collided, and counts as such from then on: the reaction `stop` holds the joints where they are,
+    and `yield` lets them give way, held up against gravity alone, until the reaction is `none`.
     """
 
     STATE: ClassVar[Layout] = np.dtype(

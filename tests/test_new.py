@@ -108,7 +108,7 @@ EDITS = [
         "hint",
         "within the arm's reach",
     ),
-    ("trajectory.csv", "0.085,0.0\n2", "-0.085,0.0\n2", "hint", "the path must lead around"),
+    ("trajectory.csv", "0.085,0.0\n2", "-0.085,0.0\n2", "hint", "the path must avoid this"),
     ("trajectory.csv", "1.2,target", "0.1,target", "hint", "of joint"),
 ]
 

@@ -46,7 +46,7 @@ def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path: Path) -> 
 def test_what_is_in_the_way_is_named_first(place: tuple[float, float], bodies: str) -> None:
     prepared, rehearsal = rehearsed({"block_pos": place})
     texts = [text for _, text in findings(rehearsal, prepared)]
-    assert texts[0].endswith("the path must lead around: `panda-cosim route`")
+    assert texts[0].endswith("the path must avoid this: `panda-cosim route`")
     assert any(text.startswith(f"{bodies} touch") for text in texts)
 
 

@@ -154,7 +154,7 @@ def test_a_foreign_run_with_nothing_but_positions_is_described() -> None:
     assert document["contacts"] is None
     assert document["curves"] == []
     assert list(document["roles"]) == ["qpos"]
-    assert document["verdict"] == {"state": "plain", "words": "no success condition"}
+    assert document["verdict"] == {"state": "plain", "words": "no success criteria"}
     assert [signal["name"] for signal in document["signals"]] == ["plant.qpos", "other.y"]
     json.dumps(document, allow_nan=False)
 

@@ -29,10 +29,10 @@ MOST = {"limit_share": 1.0}
 FIXED = ("reading_delay", "follow_posture", "robot", "impedance")  # from the start on
 # Arrays of FMI 3.0, which have one unit each.
 _PARTS = {
-    "stiffness": (("stiffness", 3, "Of the hand, along the world's axes"),
-                  ("angular_stiffness", 3, "Of the hand, about the world's axes")),
-    "offset_limit": (("offset_limit", 3, "Largest such force"),
-                     ("offset_moment_limit", 3, "Largest such moment")),
+    "stiffness": (("stiffness", 3, "Stiffness of the hand along the world's axes"),
+                  ("angular_stiffness", 3, "Stiffness of the hand about the world's axes")),
+    "offset_limit": (("offset_limit", 3, "Largest force of the estimated wrench"),
+                     ("offset_moment_limit", 3, "Largest moment of the estimated wrench")),
 }  # fmt: skip
 
 
@@ -74,8 +74,8 @@ CONTROLLER = Interface(
                HOME_XPOS),
         input_("hand_xquat", (4,), "1", "Measured orientation of the hand body, world frame, "
                "(w, x, y, z)", HOME_XQUAT),
-        input_("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin by the arm's joints, "
-               "world axes; rows 1-3 linear, 4-6 angular", 0.0, parts=JAC_PARTS),
+        input_("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin with respect to the "
+               "arm's joints, world axes; rows 1-3 linear, 4-6 angular", 0.0, parts=JAC_PARTS),
         input_("qpos", (7,), "rad", "Measured joint positions", HOME_Q),
         input_("qvel", (7,), "rad/s", "Measured joint velocities", 0.0),
         input_("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
@@ -83,7 +83,7 @@ CONTROLLER = Interface(
         input_("actuator_force", (8,), joints("N.m", "N"), "Torques of the servos during the last "
                "step, then the force of the gripper's tendon; only the observer reads it", 0.0,
                parts=FORCE_PARTS),
-        input_("force_cmd", (3,), "N", "Force that the hand adds to its springs if impedance is "
+        input_("force_cmd", (3,), "N", "Force added to that of the hand's springs if impedance is "
                "true, world frame", 0.0, -FORCE_MAX, FORCE_MAX),
         held("ctrl", (8,), joints("rad", "1"), "Servo targets: seven joint angles, then the "
              "gripper, 0 (closed) to 255 (open)", parts=CTRL_PARTS),
@@ -95,13 +95,14 @@ CONTROLLER = Interface(
         held("limit", (7,), "1", "Limit that binds each joint's reference: 0 none, 1 position, "
               "2 velocity, 3 acceleration, 4 jerk; with impedance, of its motor: 5 torque, 6 "
               "torque rate"),
-        held("external_torque", (7,), "N.m", "Torques of others on the joints, by a momentum "
-             "observer; 0 without observer and reaction", on_request=True),
+        held("external_torque", (7,), "N.m", "External torques on the joints, estimated by a "
+             "momentum observer; 0 without observer and reaction", on_request=True),
         held("external_force", (6,), WRENCH_UNITS, "Force and torque at the hand "
              "body's origin, world frame, that would exert external_torque", on_request=True,
              parts=_EXTERNAL_PARTS),
-        held("joint_contact", (7,), "1", "Of each joint: 0 free, 1 contact, external_torque above "
-             "the lower threshold, 2 collision, it has been above the upper one", on_request=True),
+        held("joint_contact", (7,), "1", "State of each joint: 0 free; 1 contact (external_torque "
+             "above the lower threshold); 2 collision (it has been above the upper one)",
+             on_request=True),
         held("motor_torque", (7,), "N.m", "Torques of the arm's motors if impedance is true, else "
              "0", on_request=True),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "

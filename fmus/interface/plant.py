@@ -50,7 +50,7 @@ FORCE_PARTS = (
     ("actuator_force", 7, "Torques of the arm's servos during the last step"),
     ("actuator_force_gripper", 1, "Force of the gripper's tendon during the last step"),
 )
-_JAC = "of the Jacobian of the hand body's origin by the arm's joints, world axes"
+_JAC = "of the Jacobian of the hand body's origin with respect to the arm's joints, world axes"
 JAC_PARTS = (("jac", 3, f"Linear rows {_JAC}"), ("jac_angular", 3, f"Angular rows {_JAC}"))
 _BLOCK = PlantParameters()
 _TOUCHING = " ".join((BLOCK, *FINGERS, *ARM_AND_PALM))
@@ -97,8 +97,8 @@ PLANT = Interface(
                 source="site target xpos"),
         output("target_xmat", (9,), "1", "Rotation matrix of the block, row by row, world frame",
                 source="site target xmat"),
-        output("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin by the arm's "
-                "joints, world axes; rows 1-3 linear, 4-6 angular",
+        output("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin with respect to the "
+                "arm's joints, world axes; rows 1-3 linear, 4-6 angular",
                 source=f"body hand jacobian {' '.join(ARM_JOINTS)}", parts=JAC_PARTS),
         output("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
                 source="qfrc_bias"),

@@ -30,7 +30,7 @@ _WORDS: Final = {
     "qvel": "velocities of the joints",
     "hand_xpos": "position of the hand body's origin, world frame",
     "hand_xquat": "orientation of the hand body, world frame, (w, x, y, z)",
-    "jac": "Jacobian of the hand body's origin by the arm's joints, as the plant's",
+    "jac": "Jacobian of the hand body's origin with respect to the arm's joints, as the plant's",
     "qfrc_bias": "gravity, Coriolis and centrifugal forces of the arm",
     "target_xpos": "centre of the block's top face, world frame",
     "target_xmat": "rotation matrix of the block, row by row, world frame",

@@ -310,7 +310,7 @@ def findings(run: Run, prepared: Prepared) -> Iterator[Finding]:
     if not run.summary.complete:
         yield None, str(run.summary.reason)
     for entry in run.summary.contact.get("unwanted", ())[:SHOWN]:
-        yield entry["time_s"], f"{Touch(**entry)}; the path must lead around: `panda-cosim route`"
+        yield entry["time_s"], f"{Touch(**entry)}; the path must avoid this: `panda-cosim route`"
     yield from _dragging(recording)
     yield from _servos(recording, prepared)
     yield from _grip(recording, prepared)

@@ -38,7 +38,7 @@ the results to a new folder in runs/. Open view.html in that folder to see the r
 
 EPILOG = (
     "Exit codes: 0 done; 1 the simulation failed, or `regress` found a difference; 2 bad input; "
-    "3 it ran, but missed the scenario's success condition; 130 and 143 stopped by Ctrl-C or "
+    "3 it ran, but missed a success criterion; 130 and 143 stopped by Ctrl-C or "
     "SIGTERM."
 )
 

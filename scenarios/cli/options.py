@@ -83,7 +83,9 @@ PLATFORM = option(
 )
 
 
-MUJOCO = option("--mujoco VERSION", "MuJoCo version, as 3.11.0. Default: the installed one.", "")
+MUJOCO = option(
+    "--mujoco VERSION", "MuJoCo version, such as 3.11.0. Default: the installed one.", ""
+)
 ENGINES = option("--mujoco LIST", "Versions of MuJoCo to run with, such as 3.10.0,3.17.0.", "")
 SCALARS = option(
     "--scalars", "FMI 3.0 without arrays, for importers that read only scalars.", False

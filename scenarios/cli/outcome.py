@@ -307,7 +307,7 @@ def _verdict_line(summary: Summary) -> tuple[str, str]:
     if missed:
         return f"Success condition missed: {missed}", "bold red"
     if not summary.criteria:
-        return "Done; the scenario has no success condition", "bold"
+        return "Done; the scenario has no success criteria", "bold"
     count = len(summary.criteria)
     return f"Success: {count} of {count} criteria hold", "bold green"
 
@@ -328,7 +328,7 @@ def _contact_lines(summary: Summary) -> Iterator[str]:
     if contacts:
         more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
         named = "; ".join(contacts[:SHOWN])
-        yield f"Unwanted contacts: {named}{more}; the path must lead around"
+        yield f"Unwanted contacts: {named}{more}; the path must avoid them"
     elif peak := summary.contact.get("unwanted_force_N"):
         yield f"Unwanted contacts, with up to {peak:.3g} N"
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# A foreign arm (Pusher of Gymnasium) with a controller of one's own: run, judged, compared, given away.
+# A foreign arm (Pusher of Gymnasium) with a controller of your own: run, judged, compared, exported.
 # Needs `pip install gymnasium pythonfmu`. Usage: sh foreign_arm.sh NEW_FOLDER
 set -eu
 mkdir "$1" && cd "$1" && mkdir reach

@@ -4,7 +4,7 @@
 set -eu
 mkdir "$1" && cd "$1"
 
-# 1. Five scenarios: two written anew, three begun as copies of shipped ones.
+# 1. Five scenarios: two new ones, three that begin as copies of shipped ones.
 panda-cosim new suite/lift
 panda-cosim new suite/own_law --law
 for name in push jacobi slow_controller; do panda-cosim new suite/my_$name --from $name; done

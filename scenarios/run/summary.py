@@ -190,7 +190,7 @@ def _timing(recording: Recording, happened: Events, statistics: RunStatistics | 
 
 
 def _criteria(success: Success, measured: Mapping[str, Metrics]) -> Iterator[Criterion]:
-    """Compare the metrics with the success conditions, in the scenario file's units."""
+    """Compare the metrics with the success criteria, in the scenario file's units."""
     from ..judging.definitions import DEFINITIONS  # noqa: PLC0415 - read while FMUs step, for pages
 
     for name in field_names(Success):

@@ -49,7 +49,7 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
     if criteria:
         count = len(criteria)
         return {"state": "good", "words": f"success: {count} of {count} criteria hold"}
-    return {"state": "plain", "words": "no success condition"}
+    return {"state": "plain", "words": "no success criteria"}
 
 
 def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -41,19 +41,20 @@ def command(  # noqa: PLR0913 - one for each option
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
 
-    The table is compared with the robot's limits of velocity, acceleration, jerk, torque and torque
-    rate. Then it is run in memory, which shows unwanted contacts, saturated servos, a high torque
-    rate, a weak grip, a hand that moves on before the block is free, and missed criteria. A
-    scenario with FMUs of its own is only read: none of their code runs.
+    The trajectory is compared with the robot's limits of velocity, acceleration, jerk, torque and
+    torque rate. Then the scenario is run in memory, which shows unwanted contacts, saturated
+    servos, a high torque rate, a weak grip, a hand that moves on before the block is free, and
+    missed criteria. A scenario with FMUs of its own is only read: none of their code runs.
 
-    With `--robot fer` (Panda) or `--robot fr3`, also what the interface of that robot would refuse:
-    libfranka's name of the error, the first time, value, limit, and what to change.
+    With `--robot fer` (Panda) or `--robot fr3`, it also says what the control interface of that
+    robot would refuse: libfranka's name of the error, the first time, value, limit, and what to
+    change.
 
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
     criterion or the robot's conditions could not be measured. Exit code 3: the robot would refuse
     it.
 
-    For an .fmu, its reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
+    Of an .fmu, the reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
     and the largest difference is printed. Exit code 3: it is beyond the tolerance.
     Exit code 2: nothing could be compared.
 

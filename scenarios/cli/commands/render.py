@@ -156,10 +156,10 @@ def compare_runs(
     """Compare runs: parameters, verdicts, metrics and signals.
 
     Shows how the parameters, verdicts and signals of each run differ from the first run's. Signals
-    are ranked by the largest deviation as a share of the element's range; a range below a
-    thousandth of the signal's largest value counts as that. The page overlays the curves of all
-    runs. Runs of other lengths are compared where they overlap, and are not identical. Runs that
-    have nothing in common end the compare_runs with exit code 2.
+    are ranked by the largest deviation as a share of the element's range, or of a thousandth of the
+    signal's largest value if that is more. The page overlays the curves of all runs. Runs of
+    different lengths are compared where they overlap, and are never identical. Exit code 2: the
+    runs have nothing in common.
 
     ```
     panda-cosim run push --out runs/a

@@ -81,10 +81,11 @@ def command(  # noqa: PLR0913 - one for each option
     """Run a scenario many times with varied values, on all cores or a cluster.
 
     The results are a table, DIR/results/part-*.parquet, with one row per run; the row of a failed
-    run holds the reason. The same command resumes a stopped sweep, unless the definition, the FMUs,
-    the code or versions have changed. Further commands: `sweep report DIR` writes a page about the
-    results, `sweep sheet DIR` the sheet of ISO 9283, `sweep show DIR ROW` shows a row's run in 3D
-    beside the unchanged scenario, and `sweep promote DIR ROW NEW` makes a scenario of a row.
+    run holds the reason. The same command, with `--out DIR`, resumes a stopped sweep, unless the
+    definition, the FMUs, the code or versions have changed. Further commands: `sweep report DIR`
+    writes a page about the results, `sweep sheet DIR` the data sheet of ISO 9283, `sweep show DIR
+    ROW` shows a row's run in 3D beside the unchanged scenario, and `sweep promote DIR ROW NEW`
+    makes a scenario of a row.
 
     ```
     panda-cosim sweep random_box --out box
