@@ -25,12 +25,12 @@ REDUCTIONS: Final[Mapping[str, str]] = {
     "rms": "root mean square of the rows",
     "final": "value in the last row",
     "range": "largest value minus the smallest",
-    "settle": "time [s] from the window's first row to the row from which on the signal stays "
-    "within `band` of `target`; if it ends outside, to the row after the last",
-    "overshoot": "largest deviation from `target` on its far side, as seen from the first "
-    "value; if that is the target, the largest deviation on either side; 0 if there is none",
-    "duration_above": "time [s] in steps that begin above `level`",
-    "duration_below": "time [s] in steps that begin below `level`",
+    "settle": "settling time [s]: from the window's first row to the row from which the signal "
+    "stays within `band` of `target`; if it ends outside the band, to the row after the last",
+    "overshoot": "largest deviation from `target` on the side away from the first value; if the "
+    "first value is the target, the largest deviation on either side; 0 if there is none",
+    "duration_above": "time [s] above `level`, summed over the steps that begin there",
+    "duration_below": "time [s] below `level`, summed over the steps that begin there",
 }
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
 LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
