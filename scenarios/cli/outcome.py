@@ -130,7 +130,7 @@ def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
             if values is not None:
                 page.described_model(page.plant_model({"parameters": values}))
 
-    sys.setswitchinterval(1e-4)  # [s] else each return from C waits up to 5 ms for this thread
+    sys.setswitchinterval(1e-5)  # [s] else each return from C waits up to 5 ms for this thread
     ThreadPoolExecutor(1).submit(load)
 
 
