@@ -84,7 +84,6 @@ TRAJECTORY = Interface(
 
 
 INTERFACES = MappingProxyType({"plant": PLANT, "controller": CONTROLLER})
-ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY, SENSORS)
 
 
 @dataclass(frozen=True)
