@@ -123,13 +123,10 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
         lines += ["", f"[{section}]"]
         for name, keys in whole.variables[section].items():
             mark = "" if name in description.variables[section] else "# "
-            lines.append(f"{mark}{name} = {_inline(keys)}")
+            # JSON's strings, numbers and lists are valid TOML.
+            pairs = ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
+            lines.append(f"{mark}{name} = {{ {pairs} }}")
     return "\n".join(lines) + "\n"
-
-
-def _inline(keys: Mapping[str, Any]) -> str:
-    """Format an inline table; JSON's strings, numbers and lists are valid TOML."""
-    return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items()) + " }"
 
 
 def read_description(path: Path) -> Description:
