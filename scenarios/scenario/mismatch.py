@@ -18,7 +18,7 @@ from pydantic import PlainValidator
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.tables import SENSORS
 from ...fmus.interface.variables import Interface
-from ..fields import Choice, Quantity, Vector, checked, field_names
+from ..fields import Choice, Quantity, Vector, Whole, checked, field_names
 
 JointValues = tuple[float, ...]
 
@@ -82,13 +82,6 @@ def _as(interface: Interface, name: str) -> PlainValidator:
     return PlainValidator(check)
 
 
-def _whole(value: object) -> int:
-    number = Quantity(0.0, 2.0**32 - 1)(value)
-    if number != int(number):
-        raise ValueError(f"value {value!r}; must be a whole number")
-    return int(number)
-
-
 def _ticks(value: object) -> float:
     delay = float(_DELAY.func(value))  # type: ignore[call-arg]
     if abs(delay - round(delay, 3)) > 1e-9:
@@ -104,7 +97,7 @@ class Mismatch:
     """Differences of robot and camera from the controller's model; None: as in the preset."""
 
     preset: Annotated[str, Choice(PRESETS)] = "nominal"
-    seed: Annotated[int, PlainValidator(_whole)] = 0  # of the preset's robot, and of all noise
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = 0  # of the preset's robot, and of all noise
     # Parameters of PandaSensors, which is used if one of them is given.
     joint_offset: Annotated[JointValues, _as(SENSORS, "joint_offset")] | None = None
     joint_noise: Annotated[JointValues, _as(SENSORS, "joint_noise")] | None = None
