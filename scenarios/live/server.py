@@ -48,14 +48,7 @@ OPEN_PAGE: Final = """<!DOCTYPE html>
 <meta http-equiv="refresh" content="0; url={address}">
 <a href="{address}">The live run</a>
 """
-HEADERS: Final = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "frame-ancestors 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-}
+HEADERS: Final = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}  # of the token
 
 # Errors in a client's request belong into a log, if the user keeps one, not on the terminal.
 LOG: Final = logging.getLogger(__name__)
