@@ -100,7 +100,11 @@ def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -
         times = np.diff(slowed.times)
         needed = np.ones(len(spans))
         for violation in violations:
-            at = _slowed_segment(violation, moving)
+            before = moving[moving <= violation.row - 2]  # the violation's segment, or a dwell's
+            if not len(before):
+                text = "no row moves the hand before, so more time does not help"
+                raise InputError(f"{violation}; {text}")
+            at = int(before[-1])
             _refuse_if_hopeless(violation, times[at] / usual[at], reference, missed)
             order = min(ORDERS[violation.quantity], KINK_ORDER if number else math.inf)
             factor = violation.share ** (1.0 / order) * SPARE
@@ -131,14 +135,6 @@ def _rehearsed(
         ):
             break
     return reference, violations, shares
-
-
-def _slowed_segment(violation: LimitViolation, moving: NDArray[np.intp]) -> int:
-    """Return the segment to slow down: the one that moves, at the violation or before it."""
-    before = moving[moving <= violation.row - 2]
-    if not len(before):
-        raise InputError(f"{violation}; no row moves the hand before, so more time does not help")
-    return int(before[-1])
 
 
 def _refuse_if_hopeless(
