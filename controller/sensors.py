@@ -12,15 +12,11 @@ import numpy as np
 
 from .model import ArmModel
 from .sensor_errors import SensorErrors
-from .signals import Buffer, Vector
+from .signals import INPUTS, Buffer, Vector
 
 TRUTH: Final = np.dtype(
     [
-        ("qpos", float, 7),
-        ("qvel", float, 7),
-        ("hand_xpos", float, 3),
-        ("hand_xquat", float, 4),
-        ("jac", float, (6, 7)),
+        *((name, INPUTS[name]) for name in ("qpos", "qvel", "hand_xpos", "hand_xquat", "jac")),
         ("qfrc_bias", float, 7),
         ("target_xpos", float, 3),
         ("target_xmat", float, (3, 3)),
