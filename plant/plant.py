@@ -259,12 +259,7 @@ class Plant:
         for output, source in self._copied:
             output[...] = source
         self._grip_sum[0] = mujoco.mju_dot(self._normals, self._sensors)
-        if np.count_nonzero(self._warnings):
-            self._refuse_divergence()
-
-    def _refuse_divergence(self) -> None:
-        """Raise an error if one of MuJoCo's warnings means divergence."""
-        for kind in DIVERGED:
+        for kind in DIVERGED if np.count_nonzero(self._warnings) else ():
             if self._warnings[kind]:
                 index = self.data.warning[int(kind)].lastinfo
                 raise DivergenceError(

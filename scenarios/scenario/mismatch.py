@@ -70,26 +70,19 @@ def _as(interface: Interface, name: str) -> PlainValidator:
     """Check a key as the FMU's parameter of its name: one number for all elements, or each."""
     variable = interface.variable(name)
     bounds = cast("tuple[float, float]", (variable.minimum, variable.maximum))
-    quantity = Quantity(*bounds, str(variable.unit))
+    quantity, part = Quantity(*bounds, str(variable.unit)), variable.multiple_of
     several = Vector(variable.size, quantity)
 
     def check(value: object) -> Any:
         if not variable.shape:
-            return quantity(value)
+            number = quantity(value)
+            if part and abs(number - round(number / part) * part) > 1e-9:
+                raise ValueError(f"value {value!r} s; must be a whole number of ticks of {part} s")
+            return number
         is_list = isinstance(value, list | tuple | np.ndarray)
         return several(value) if is_list else (quantity(value),) * variable.size
 
     return PlainValidator(check)
-
-
-def _ticks(value: object) -> float:
-    delay = float(_DELAY.func(value))  # type: ignore[call-arg]
-    if abs(delay - round(delay, 3)) > 1e-9:
-        raise ValueError(f"value {value!r} s; must be a whole number of ticks of 0.001 s")
-    return round(delay, 3)
-
-
-_DELAY: Final = _as(SENSORS, "delay")
 
 
 @checked
@@ -103,7 +96,7 @@ class Mismatch:
     joint_noise: Annotated[JointValues, _as(SENSORS, "joint_noise")] | None = None
     joint_quantisation: Annotated[JointValues, _as(SENSORS, "joint_quantisation")] | None = None
     velocity_noise: Annotated[JointValues, _as(SENSORS, "velocity_noise")] | None = None
-    delay: Annotated[float, PlainValidator(_ticks)] | None = None
+    delay: Annotated[float, _as(SENSORS, "delay")] | None = None
     dropout: Annotated[float, _as(SENSORS, "dropout")] | None = None
     hand_pose_source: Annotated[str, Choice(("plant", "model"))] | None = None
     block_position_error: Annotated[JointValues, _as(SENSORS, "block_position_error")] | None = None
