@@ -33,7 +33,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ...fmus.errors import InputError
-from .simulation import LetGo, Simulation, parse_command
+from .simulation import Act, Simulation, parse_command
 
 LOCAL: Final = "127.0.0.1"
 PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"
@@ -152,7 +152,7 @@ class LiveServer:
             pass
         finally:
             if connection is self._viewers[0]:
-                self._simulation.ask(LetGo(do="let_go"), lambda _: None)
+                self._simulation.ask(Act(do="let_go"), lambda _: None)
             self._viewers.remove(connection)
             self._tell_status()
 
