@@ -117,15 +117,11 @@ class Sensors:
                 self._line[:] = arrived  # the robot has been at rest before
             place = self._line[self._tick % len(self._line)]
             arrived, place[:] = place.copy(), arrived
-        if not self._is_lost():
-            self.reading_values[:] = arrived
-
-    def _is_lost(self) -> bool:
-        """Tell whether this tick's reading does not arrive; the first one always does."""
-        if self._tick == 0 or not self._errors.dropout:
-            return False
-        self._draw()
-        return bool(self._chances[self._tick % _DRAWN] < self._errors.dropout)
+        if self._tick > 0 and self._errors.dropout:  # the first one always arrives
+            self._draw()
+            if self._chances[self._tick % _DRAWN] < self._errors.dropout:
+                return
+        self.reading_values[:] = arrived
 
     def _draw(self) -> None:
         """Draw the numbers of the ticks around this one, normal and uniform ones."""
