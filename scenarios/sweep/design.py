@@ -55,15 +55,12 @@ class Design:
 
     def values(self, index: int) -> Values:
         """Return the values of a row by key, as plain numbers, switches or text."""
-        return {key: _plain(column[index % len(column)]) for key, column in self.columns.items()}
+        row = {key: column[index % len(column)] for key, column in self.columns.items()}
+        return {k: v if isinstance(v, bool | str) else float(v) for k, v in row.items()}
 
     def scenario(self, index: int) -> int:
         """Return which scenario a row belongs to."""
         return index // self.count
-
-
-def _plain(value: Any) -> ParameterValue:
-    return value if isinstance(value, bool | str) else float(value)
 
 
 def make_design(sweep: Sweep) -> Design:

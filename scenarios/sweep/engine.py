@@ -24,7 +24,7 @@ from ..run.options import with_values
 from ..scenario.criteria import Success
 from ..scenario.scenario import Scenario
 from ..work import cores
-from .backend import Backend, backend
+from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
 from .design import Design, Search, check_design, keys_without_effect, make_design
 from .report import write_report
@@ -105,7 +105,9 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     store = Store(default_folder("sweep") if out is None else out)
     with store.claimed(), ExitStack() as stack:
         is_begun = store.begin(begun_with)
-        rows = stack.enter_context(backend(job, jobs or cores(), dask))
+        jobs = jobs or cores()
+        backend = Local(job, jobs) if dask is None else Cluster(job, jobs, dask)
+        rows = stack.enter_context(backend)
         if not is_begun:
             unvaried = [Task(-1 - number, number, {}) for number in range(len(scenarios))]
             columns = _columns(definition, design, rows.run(unvaried))
