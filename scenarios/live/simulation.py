@@ -163,14 +163,15 @@ class Simulation:
     def status(self) -> dict[str, Any]:
         """The simulation's status, in the page's form."""
         session = self._session
-        values = session.parameters
+        named = session.parameters.items()
+        values = {f"{fmu}.{name}": v for fmu, own in named for name, v in own.items()}
         return {
             "run": self._run,
             "playing": self._playing,
             "over": self._is_over,
             "speed": self._speed,
             "coupling": session.coupling,
-            "values": {name: _value(values, name) for name in session.tunables},
+            "values": {name: values[name] for name in session.tunables},
             "behind": round(self._behind, 3),
             "folder": str(session.folder),
             "message": self._message,
@@ -294,9 +295,3 @@ class Simulation:
             raise InputError(OVER)
         else:
             self._playing = do == "play"
-
-
-def _value(values: dict[str, Any], name: str) -> float | bool | str:
-    instance, _, scalar = name.partition(".")
-    value = values[instance][scalar]
-    return value if isinstance(value, bool | str) else float(value)

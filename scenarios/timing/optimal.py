@@ -204,6 +204,7 @@ MOST_ROUNDS: Final = 20  # where the limits are not kept by then
 AIM: Final = 0.98  # of the given share, so that the rounds end below it
 ROUNDING: Final = 1e-6  # of a share
 DIGITS: Final = 9  # decimals of a row's numbers
+NOWHERE: Final = StartPose(HOME_XPOS, HOME_XQUAT, (0.0, 0.0, 0.0))  # all rows are in the world
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,12 +233,14 @@ def retimed(
     for number in range(MOST_ROUNDS):
         course = _course(trajectory, parts, laws)
         table = _table(trajectory, course)
-        path = _resolved(table)
+        path = Trajectory.from_table(table, NOWHERE, interpolation="spline")
         reference = _reference(path, gains)
         demanded = demands(path, reference, load)
         if number:  # the first round only finds the joint motion along the path
             shares = largest(demanded)
-            if _fits(shares, reference, share):
+            reached = reference.miss.max() <= WAY_TOLERANCE
+            reached &= reference.miss[-1] <= REACH_TOLERANCE
+            if reached and max(shares.values()) <= share + ROUNDING:
                 within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
@@ -257,12 +260,6 @@ def retimed(
     if not within:
         raise InputError(_refusal(course, demanded, reference, share))
     return min(within, key=lambda timing: timing.cycle)
-
-
-def _fits(shares: Shares, reference: JointReference, share: float) -> bool:
-    reached = float(reference.miss.max()) <= WAY_TOLERANCE
-    reached &= float(reference.miss[-1]) <= REACH_TOLERANCE
-    return reached and max(shares.values()) <= share + ROUNDING
 
 
 def _spans(course: _Course) -> list[slice]:
@@ -374,11 +371,6 @@ def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
             for tick in sorted(ticks)
         )
     )
-
-
-def _resolved(table: TrajectoryTable) -> Trajectory:
-    nowhere = StartPose(HOME_XPOS, HOME_XQUAT, (0.0, 0.0, 0.0))  # all rows are in the world
-    return Trajectory.from_table(table, nowhere, interpolation="spline")
 
 
 def _reference(path: Trajectory, gains: Gains) -> JointReference:
