@@ -226,7 +226,7 @@ def retimed(
     is what the fingers carry [kg], and `share` what may be used of each limit [1].
     """
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load, gains.robot)
-    bounds = [Bounds.of(share)] * len(parts)
+    bounds = [Bounds(share, share, share, share, share, share)] * len(parts)
     laws = [_slow(part) for part in parts]
     slowest = SLOWEST * sum(part.length / SPEED + STARTING for part in parts)
     within: list[Timing] = []
@@ -234,7 +234,8 @@ def retimed(
         course = _course(trajectory, parts, laws)
         table = _table(trajectory, course)
         path = Trajectory.from_table(table, NOWHERE, interpolation="spline")
-        reference = _reference(path, gains)
+        instants = path.times[0] + STEP_SIZE * np.arange(len(course.poses))
+        reference = joint_reference(path, instants, gains)
         demanded = demands(path, reference, load)
         if number:  # the first round only finds the joint motion along the path
             shares = largest(demanded)
@@ -244,7 +245,8 @@ def retimed(
                 within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
-            for part, span in enumerate(_spans(course)):
+            ends = [*course.starts[1:], len(course.poses)]  # each with the dwell that follows it
+            for part, span in enumerate(map(slice, course.starts, ends)):
                 during = {name: shares[span] for name, shares in demanded.items()}
                 bounds[part] = _corrected(
                     bounds[part], laws[part], during, reference.miss[span], share
@@ -260,12 +262,6 @@ def retimed(
     if not within:
         raise InputError(_refusal(course, demanded, reference, share))
     return min(within, key=lambda timing: timing.cycle)
-
-
-def _spans(course: _Course) -> list[slice]:
-    """Return the ticks of each motion, with the dwell that follows it."""
-    ends = [*course.starts[1:], len(course.poses)]
-    return [slice(first, last) for first, last in zip(course.starts, ends, strict=True)]
 
 
 def _corrected(
@@ -371,12 +367,6 @@ def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
             for tick in sorted(ticks)
         )
     )
-
-
-def _reference(path: Trajectory, gains: Gains) -> JointReference:
-    first, last = path.times[0], path.times[-1]
-    times = first + STEP_SIZE * np.arange(round((last - first) / STEP_SIZE) + 1)
-    return joint_reference(path, times, gains)
 
 
 def _joints(
