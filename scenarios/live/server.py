@@ -87,7 +87,9 @@ class LiveServer:
 
     async def _serve(self, listening: Future[None]) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        self._loop.set_exception_handler(_log)
+        self._loop.set_exception_handler(
+            lambda _, context: LOG.error(context["message"], exc_info=context.get("exception"))
+        )
         try:
             server = await serve(
                 self._talk,
@@ -186,10 +188,6 @@ class LiveServer:
     def _tell_status(self) -> None:
         for index, viewer in enumerate(self._viewers):
             broadcast([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
-
-
-def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    LOG.error(context["message"], exc_info=context.get("exception"))
 
 
 def _response(kind: str, body: bytes, more: Mapping[str, str] | None = None) -> Response:
