@@ -202,20 +202,16 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
                 )
     own_names = {variable.name for variable in own}
     poses = [v for v in _poses(sources) if v.name not in own_names]
-    taken = [
-        _whole(variable, sources)
-        for variable in base.variables
-        if variable.name not in own_names and variable.source != "scene"
-    ]
+    taken = []
+    for variable in base.variables:
+        whole = variable
+        if variable.source in ("qpos", "qvel"):
+            row = sources.find("output", variable.source)
+            text = f"{variable.description}; then the model's further joints"
+            whole = replace(variable, shape=row.shape, unit=row.unit, description=text)
+        if variable.name not in own_names and variable.source != "scene":
+            taken.append(whole)
     return sorted([*taken, *own, *poses], key=lambda v: list(SECTIONS.values()).index(v.causality))
-
-
-def _whole(variable: Variable, sources: Sources) -> Variable:
-    if variable.source not in ("qpos", "qvel"):
-        return variable
-    row = sources.find("output", variable.source)
-    text = f"{variable.description}; then the model's further joints"
-    return replace(variable, shape=row.shape, unit=row.unit, description=text)
 
 
 def _poses(sources: Sources) -> list[Variable]:
