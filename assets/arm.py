@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from . import asset_files
 from .franka import DEFAULT_ROBOT
@@ -19,6 +20,15 @@ def read_spec(name: str, robot: str) -> Any:
     spec = mujoco.MjSpec.from_string(files[name].decode(), include=files, assets=files)
     change_arm(spec, robot, files)
     return spec
+
+
+def saved(model: Any) -> bytes:
+    """Return a model as MJB, which includes its meshes and textures."""
+    embed = getattr(mujoco, "mj_embedAssets", lambda whole: whole)  # always embedded before 3.15
+    whole = embed(model)
+    buffer = np.empty(mujoco.mj_sizeModel(whole), np.uint8)
+    mujoco.mj_saveModel(whole, None, buffer)
+    return buffer.tobytes()
 
 
 def change_arm(spec: Any, robot: str, files: Mapping[str, bytes]) -> None:

@@ -21,14 +21,14 @@ from .linalg import (
     mat_vec,
 )
 from .model import ArmModel
-from .signals import KEPT, Late, Layout, Vector, Views
+from .signals import KEPT, Late, Law, Layout, Vector
 
 # Added to the inverse of the hand's inertia, which bounds the inertia near singularities.
 COMPLIANCE: Final = 1e-3  # [1/kg, 1/(kg m^2)]
 TORQUE, TORQUE_RATE = 5.0, 6.0  # values of `limit`
 
 
-class ImpedanceLaw:
+class ImpedanceLaw(Law):
     """The hand yields to forces like a spring, and comes back no faster than its dampers let it.
 
     With e the pose error, v the hand's twist, a_cmd the change of twist_cmd per period T, and of
@@ -64,10 +64,6 @@ class ImpedanceLaw:
             ("poses", float, (KEPT, 7)),  # commanded in the last updates, see `Late`
         ]
     )
-
-    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
-        self._inputs, self._outputs, self._state = inputs, outputs, state
-        self._period = period
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""

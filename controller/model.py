@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets.arm import read_spec
+from ..assets.arm import read_spec, saved
 from ..assets.franka import DEFAULT_ROBOT
 
 Vector = NDArray[np.float64]
@@ -34,10 +34,7 @@ def load_arm(load: float = 0.0, robot: str = DEFAULT_ROBOT) -> Any:
 
 def arm_mjb(robot: str) -> bytes:
     """Return a robot's compiled arm as a file of MuJoCo's (MJB), for the law in C."""
-    model = load_arm(robot=robot)
-    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    return content.tobytes()
+    return saved(load_arm(robot=robot))
 
 
 class HandState(NamedTuple):

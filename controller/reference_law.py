@@ -26,10 +26,10 @@ from .linalg import (
 )
 from .model import ArmModel
 from .pid import PID_STATE, Pid
-from .signals import KEPT, Late, Layout, Vector, Views
+from .signals import KEPT, Late, Law, Layout, Vector
 
 
-class ReferenceLaw:
+class ReferenceLaw(Law):
     """Differential inverse kinematics to a joint reference, which position servos follow.
 
     With e the pose error, v the hand's twist, T the period, M the mass matrix:
@@ -64,10 +64,6 @@ class ReferenceLaw:
         ]
     )
 
-    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
-        self._inputs, self._outputs, self._state = inputs, outputs, state
-        self._period = np.array(period)  # numpy multiplies by it faster than by a float
-
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
         self._gains, robot = gains, ROBOTS[gains.robot]
@@ -82,7 +78,7 @@ class ReferenceLaw:
             np.array(gains.gravity_feedforward),
             np.array(gains.inertia_feedforward),
         )
-        period = float(self._period)
+        period = self._period
         self._error_share = period / (gains.error_filter + period)
         self._limits = JointLimits(gains.limit_share, gains.reference_lead, period, robot)
         self._pid = Pid(gains, period, self._state.pid)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..assets.franka import DEFAULT_ROBOT, ROBOTS
+from .gains import switch
 
 _ZEROS = (0.0,) * 7
 
@@ -16,10 +17,6 @@ def _error(
     """Return the field of an error between two values; `part`: it is a multiple of that."""
     about = {"unit": unit, "range": bounds, "text": text, "multiple_of": part}
     return field(default=default, metadata=about)
-
-
-def _choice(default: str, text: str, choices: tuple[str, ...]) -> Any:
-    return field(default=default, metadata={"choices": choices, "text": text})
 
 
 @dataclass(frozen=True)
@@ -40,13 +37,13 @@ class SensorErrors:
     delay: int = _error(0, "s", (0.0, 0.1), "Delay of the measurements", 0.001)
     dropout: float = _error(0.0, "1", (0.0, 1.0), "Share of ticks whose measurement is lost; the "
                             "last one is held")
-    hand_pose_source: str = _choice("plant", "Where the hand's pose, its Jacobian and the bias "
-                                    "force come from: the plant, or the robot's own model at the "
-                                    "measured joints", ("plant", "model"))
+    hand_pose_source: str = switch("plant", "Where the hand's pose, its Jacobian and the bias "
+                                   "force come from: the plant, or the robot's own model at the "
+                                   "measured joints", ("plant", "model"))
     block_position_error: tuple[float, ...] = _error((0.0, 0.0, 0.0), "m", (-0.5, 0.5), "Error of "
                                                      "the block's measured position, world frame")
     block_yaw_error: float = _error(0.0, "rad", (-3.2, 3.2), "Error of the block's measured yaw "
                                     "about the world's z axis")
-    robot: str = _choice(DEFAULT_ROBOT, "Arm whose model gives the hand's pose: panda (Franka "
-                         "Emika Panda) or fr3 (Franka Research 3)", tuple(ROBOTS))
+    robot: str = switch(DEFAULT_ROBOT, "Arm whose model gives the hand's pose: panda (Franka "
+                        "Emika Panda) or fr3 (Franka Research 3)", tuple(ROBOTS))
     # fmt: on

@@ -12,15 +12,11 @@ import numpy as np
 
 from .model import ArmModel
 from .sensor_errors import SensorErrors
-from .signals import Buffer, Vector
+from .signals import INPUTS, Buffer, Vector
 
 TRUTH: Final = np.dtype(
     [
-        ("qpos", float, 7),
-        ("qvel", float, 7),
-        ("hand_xpos", float, 3),
-        ("hand_xquat", float, 4),
-        ("jac", float, (6, 7)),
+        *((name, INPUTS[name]) for name in ("qpos", "qvel", "hand_xpos", "hand_xquat", "jac")),
         ("qfrc_bias", float, 7),
         ("target_xpos", float, 3),
         ("target_xmat", float, (3, 3)),
@@ -121,15 +117,11 @@ class Sensors:
                 self._line[:] = arrived  # the robot has been at rest before
             place = self._line[self._tick % len(self._line)]
             arrived, place[:] = place.copy(), arrived
-        if not self._is_lost():
-            self.reading_values[:] = arrived
-
-    def _is_lost(self) -> bool:
-        """Tell whether this tick's reading does not arrive; the first one always does."""
-        if self._tick == 0 or not self._errors.dropout:
-            return False
-        self._draw()
-        return bool(self._chances[self._tick % _DRAWN] < self._errors.dropout)
+        if self._tick > 0 and self._errors.dropout:  # the first one always arrives
+            self._draw()
+            if self._chances[self._tick % _DRAWN] < self._errors.dropout:
+                return
+        self.reading_values[:] = arrived
 
     def _draw(self) -> None:
         """Draw the numbers of the ticks around this one, normal and uniform ones."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from types import SimpleNamespace
-from typing import Any, ClassVar, Final, Protocol
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +53,7 @@ OUTPUTS = np.dtype(
 )
 
 
-class Law(Protocol):
+class Law(ABC):
     """A control law: how the inputs become servo targets of the arm.
 
     It gets the controller's period [s] and named views of `INPUTS`, `OUTPUTS` and its own `STATE`
@@ -62,14 +63,19 @@ class Law(Protocol):
 
     STATE: ClassVar[Layout]
 
-    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None: ...
+    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
+        self._inputs, self._outputs, self._state = inputs, outputs, state
+        self._period = period
 
+    @abstractmethod
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
 
+    @abstractmethod
     def start(self) -> None:
         """Start from the present inputs, whatever state and outputs hold."""
 
+    @abstractmethod
     def update(self) -> None:
         """Compute the outputs of one period, except for the gripper's target."""
 

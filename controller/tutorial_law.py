@@ -10,17 +10,13 @@ from .gains import Gains
 from .ik import pose_error
 from .linalg import cholesky_solve, damped_factor, manipulability, mat_t_vec
 from .pid import PID_STATE, Pid
-from .signals import KEPT, Late, Layout, Views
+from .signals import KEPT, Late, Law, Layout
 
 
-class TutorialLaw:
+class TutorialLaw(Law):
     """No joint reference and no limits: ctrl = base_ctrl + PID(pinv(J) e), e the pose error."""
 
     STATE: ClassVar[Layout] = np.dtype([("pid", PID_STATE), ("poses", float, (KEPT, 7))])
-
-    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
-        self._inputs, self._outputs, self._state = inputs, outputs, state
-        self._period = period
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""

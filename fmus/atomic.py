@@ -6,7 +6,6 @@ import os
 import secrets
 import shutil
 import stat
-import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
@@ -124,12 +123,11 @@ def cache_folder() -> Path:
         status = folder.stat()
     except OSError as error:
         raise _cache_refused(folder, error) from error
-    if sys.platform != "win32":
-        if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            raise InputError(
-                f"{folder}: others may write to it, and code from there would be run; set "
-                "PANDA_COSIM_CACHE to a folder that is yours alone (chmod 700)"
-            )
+    if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise InputError(
+            f"{folder}: others may write to it, and code from there would be run; set "
+            "PANDA_COSIM_CACHE to a folder that is yours alone (chmod 700)"
+        )
     return folder
 
 
@@ -164,11 +162,10 @@ def _cache_place() -> Path:
     chosen = os.environ.get("PANDA_COSIM_CACHE")
     if chosen:
         return Path(chosen).absolute()
-    windows = sys.platform == "win32"
-    place = Path(os.environ.get("LOCALAPPDATA" if windows else "XDG_CACHE_HOME", ""))
+    place = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if not place.is_absolute():  # Ref: XDG Base Directory Specification: others are ignored
         try:
-            place = Path.home().absolute() / ("" if windows else ".cache")
+            place = Path.home().absolute() / ".cache"
         except RuntimeError as error:
             raise InputError("no home folder for the FMU cache; set PANDA_COSIM_CACHE") from error
     return place / "panda-cosim"

@@ -170,7 +170,11 @@ class Plant:
         self._contact_force = np.zeros(6)
         self._contact_kinds = kinds_of(self.model)
         self._warnings = self.data.warning.number  # (n,) counts, by kind
-        self._normals, self._sensors = self._contact_normals(), self.data.sensordata
+        self._sensors = self.data.sensordata
+        self._normals = np.zeros(self.model.nsensordata)  # 1 for (normal, tangent, tangent)'s first
+        for side in ("left", "right"):
+            sensor = self.model.sensor(f"{side}_finger_contact")
+            self._normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
         record = self.output_values.view(OUTPUTS)  # (1,)
         self._copied = [(record[name][0], source) for name, source in self._sources().items()]
         self._grip_sum = record["contact_force"]
@@ -205,14 +209,6 @@ class Plant:
             "actuator_force": data.actuator_force,
             "mass_matrix": self._inertia[:7, :7],
         }
-
-    def _contact_normals(self) -> NDArray[np.float64]:
-        """Return 1 for each normal force of (normal, tangent, tangent) in the sensors, else 0."""
-        normals = np.zeros(self.model.nsensordata)
-        for side in ("left", "right"):
-            sensor = self.model.sensor(f"{side}_finger_contact")
-            normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
-        return normals
 
     def reset(self) -> None:
         """Go back to the start: keyframe `home`, with the block where the parameters put it."""
@@ -259,12 +255,7 @@ class Plant:
         for output, source in self._copied:
             output[...] = source
         self._grip_sum[0] = mujoco.mju_dot(self._normals, self._sensors)
-        if np.count_nonzero(self._warnings):
-            self._refuse_divergence()
-
-    def _refuse_divergence(self) -> None:
-        """Raise an error if one of MuJoCo's warnings means divergence."""
-        for kind in DIVERGED:
+        for kind in DIVERGED if np.count_nonzero(self._warnings) else ():
             if self._warnings[kind]:
                 index = self.data.warning[int(kind)].lastinfo
                 raise DivergenceError(

@@ -76,6 +76,22 @@ class Quantity(_Field):
 
 
 @dataclasses.dataclass(frozen=True)
+class Whole(_Field):
+    """A whole number within [low, high]; one that is a float becomes an int."""
+
+    low: int
+    high: int
+
+    def __call__(self, value: object) -> int:
+        """Return the number."""
+        number = Quantity()(value)
+        if self.low <= number <= self.high and number == int(number):
+            return int(number)
+        span = f"from {self.low} to {self.high}"
+        raise ValueError(f"value {excerpt(value)}; must be a whole number {span}")
+
+
+@dataclasses.dataclass(frozen=True)
 class Vector(_Field):
     """A fixed number of numbers with the same bounds; stored as a tuple."""
 
@@ -202,7 +218,9 @@ def _describe(error: ValidationError, cls: type) -> str:
     if problem["type"] == "unexpected_keyword_argument":
         return _section(loc[:-1]) + _unknown(str(loc[-1]), [*map(key_of, field_names(owner))])
     if problem["type"] == "missing":
-        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {_required(owner)}"
+        fields, none = dataclasses.fields(owner), dataclasses.MISSING
+        required = ", ".join(f.name for f in fields if f.default is f.default_factory is none)
+        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {required}"
     cause = problem.get("ctx", {}).get("error")
     if cause is None:  # something else where a section is needed
         path = ".".join(part for part in loc if isinstance(part, str))
@@ -222,11 +240,6 @@ def _class_at(cls: Any, loc: Loc) -> Any:
             kinds = (hint, *get_args(hint))
             cls = next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
     return cls
-
-
-def _required(cls: Any) -> str:
-    fields, none = dataclasses.fields(cls), dataclasses.MISSING
-    return ", ".join(f.name for f in fields if f.default is f.default_factory is none)
 
 
 def _section(loc: Loc) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import shlex
+import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from ..fmus.atomic import MARK, replacing
 from ..fmus.errors import InputError
@@ -60,6 +62,15 @@ def write_all(contents: Mapping[Path, str]) -> None:
     for path, text in contents.items():
         with replacing(path) as partial:
             partial.write_text(text, encoding="utf-8")
+
+
+def read_toml(path: Path, max_bytes: int) -> dict[str, Any]:
+    """Read a TOML file."""
+    text = read_text(path, max_bytes)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also an integer of thousands of digits
+        raise InputError(f"{path}: {error}; must be TOML") from None
 
 
 def read_text(path: Path, max_bytes: int) -> str:

@@ -55,7 +55,6 @@ MALFORMED: dict[str, tuple[bytes, bytes | None]] = {
     "long address": (b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", b"414"),
     "address that is none": (b"GET http://[x?token=TOKEN HTTP/1.1\r\n\r\n", b"400"),
     "lone surrogate": (b"GET /?token=%ed%a0%80 HTTP/1.1\r\nHost: HOST\r\n\r\n", b"403"),
-    "two hosts": (b"GET /?token=TOKEN HTTP/1.1\r\nHost: HOST\r\nHost: HOST\r\n\r\n", b"403"),
     "file of the run": (b"GET /session.jsonl?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", b"404"),
 }
 

@@ -81,18 +81,15 @@ def described(interface: Interface, layout: Layout) -> list[Described]:
             if layout.fmi == 2 or layout.scalars:
                 each = [(scalar.alone(), [scalar]) for scalar in scalars]
             for variable, own in each:
-                name = _flat_name(variable.name) if layout.flat else variable.name
+                name = variable.name
+                if layout.flat:  # `jac_1_2` for `jac[1,2]`
+                    name = re.sub(r"\W+", "_", name, flags=re.A).strip("_")
                 names, reference = [s.name for s in own], own[0].value_reference
                 rows.append(Described(replace(variable, name=name), reference, whole.name, names))
     counts = Counter(row.variable.name for row in rows)
     for name in (name for name, count in counts.items() if count > 1):
         raise InputError(f"{interface.model}: two variables would have the name {name!r}")
     return rows
-
-
-def _flat_name(name: str) -> str:
-    """Return a name without brackets and dots: `jac_1_2` for `jac[1,2]`."""
-    return re.sub(r"\W+", "_", name, flags=re.A).strip("_")
 
 
 def members(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:

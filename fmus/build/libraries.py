@@ -270,8 +270,8 @@ def _download(platform: str) -> bytes:
         done = run(command, environment=os.environ | {"TMPDIR": str(folder)})
         wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
-            lines = done.stderr.strip().splitlines() or ["pip failed"]
-            raise CosimError(f"MuJoCo's library for {platform} cannot be downloaded: {lines[-1]}")
+            reason = _last_line(done.stderr)
+            raise CosimError(f"MuJoCo's library for {platform} cannot be downloaded: {reason}")
         return wheels[0].read_bytes()
 
 

@@ -21,7 +21,7 @@ from ..atomic import replacing
 from ..errors import InputError
 from ..inside.base import TICK
 from ..interface.tables import Connection
-from ..interface.units import BASES, PLAIN, Unit, Units
+from ..interface.units import BASES, PLAIN, Units
 from ..interface.variables import Scalar, Value, Variable, by_array
 from .description import ABOUT, literal, render
 from .native import archive
@@ -127,22 +127,19 @@ def parameter_set(name: str, component: Component) -> bytes:
 
 
 def _render(template: str, components: Collection[Component], **context: Any) -> bytes:
-    units = dict(sorted((name, unit) for c in components for name, unit in c.units.items()))
+    units: dict[str, dict[str, float | None]] = {}
+    for name, unit in sorted((name, unit) for c in components for name, unit in c.units.items()):
+        units[name] = {base: e or None for base, e in zip(BASES, unit.exponents, strict=True)}
+        factor = None if unit.factor == 1.0 else unit.factor
+        units[name] |= {"factor": factor, "offset": unit.offset or None}
     return render(
         template,
         prefixes=PREFIXES,
         about=ABOUT,
         version="2.0" if any(each.fmi == 3 for each in components) else "1.0",
-        units={name: _base_unit(unit) for name, unit in units.items()},
+        units=units,
         **context,
     )
-
-
-def _base_unit(unit: Unit) -> dict[str, float | None]:
-    """Attributes of a unit's definition."""
-    factor = None if unit.factor == 1.0 else unit.factor
-    exponents = {base: e or None for base, e in zip(BASES, unit.exponents, strict=True)}
-    return {**exponents, "factor": factor, "offset": unit.offset or None}
 
 
 def _connectors(system: WrittenSystem, name: str) -> list[Variable]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, cast
 
 import mujoco
 import numpy as np
@@ -21,14 +21,6 @@ PERIOD_TOLERANCE: Final = 1e-9  # [s]
 ZERO_TOLERANCE: Final = 1e-3  # [1] a shorter quaternion counts as zero
 
 
-class _Orientation(NamedTuple):
-    """A quaternion (w, x, y, z) among the inputs."""
-
-    name: str  # of the variable
-    quat: Array  # (4,) view of the input
-    last: Array  # (4,) view of the last valid value
-
-
 class ControllerSlave(SharedSlave):
     """Translates between FMI and `controller.Controller`."""
 
@@ -43,9 +35,6 @@ class ControllerSlave(SharedSlave):
         self._ticks = 0
         self._last = np.zeros(8)  # last valid quaternions; no measurement of the hand yet
         self._last[:4] = HOME_XQUAT
-        views = self._views
-        self._command = _Orientation("quat_cmd", views["quat_cmd"], self._last[:4])
-        self._hand = _Orientation("hand_xquat", views["hand_xquat"], self._last[4:])
         self._controller = Controller(self._gains(), period, self._inputs, self._outputs)
 
     def _gains(self) -> Gains:
@@ -58,18 +47,18 @@ class ControllerSlave(SharedSlave):
 
     def advance(self, count: int) -> None:
         """Update the controller once per period, at the beginning of a step."""
-        self._normalize(self._command)
-        self._normalize(self._hand)
+        self._normalize("quat_cmd", self._last[:4])
+        self._normalize("hand_xquat", self._last[4:])
         first = -self._ticks % self._period_ticks  # steps to the next update
         self._ticks += count
-        if not np.count_nonzero(self._hand.last):
+        if not np.count_nonzero(self._last[4:]):
             return  # some importers send zeros first; the law must start from a measurement
         for _ in range(first, count, self._period_ticks):
             self._controller.update()
 
-    def _normalize(self, orientation: _Orientation) -> None:
+    def _normalize(self, name: str, last: Array) -> None:
         """Scale a quaternion to length 1; replace one of length 0 by the last valid one."""
-        name, quat, last = orientation
+        quat = self._views[name]
         length = mujoco.mju_norm(quat)
         if length < ZERO_TOLERANCE:
             quat[:] = last

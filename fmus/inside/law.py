@@ -76,7 +76,10 @@ class LawSlave:
         try:
             answer = self._law.update(time, **given)
         except Exception as error:
-            raise ValueError(_where(error)) from error
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(frame.filename).name}, line {frame.lineno}"
+            text = f"update failed: {place}: {type(error).__name__}: {error}"
+            raise ValueError(text) from error
         try:
             ctrl = np.asarray(answer, dtype=np.float64)
         except (TypeError, ValueError):
@@ -137,13 +140,6 @@ def _read(value: Any) -> Any:
         return array[()] if value["scalar"] else array
     parts = [_read(part) for part in content]
     return deque(parts, value["longest"]) if kind == "deque" else CONTAINERS[kind](parts)
-
-
-def _where(error: Exception) -> str:
-    """Return file, line and cause of an error in a law, on one line."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    return f"update failed: {place}: {type(error).__name__}: {error}"
 
 
 def _value(view: Any, *, is_switch: bool = False) -> Any:

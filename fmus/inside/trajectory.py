@@ -23,7 +23,9 @@ class TrajectorySlave(SharedSlave):
 
     def __init__(self, resources: str = "", **arguments: Any) -> None:
         super().__init__(resources=resources, **arguments)
-        self._built_in = _built_in(Path(resources))  # read now: a host may remove the folder later
+        path, self._built_in = Path(resources, TABLE_FILE), np.array([HOME])
+        if path.is_file():  # read now: a host may remove the folder later
+            self._built_in = np.frombuffer(path.read_bytes(), "<f8").reshape(-1, len(NAMES))
 
     def rebuild(self, start_time: float) -> None:
         """Read the table."""
@@ -47,14 +49,6 @@ class TrajectorySlave(SharedSlave):
     def set_state(self, state: bytes) -> None:
         """Restore it."""
         self._tick = int(state)
-
-
-def _built_in(resources: Path) -> Array:
-    """Read the packed table; if there is none, command the home pose."""
-    path = resources / TABLE_FILE
-    if not path.is_file():
-        return np.array([HOME])
-    return np.frombuffer(path.read_bytes(), dtype="<f8").reshape(-1, len(NAMES))
 
 
 def read_commands(path: Path) -> Array:

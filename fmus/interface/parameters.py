@@ -15,30 +15,20 @@ ParameterValue = float | bool | str | Sequence[float]
 def expand(
     instance: str,
     interface: Interface,
-    given: Mapping[str, ParameterValue],
+    by_name: Mapping[str, ParameterValue],
     causality: Causality = "parameter",
 ) -> dict[str, Value]:
     """Turn parameters, or inputs, that a user sets into start values by scalar variable."""
     # One number for `kp` sets all seven gains, a sequence sets each of them, and `kp[3]`, wherever
-    # it stands, the third.
+    # it stands, the third: whole vectors come first.
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
-    for name, value in general_first(given, scalars):
+    for name in sorted(by_name, key=lambda n: n in scalars and scalars[n].variable.name != n):
         own = targets(instance, interface, scalars, name, causality)
-        parts = _parts(f"{instance}.{name}", value, len(own))
+        parts = _parts(f"{instance}.{name}", by_name[name], len(own))
         for scalar, part in zip(own, parts, strict=True):
             values[scalar.name] = scalar.checked(f"{instance}.{scalar.name}", part)
     return values
-
-
-def general_first(
-    given: Mapping[str, ParameterValue], scalars: Mapping[str, Scalar]
-) -> list[tuple[str, ParameterValue]]:
-    """Return whole vectors before single elements, so that no order of the names is seen."""
-    return sorted(
-        given.items(),
-        key=lambda item: item[0] in scalars and scalars[item[0]].variable.name != item[0],
-    )
 
 
 def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]:

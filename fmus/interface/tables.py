@@ -84,7 +84,6 @@ TRAJECTORY = Interface(
 
 
 INTERFACES = MappingProxyType({"plant": PLANT, "controller": CONTROLLER})
-ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY, SENSORS)
 
 
 @dataclass(frozen=True)
@@ -99,17 +98,8 @@ class Connection:
     converts_types: bool = False  # also where that rounds, or makes a number of a Boolean
 
 
-def _measured() -> list[Connection]:
-    """Connect the controller's measured inputs to the plant's outputs of the same names."""
-    return [
-        Connection(("plant", name), ("controller", name))
-        for variable in CONTROLLER.of("input")
-        if variable.name in MEASURED
-        for name in variable.names()
-    ]
-
-
 CONNECTIONS = (
-    *_measured(),
+    *(Connection(("plant", name), ("controller", name))
+      for v in CONTROLLER.of("input") if v.name in MEASURED for name in v.names()),
     *(Connection(("controller", name), ("plant", name)) for name in PLANT.variable("ctrl").names()),
-)
+)  # fmt: skip

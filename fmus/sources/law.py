@@ -168,26 +168,21 @@ def law_fmu(
     # be `within`, or at least one beyond; the `reason` for the message.
     set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n"
     slave = {SLAVE_FILE: SLAVE.read_bytes() + set_law.encode()}
-    return python_fmu(
-        interface,
-        law.text,
-        slave | law_code(law.path),
-        (SLAVE_FILE.removesuffix(".py"), "LawSlave"),
-        ("numpy",),
-        resources={LAYOUT: _layout(interface, start, first)},
-        private=True,
-    )
-
-
-def _layout(interface: Interface, start: tuple[float, ...], first: Any) -> bytes:
-    """Layout of the variables, for the slave, as JSON."""
     rows = [
         {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
          "is_switch": v.kind == "Boolean"}
         for v in interface.variables
     ]  # fmt: skip
     layout = {"step": STEP_SIZE, "variables": rows, "start": start, "first": first}
-    return json.dumps(layout).encode()
+    return python_fmu(
+        interface,
+        law.text,
+        slave | law_code(law.path),
+        (SLAVE_FILE.removesuffix(".py"), "LawSlave"),
+        ("numpy",),
+        resources={LAYOUT: json.dumps(layout).encode()},
+        private=True,
+    )
 
 
 def law_code(path: Path) -> dict[str, bytes]:

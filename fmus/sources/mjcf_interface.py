@@ -123,13 +123,10 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
         lines += ["", f"[{section}]"]
         for name, keys in whole.variables[section].items():
             mark = "" if name in description.variables[section] else "# "
-            lines.append(f"{mark}{name} = {_inline(keys)}")
+            # JSON's strings, numbers and lists are valid TOML.
+            pairs = ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
+            lines.append(f"{mark}{name} = {{ {pairs} }}")
     return "\n".join(lines) + "\n"
-
-
-def _inline(keys: Mapping[str, Any]) -> str:
-    """Format an inline table; JSON's strings, numbers and lists are valid TOML."""
-    return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items()) + " }"
 
 
 def read_description(path: Path) -> Description:
@@ -205,20 +202,16 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
                 )
     own_names = {variable.name for variable in own}
     poses = [v for v in _poses(sources) if v.name not in own_names]
-    taken = [
-        _whole(variable, sources)
-        for variable in base.variables
-        if variable.name not in own_names and variable.source != "scene"
-    ]
+    taken = []
+    for variable in base.variables:
+        whole = variable
+        if variable.source in ("qpos", "qvel"):
+            row = sources.find("output", variable.source)
+            text = f"{variable.description}; then the model's further joints"
+            whole = replace(variable, shape=row.shape, unit=row.unit, description=text)
+        if variable.name not in own_names and variable.source != "scene":
+            taken.append(whole)
     return sorted([*taken, *own, *poses], key=lambda v: list(SECTIONS.values()).index(v.causality))
-
-
-def _whole(variable: Variable, sources: Sources) -> Variable:
-    if variable.source not in ("qpos", "qvel"):
-        return variable
-    row = sources.find("output", variable.source)
-    text = f"{variable.description}; then the model's further joints"
-    return replace(variable, shape=row.shape, unit=row.unit, description=text)
 
 
 def _poses(sources: Sources) -> list[Variable]:

@@ -12,10 +12,9 @@ from threading import RLock
 from typing import Any, Final
 
 import mujoco
-import numpy as np
 
 from ...assets import asset_files
-from ...assets.arm import change_arm
+from ...assets.arm import change_arm, saved
 from ...assets.franka import DEFAULT_ROBOT
 from ..build.native import NativeFmu
 from ..errors import InputError, one_line
@@ -126,19 +125,10 @@ def mujoco_fmu(
     variables = tuple(_resolved(variable, sources) for variable in interface.variables)
     options = [("model", f"{name}{MODEL_SUFFIX}") for name in models]
     options += [("key", str(key))] if key >= 0 else []
-    files = {f"{name}{MODEL_SUFFIX}": _saved(model) for name, model in models.items()}
+    files = {f"{name}{MODEL_SUFFIX}": saved(model) for name, model in models.items()}
     resolved = replace(interface, variables=variables)
     return NativeFmu(resolved, "mujoco", law, files, tuple(options), step_size=step,
                      stop_time=stop_time or STEPS * step)  # fmt: skip
-
-
-def _saved(model: Any) -> bytes:
-    """Return a model as MJB, which includes its meshes and textures."""
-    embed = getattr(mujoco, "mj_embedAssets", lambda whole: whole)  # always embedded before 3.15
-    whole = embed(model)
-    buffer = np.empty(mujoco.mj_sizeModel(whole), np.uint8)
-    mujoco.mj_saveModel(whole, None, buffer)
-    return buffer.tobytes()
 
 
 def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:

@@ -100,9 +100,6 @@ def recorded_python(needs: tuple[str, ...] = ("numpy", "mujoco")) -> tuple[Optio
 @cache
 def python_library() -> Path | None:
     """Path of this Python's shared library; None if it has none."""
-    if sys.platform == "win32":
-        library = Path(sys.base_prefix, "python{}{}.dll".format(*sys.version_info[:2]))
-        return library if library.is_file() else None
     names = ("Py_ENABLE_SHARED", "INSTSONAME", "LIBDIR", "MULTIARCH")
     shared, name, folder, multiarch = map(sysconfig.get_config_var, names)
     if not shared or not name:

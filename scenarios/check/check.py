@@ -162,23 +162,19 @@ def _suggestions(assembly: Assembly) -> Iterator[str]:
 
 def _nearest(connector: Connector, name: str, fed: Variable) -> str:
     """Return the output that fits an input: of a name like its own, or the only one of its unit."""
-    fitting = []
+    fitting, stem = [], _SIDE.sub("", fed.name.lower())
     for part in connector.parts.values():
         for giving in part.interface.of("output") if part.name != name else ():
             with suppress(InputError):
                 source = f"{part.name}.{giving.name}"
                 connector.check(source, giving, f"{name}.{fed.name}", fed)
-                fitting.append((_likeness(giving.name, fed.name), source, giving))
+                alike = SequenceMatcher(None, _SIDE.sub("", giving.name.lower()), stem).ratio()
+                fitting.append((alike, source, giving))
     likeness, source, _ = max(fitting, default=(0.0, "", fed), key=lambda each: each[0])
     if likeness >= ALIKE:
         return source
     same_unit = [each for each in fitting if fed.unit not in ("", "1") and each[2].unit]
     return same_unit[0][1] if len(same_unit) == 1 else ""
-
-
-def _likeness(one: str, other: str) -> float:
-    stems = [_SIDE.sub("", name.lower()) for name in (one, other)]
-    return SequenceMatcher(None, stems[0], stems[1]).ratio()
 
 
 def _rehearsed(prepared: Prepared) -> list[Diagnostic]:

@@ -156,21 +156,17 @@ def _explain(error: BaseException) -> tuple[int, str]:
 def _usage_message(error: Any) -> str:
     """Return typer's message, with the nearest valid choice and a pointer to the help."""
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
-    message = _with_value(message, error)
+    # pydantic's messages about numbers leave out the refused value.
+    errors: list[Any] = getattr(error.__cause__, "errors", list)()
+    if errors:
+        rule = message.partition(", unable to parse")[0]
+        value = excerpt(errors[0]["input"])
+        message = rule.replace("Input should be", f"{value}; must be", 1)
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         message += did_you_mean(choice[1], re.findall("'(.*?)'", choice[2]))
     path = getattr(getattr(error, "ctx", None), "command_path", "panda-cosim")
     return f"{message} (see `{path} --help`)"
-
-
-def _with_value(message: str, error: Any) -> str:
-    """Name the refused value, which pydantic's messages about numbers leave out."""
-    errors: list[Any] = getattr(error.__cause__, "errors", list)()
-    if not errors:
-        return message
-    rule = message.partition(", unable to parse")[0]
-    return rule.replace("Input should be", f"{excerpt(errors[0]['input'])}; must be", 1)
 
 
 app = typer.Typer(

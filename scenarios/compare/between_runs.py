@@ -127,7 +127,9 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         for run in runs
     )
     summaries = [_summary(run) for run in runs]
-    names = _names_of(runs)
+    paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
+    short = [path.resolve().name for path in paths]
+    names = tuple(short if len(set(short)) == len(short) else map(str, paths))
     instants = differences.common_instants(names, [each.time for each in recordings])
     every = dict.fromkeys(name for r in recordings for name in r.columns if name != "time")
     common = [name for name in every if all(name in r.units for r in recordings)]
@@ -138,7 +140,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     metrics = differences.differing([differences.metrics_of(summary) for summary in summaries])
     return RunComparison(
         names=names,
-        extents=tuple(map(differences.extent_of, recordings)),
+        extents=tuple(map(Extent.of, recordings)),
         begin=float(instants[0]),
         end=float(instants[-1]),
         rows=len(instants),
@@ -169,13 +171,6 @@ def _summary(run: Run | str | Path) -> Mapping[str, Any]:
     return summary
 
 
-def _names_of(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
-    """Return the name of each run's folder, or its whole path if names are equal."""
-    paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
-    short = [path.resolve().name for path in paths]
-    return tuple(short if len(set(short)) == len(short) else map(str, paths))
-
-
 def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
     """Return the rows of a table: span, number of rows and end of each run."""
     extents = comparison.extents
@@ -202,11 +197,16 @@ def _page(comparison: RunComparison) -> Page:
     first, *others = comparison.names
     state = "bad" if comparison.unmet else "good" if comparison.identical else ""
     view, view_parts = _view(comparison)
+    rows = [
+        (row.name, bound_text(next(filter(None, row.judged))), *map(judged_text, row.judged))
+        for row in comparison.criteria
+    ]
+    criteria = Table(("Criterion", "Required", *comparison.names), rows)
     parts = [
         Part("Recorded", [Table(("Recorded", *comparison.names), extent_rows(comparison))]),
         *view,
         _values("Parameter", comparison, comparison.parameters),
-        *_criteria_part(comparison),
+        *([Part("Success condition", [criteria])] if criteria.rows else []),
         *_signals_part(comparison),
         _values("Metric", comparison, comparison.metrics),
     ]
@@ -225,16 +225,6 @@ def _values(what: str, comparison: RunComparison, rows: Sequence[Row]) -> Part:
     cells = [(row.name, *numbers(row.values)) for row in rows]
     note = "" if cells else "None."
     return Part(f"{what}s that differ", [Table((what, *comparison.names), cells)], note)
-
-
-def _criteria_part(comparison: RunComparison) -> list[Part]:
-    if not comparison.criteria:
-        return []
-    rows = []
-    for row in comparison.criteria:
-        bound = next(bound_text(c) for c in row.judged if c is not None)
-        rows.append((row.name, bound, *map(judged_text, row.judged)))
-    return [Part("Success condition", [Table(("Criterion", "Required", *comparison.names), rows)])]
 
 
 def _signals_part(comparison: RunComparison) -> list[Part]:

@@ -119,18 +119,12 @@ def bit_problems(recording: Recording, reference: Reference) -> list[str]:
     ]
     if not differing:
         return []
-    text = f"bits differ: {signal_names(differing)}"
-    changes = _environment_changes(reference.metadata, kept_metadata(recording))
-    if changes:
-        text += f" (recorded with another {', another '.join(changes)})"
-    return [text]
-
-
-def _environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return the differences in machine and versions, which may change bits."""
+    before, now = reference.metadata, kept_metadata(recording)
     changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
     old, new = before.get("versions", {}), now.get("versions", {})
-    return changes + [name for name in new if old.get(name) != new[name]]
+    changes += [name for name in new if old.get(name) != new[name]]
+    causes = f" (recorded with another {', another '.join(changes)})" if changes else ""
+    return [f"bits differ: {signal_names(differing)}{causes}"]
 
 
 COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
@@ -202,14 +196,11 @@ def compare_with_reference(
     rows = matching_rows(time, reference)
     matched = rows >= 0
     time, rows = time[matched], rows[matched]
-    columns = (recording[name][matched].astype(float, copy=False) for name in present)
-    deviations = sorted(
-        (
-            _deviation(name, time, rows, values, reference, tolerances)
-            for name, values in zip(present, columns, strict=True)
-        ),
-        key=lambda d: -d.share,
-    )
+    deviations = []
+    for name in present:
+        values = recording[name][matched].astype(float, copy=False)
+        deviations.append(_deviation(name, time, rows, values, reference, tolerances))
+    deviations.sort(key=lambda d: -d.share)
     if not deviations:
         problems.append("no signal was compared")
     problems += _tube_problems(deviations)

@@ -104,6 +104,11 @@ class Extent:
     complete: bool  # whether it ran to its end
     reason: str | None  # why it did not
 
+    @classmethod
+    def of(cls, run: Recording) -> Extent:
+        """Return a recording's."""
+        return cls(float(run.time[0]), float(run.time[-1]), run.rows, run.complete, run.reason)
+
 
 @dataclass(frozen=True)
 class CriterionRow:
@@ -185,12 +190,6 @@ def _relative_change(before: Any, now: Any) -> float:
     if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in (before, now)):
         return 1.0
     return float(abs(now - before) / max(abs(before), abs(now), SMALL))
-
-
-def extent_of(recording: Recording) -> Extent:
-    """Return what a run recorded."""
-    time, complete = recording.time, recording.complete
-    return Extent(float(time[0]), float(time[-1]), recording.rows, complete, recording.reason)
 
 
 def criteria_of(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, ...]:

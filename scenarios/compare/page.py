@@ -12,7 +12,6 @@ import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import TEXT_LENGTH, legible, shown
+from ..pictures.panels import thin
 from .differences import multiple, signal_of
 
 Array = NDArray[np.float64]
@@ -167,13 +167,10 @@ def _choose(series: Sequence[Array], worst: int, points: int) -> NDArray[np.int6
     n = len(series[0])
     if n <= points:
         return np.arange(n)
-    edges = np.linspace(0, n, points // (2 * len(series)) + 1).astype(np.int64)
     chosen = [np.array([0, n - 1]), np.arange(max(worst - CLOSE, 0), min(worst + CLOSE + 1, n))]
     for values in series:
         chosen.append(np.flatnonzero(~np.isfinite(values))[:CLOSE])
-        clean = np.nan_to_num(values)
-        pairs = [(clean[a:b].argmin() + a, clean[a:b].argmax() + a) for a, b in pairwise(edges)]
-        chosen.append(np.ravel(pairs))
+        chosen.append(thin(np.nan_to_num(values), points // len(series)))
     return np.unique(np.concatenate(chosen))
 
 

@@ -156,7 +156,7 @@ class Reference:
         return cls(
             rows=description["rows"],
             step_size=metadata["step_size"],
-            column=lambda n: _integrate(_read(file, n).to_numpy(), quanta[n]),
+            column=lambda n: _read(file, n).to_numpy().astype(int).cumsum().cumsum() * quanta[n],
             quanta=quanta,
             units={name: unit for name, (unit, _) in description["columns"].items()},
             digests={name: bits for name, (_, bits) in description["columns"].items()},
@@ -223,13 +223,6 @@ def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
     for name in recording.columns:
         if not np.isfinite(recording[name]).all():
             raise InputError(f"{name} is not finite; the run cannot become a reference")
-
-
-def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
-    steps = differences.astype(np.int64)
-    for _ in range(2):
-        np.cumsum(steps, out=steps)
-    return np.asarray(steps * quantum, dtype=np.float64)
 
 
 def how_to_make(path: Path) -> str:

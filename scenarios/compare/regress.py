@@ -15,7 +15,7 @@ from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -32,22 +32,13 @@ from ..work import Workers
 from .compare import Comparison, compare_with_reference, describe, unexpected_text
 from .reference import Reference, how_to_make, reference_path
 
+if TYPE_CHECKING:
+    from ..sweep.engine import SuiteSweep
+
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 
 # Wall time of a scenario beyond its duration [s]; a hanging one must not hang the others.
 TIMEOUT: Final = 600.0
-
-
-class Member(Protocol):
-    """A member of a suite: a scenario, one that cannot be read, or a sweep."""
-
-    @property
-    def name(self) -> str:
-        """Name in reports."""
-
-    @property
-    def purpose(self) -> str:
-        """What it is for, in one line."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +65,7 @@ class Outcome:
     or the reference is damaged.
     """
 
-    scenario: Member
+    scenario: Scenario | Unusable | SuiteSweep
     verdict: Verdict
     run: Path  # folder of the run
     seconds: float  # wall time of the run [s]

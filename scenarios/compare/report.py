@@ -17,7 +17,7 @@ import numpy as np
 
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
-from ..judging.criterion import Criterion, bound_text, margin_text, quantity
+from ..judging.criterion import bound_text, margin_text, quantity
 from ..recording import Recording
 from ..run.start import Overrides
 from ..scenario.scenario import Scenario
@@ -80,7 +80,11 @@ def _about(outcomes: Sequence[Outcome]) -> str:
 
 def _section(outcome: Outcome, views: Views) -> Section:
     comparison = outcome.comparison
-    criteria = Table(CRITERIA, [_criterion(criterion) for criterion in outcome.criteria])
+    rows = [
+        (c.name, c.reason or quantity(c.value, c.unit), bound_text(c), margin_text(c), c.word)
+        for c in outcome.criteria
+    ]
+    criteria = Table(CRITERIA, rows)
     compared = _compared(outcome, comparison, views) if comparison else []
     worst = comparison.worst if comparison else None
     unknown = outcome.verdict == "no reference"
@@ -95,12 +99,6 @@ def _section(outcome: Outcome, views: Views) -> Section:
         seconds=outcome.seconds,
         worst=worst.share if worst else None,
     )
-
-
-def _criterion(criterion: Criterion) -> tuple[str, ...]:
-    measured = criterion.reason or quantity(criterion.value, criterion.unit)
-    margin = margin_text(criterion)
-    return (criterion.name, measured, bound_text(criterion), margin, criterion.word)
 
 
 def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:

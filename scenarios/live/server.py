@@ -1,8 +1,7 @@
 """Serves one page and its socket, only to clients with the token.
 
-Each request must have the token in its address and name this server in its `Host` header: a
-foreign name that resolves to it (DNS rebinding) is refused. A socket must come from the page
-itself: browsers put that into the header `Origin`, and pages cannot change it.
+Each request must have the token in its address. A socket must come from a page of the host that it
+names, too: browsers put that into the header `Origin`, and pages cannot change it.
 
 Clients that stop reading are closed by the keepalive of `websockets`, and unfinished requests after
 `OPEN_TIME`.
@@ -11,7 +10,6 @@ Clients that stop reading are closed by the keepalive of `websockets`, and unfin
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import json
 import logging
 import secrets
@@ -35,7 +33,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ...fmus.errors import InputError
-from .simulation import LetGo, Simulation, parse_command
+from .simulation import Act, Simulation, parse_command
 
 LOCAL: Final = "127.0.0.1"
 PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"
@@ -50,14 +48,7 @@ OPEN_PAGE: Final = """<!DOCTYPE html>
 <meta http-equiv="refresh" content="0; url={address}">
 <a href="{address}">The live run</a>
 """
-HEADERS: Final = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "frame-ancestors 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-}
+HEADERS: Final = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}  # of the token
 
 # Errors in a client's request belong into a log, if the user keeps one, not on the terminal.
 LOG: Final = logging.getLogger(__name__)
@@ -96,7 +87,9 @@ class LiveServer:
 
     async def _serve(self, listening: Future[None]) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        self._loop.set_exception_handler(_log)
+        self._loop.set_exception_handler(
+            lambda _, context: LOG.error(context["message"], exc_info=context.get("exception"))
+        )
         try:
             server = await serve(
                 self._talk,
@@ -130,11 +123,13 @@ class LiveServer:
         """Refuse, return the page, or let the socket be opened (None)."""
         try:
             address = urlsplit(request.path)
-            given = parse_qs(address.query, max_num_fields=4).get("token", [""])
+            token = parse_qs(address.query, max_num_fields=4).get("token", [""])[0]
         except ValueError:
             return connection.respond(HTTPStatus.BAD_REQUEST, "")
-        known = len(given) == 1 and secrets.compare_digest(given[0].encode(), self._token.encode())
-        if not (known and self._is_ours(request.headers, socket=address.path == SOCKET)):
+        is_known = secrets.compare_digest(token.encode(), self._token.encode())
+        hosts, origins = map(request.headers.get_all, ("Host", "Origin"))
+        is_own = address.path != SOCKET or origins == [f"http://{host}" for host in hosts]
+        if not (is_known and is_own):
             return connection.respond(HTTPStatus.FORBIDDEN, "")
         if address.path == SOCKET:
             full = len(self._viewers) >= VIEWERS
@@ -144,27 +139,6 @@ class LiveServer:
         if address.path != PAGE:
             return connection.respond(HTTPStatus.NOT_FOUND, "")
         return _response("text/html; charset=utf-8", self._page)
-
-    def _is_ours(self, headers: Headers, *, socket: bool) -> bool:
-        """Whether a request names this server and comes from its page or from no page."""
-        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-        if len(hosts) != 1 or not self._is_this_server(hosts[0]):
-            return False
-        return origins == [f"http://{hosts[0]}"] or (not socket and not origins)
-
-    def _is_this_server(self, host: str) -> bool:
-        name, colon, port = host.rpartition(":")
-        if not colon or port != str(self._port):
-            return False
-        # As browsers write it: an IPv6 address in brackets, a name in lower case.
-        name, own = name.strip("[]").lower(), self._host.lower()
-        if name == own or (own == LOCAL and name == "localhost"):
-            return True
-        try:  # a numeric address cannot be rebound by a foreign page
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return self._host in ("0.0.0.0", "::")  # noqa: S104 - where all addresses were asked for
 
     # The socket.
 
@@ -180,7 +154,7 @@ class LiveServer:
             pass
         finally:
             if connection is self._viewers[0]:
-                self._simulation.ask(LetGo(do="let_go"), lambda _: None)
+                self._simulation.ask(Act(do="let_go"), lambda _: None)
             self._viewers.remove(connection)
             self._tell_status()
 
@@ -214,10 +188,6 @@ class LiveServer:
     def _tell_status(self) -> None:
         for index, viewer in enumerate(self._viewers):
             broadcast([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
-
-
-def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    LOG.error(context["message"], exc_info=context.get("exception"))
 
 
 def _response(kind: str, body: bytes, more: Mapping[str, str] | None = None) -> Response:

@@ -40,10 +40,10 @@ class _Command(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class Play(_Command):
-    """Run, pause, or restart."""
+class Act(_Command):
+    """Run, pause, restart, or release all held forces, as the user who pushed has left."""
 
-    do: Literal["play", "pause", "restart"]
+    do: Literal["play", "pause", "restart", "let_go"]
 
 
 class Step(_Command):
@@ -75,12 +75,6 @@ class Release(_Command):
     name: Name
 
 
-class LetGo(_Command):
-    """Release all held forces: the user who pushed has left."""
-
-    do: Literal["let_go"]
-
-
 class MoveWaypoint(_Command):
     """Move a later row of the table to another position in the world [m]."""
 
@@ -104,7 +98,7 @@ class SetCoupling(_Command):
 
 
 Command = Annotated[
-    Play | Step | Speed | Set | Release | LetGo | MoveWaypoint | Keep | SetCoupling,
+    Act | Step | Speed | Set | Release | MoveWaypoint | Keep | SetCoupling,
     Field(discriminator="do"),
 ]
 _ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
@@ -169,14 +163,15 @@ class Simulation:
     def status(self) -> dict[str, Any]:
         """The simulation's status, in the page's form."""
         session = self._session
-        values = session.parameters
+        named = session.parameters.items()
+        values = {f"{fmu}.{name}": v for fmu, own in named for name, v in own.items()}
         return {
             "run": self._run,
             "playing": self._playing,
             "over": self._is_over,
             "speed": self._speed,
             "coupling": session.coupling,
-            "values": {name: _value(values, name) for name in session.tunables},
+            "values": {name: values[name] for name in session.tunables},
             "behind": round(self._behind, 3),
             "folder": str(session.folder),
             "message": self._message,
@@ -258,8 +253,8 @@ class Simulation:
     def _do(self, command: Command, server: LiveServer) -> None:
         session = self._session
         match command:
-            case Play():
-                self._play(command.do, server)
+            case Act():
+                self._act(command.do, server)
             case Step():
                 self._playing = False
                 self._step(command.ticks, server)
@@ -269,22 +264,21 @@ class Simulation:
                 session.set(command.name, command.value)
             case Release():
                 session.release(command.name)
-            case LetGo():
-                for name in dict.fromkeys(held.partition("[")[0] for held in session.held):
-                    if name.endswith("_force"):
-                        session.release(name)
             case MoveWaypoint():
-                self._move(command)
+                row, last = command.row, len(session.table.rows) - 1
+                if row > last:
+                    raise InputError(f"waypoint: row {row}; must be from 0 to {last}")
+                session.move_waypoint(row, position=offset_of(session, row, command.position))
                 server.plan(self.plan())
             case Keep():  # in the working directory
                 session.keep(command.name)
                 self._message = f"kept as a scenario: panda-cosim run ./{command.name}"
             case SetCoupling():
                 session.set_coupling(command.coupling)
-        if isinstance(command, Play | Step | Speed):
+        if isinstance(command, Act | Step | Speed):
             self._anchor()
 
-    def _play(self, do: str, server: LiveServer) -> None:
+    def _act(self, do: str, server: LiveServer) -> None:
         session = self._session
         if do == "restart":
             before = session.folder
@@ -293,20 +287,11 @@ class Simulation:
             self.history.clear()
             server.plan(self.plan())
             self._show(server)
+        elif do == "let_go":
+            for name in dict.fromkeys(held.partition("[")[0] for held in session.held):
+                if name.endswith("_force"):
+                    session.release(name)
         elif do == "play" and self._is_over:
             raise InputError(OVER)
         else:
             self._playing = do == "play"
-
-    def _move(self, command: MoveWaypoint) -> None:
-        row, count = command.row, len(self._session.table.rows)
-        if row >= count:
-            raise InputError(f"waypoint: row {row}; must be from 0 to {count - 1}")
-        position = offset_of(self._session, row, command.position)
-        self._session.move_waypoint(row, position=position)
-
-
-def _value(values: dict[str, Any], name: str) -> float | bool | str:
-    instance, _, scalar = name.partition(".")
-    value = values[instance][scalar]
-    return value if isinstance(value, bool | str) else float(value)

@@ -12,8 +12,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
-from threading import Timer
+from contextlib import ExitStack, closing, suppress
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -31,7 +30,6 @@ Draw = Callable[[Any], bytes]
 """From positions qpos (nq,) to an image (height, width, 3)."""
 
 MAX_SIDE: Final = 8192  # [px] more than any video needs, less than graphics drivers refuse
-SECONDS: Final = 60.0  # [s] for a start, which takes 1 s, and for a picture: a driver may hang
 PROCESS: Final = "panda_cosim.scenarios.pictures.offscreen"
 
 
@@ -52,7 +50,6 @@ class OffscreenRenderer:
         self._shape = (height, width, 3)
         failures: dict[str, str] = {}
         for backend in backends():
-            self._gave_up = False
             self._process = _start(backend, [scene, width, height, camera, meshes])
             with ExitStack() as stack:
                 stack.callback(self.close)
@@ -69,16 +66,16 @@ class OffscreenRenderer:
     def frames(self, qpos: FloatArray) -> Iterator[Image]:
         """Yield the image (height, width, 3) of each row of positions (k, nq); take all of them."""
         rows = np.ascontiguousarray(qpos, dtype="<f8")
-        with self._patience(), suppress(OSError):  # ended; the missing reply will show that
+        with suppress(OSError):  # ended; the missing reply will show that
             self._process.stdin.write(np.array(len(rows), "<i8").tobytes() + rows.tobytes())
             self._process.stdin.flush()
         size = int(np.prod(self._shape))
         for _ in rows:
-            with self._patience():
-                content = self._process.stdout.read(size)
-            if len(content) < size:
-                raise RenderError(f"no picture: the process that draws {self._how_it_ended()}")
-            yield np.frombuffer(content, np.uint8).reshape(self._shape)
+            image = self._process.stdout.read(size)
+            if len(image) < size:
+                code = self._process.wait()
+                raise RenderError(f"no picture: the process that draws ended with code {code}")
+            yield np.frombuffer(image, np.uint8).reshape(self._shape)
 
     def close(self) -> None:
         """End the process; a second call does nothing."""
@@ -90,31 +87,10 @@ class OffscreenRenderer:
 
     def _first_reply(self) -> dict[str, str]:
         """Return the reply of the process once it has drawn an image, or has failed to."""
-        with self._patience():
-            line = self._process.stdout.readline()
+        line = self._process.stdout.readline()
         if not line.endswith(b"\n"):
-            return {"failed": f"its process {self._how_it_ended()}"}
+            return {"failed": f"its process ended with code {self._process.wait()}"}
         return dict(json.loads(line))
-
-    @contextmanager
-    def _patience(self) -> Iterator[None]:
-        """End the process if the block takes too long; reading from it ends then, too."""
-
-        def give_up() -> None:
-            self._gave_up = True
-            self._process.kill()
-
-        timer = Timer(SECONDS, give_up)
-        timer.daemon = True  # else a command that is interrupted here would wait for it
-        timer.start()
-        try:
-            yield
-        finally:
-            timer.cancel()
-
-    def _how_it_ended(self) -> str:
-        code = self._process.wait()
-        return f"did not answer for {SECONDS:g} s" if self._gave_up else f"ended with code {code}"
 
 
 def _start(backend: str, job: list[Any]) -> Any:

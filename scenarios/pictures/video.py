@@ -6,7 +6,6 @@ The sheet shows the run's key moments side by side.
 from __future__ import annotations
 
 import math
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -91,8 +90,7 @@ def _encoder(path: Path, shape: tuple[int, int], fps: float) -> Iterator[Any]:
 
     mediapy.set_ffmpeg(find_ffmpeg())
     writer = mediapy.VideoWriter(path, shape, codec="libx264", fps=fps, ffmpeg_args=FFMPEG_ARGS)
-    with _without_interrupts():
-        writer.__enter__()
+    writer.__enter__()
     try:
         yield writer
     except (RuntimeError, OSError) as error:
@@ -110,19 +108,6 @@ def _ending(writer: Any) -> str:
     except (RuntimeError, OSError) as error:
         return str(error)
     return ""
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Start processes out of reach of the terminal's Ctrl-C, which could end ffmpeg first."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 MAX_TILES = 48

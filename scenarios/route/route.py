@@ -93,8 +93,11 @@ def timed(
             columns = np.column_stack((times, poses, grips, knots))
             begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
             names = {row: each.name for row, each in zip(begins, motions, strict=True)}
-            rows = enumerate(columns.tolist())
-            return TrajectoryTable(tuple(_row(row, names.get(i, "")) for i, row in rows))
+            rows = (
+                TableRow(n[0], "world", n[1:4], n[8], n[4:8], name=names.get(i, ""), posture=n[9:])
+                for i, n in enumerate(columns.tolist())
+            )
+            return TrajectoryTable(tuple(rows))
     raise InputError(f"no times within {share:.0%} of the limits were found")
 
 
@@ -107,12 +110,6 @@ def _demands(trajectory: Trajectory, ticks: Array, load: float, robot: str) -> d
     room = np.where(rate > 0.0, ends.q_max - q, q - ends.q_min)  # where the law brakes a joint
     used["joint end"] = rate / (APPROACH_RATE * room)
     return {name: np.abs(shares).max(axis=1) for name, shares in used.items()}
-
-
-def _row(numbers: Any, name: str) -> TableRow:
-    """Return the row of a time, a pose of the hand, an opening and joint positions."""
-    time, position, orientation, grip = numbers[0], numbers[1:4], numbers[4:8], numbers[8]
-    return TableRow(time, "world", position, grip, orientation, name=name, posture=numbers[9:])
 
 
 GRASP: Final = BLOCK_HALF_HEIGHT + 0.085  # [m] of the hand over the block, where the fingers close

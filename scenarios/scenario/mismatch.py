@@ -18,7 +18,7 @@ from pydantic import PlainValidator
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.tables import SENSORS
 from ...fmus.interface.variables import Interface
-from ..fields import Choice, Quantity, Vector, checked, field_names
+from ..fields import Choice, Quantity, Vector, Whole, checked, field_names
 
 JointValues = tuple[float, ...]
 
@@ -70,33 +70,19 @@ def _as(interface: Interface, name: str) -> PlainValidator:
     """Check a key as the FMU's parameter of its name: one number for all elements, or each."""
     variable = interface.variable(name)
     bounds = cast("tuple[float, float]", (variable.minimum, variable.maximum))
-    quantity = Quantity(*bounds, str(variable.unit))
+    quantity, part = Quantity(*bounds, str(variable.unit)), variable.multiple_of
     several = Vector(variable.size, quantity)
 
     def check(value: object) -> Any:
         if not variable.shape:
-            return quantity(value)
+            number = quantity(value)
+            if part and abs(number - round(number / part) * part) > 1e-9:
+                raise ValueError(f"value {value!r} s; must be a whole number of ticks of {part} s")
+            return number
         is_list = isinstance(value, list | tuple | np.ndarray)
         return several(value) if is_list else (quantity(value),) * variable.size
 
     return PlainValidator(check)
-
-
-def _whole(value: object) -> int:
-    number = Quantity(0.0, 2.0**32 - 1)(value)
-    if number != int(number):
-        raise ValueError(f"value {value!r}; must be a whole number")
-    return int(number)
-
-
-def _ticks(value: object) -> float:
-    delay = float(_DELAY.func(value))  # type: ignore[call-arg]
-    if abs(delay - round(delay, 3)) > 1e-9:
-        raise ValueError(f"value {value!r} s; must be a whole number of ticks of 0.001 s")
-    return round(delay, 3)
-
-
-_DELAY: Final = _as(SENSORS, "delay")
 
 
 @checked
@@ -104,13 +90,13 @@ class Mismatch:
     """Differences of robot and camera from the controller's model; None: as in the preset."""
 
     preset: Annotated[str, Choice(PRESETS)] = "nominal"
-    seed: Annotated[int, PlainValidator(_whole)] = 0  # of the preset's robot, and of all noise
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = 0  # of the preset's robot, and of all noise
     # Parameters of PandaSensors, which is used if one of them is given.
     joint_offset: Annotated[JointValues, _as(SENSORS, "joint_offset")] | None = None
     joint_noise: Annotated[JointValues, _as(SENSORS, "joint_noise")] | None = None
     joint_quantisation: Annotated[JointValues, _as(SENSORS, "joint_quantisation")] | None = None
     velocity_noise: Annotated[JointValues, _as(SENSORS, "velocity_noise")] | None = None
-    delay: Annotated[float, PlainValidator(_ticks)] | None = None
+    delay: Annotated[float, _as(SENSORS, "delay")] | None = None
     dropout: Annotated[float, _as(SENSORS, "dropout")] | None = None
     hand_pose_source: Annotated[str, Choice(("plant", "model"))] | None = None
     block_position_error: Annotated[JointValues, _as(SENSORS, "block_position_error")] | None = None

@@ -1,11 +1,10 @@
 """A scenario: a folder with `scenario.toml` and `trajectory.csv`, or the same made in Python."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, PlainValidator, SkipValidation
@@ -22,12 +21,13 @@ from ..fields import (
     Quantity,
     Switch,
     Vector,
+    Whole,
     check_keys,
     checked,
     field_names,
     numbers,
 )
-from ..files import read_text
+from ..files import read_toml
 from .criteria import Success
 from .mismatch import Mismatch
 from .table import InputTable, TableRow, TrajectoryTable
@@ -86,12 +86,6 @@ def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
 Parameter = Annotated[float | bool | str | tuple[float, ...], PlainValidator(_parameter)]
 
 
-def _multiple(value: object) -> int:
-    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MAX_MULTIPLE:
-        return value
-    raise ValueError(f"value {excerpt(value)}; must be a whole number from 1 to {MAX_MULTIPLE}")
-
-
 @checked
 class Push:
     """A constant force on a body for some time.
@@ -140,7 +134,6 @@ class Scenario:
     controller: Mapping[str, Parameter] = field(default_factory=dict)
     mismatch: Mismatch = field(default_factory=Mismatch)  # robot and camera against the model
     success: Success = field(default_factory=Success)
-    # With an expected failure and its reason, a scenario tests that something does not work.
     # Version of MuJoCo in the FMUs that are made of models, and in our controller's; empty: the
     # installed one.
     mujoco: Annotated[str, PlainValidator(check_engine)] = ""
@@ -148,6 +141,7 @@ class Scenario:
     preflight: Annotated[str, Choice(("", *LIMIT_FILES))] = ""
     # Factor on all inputs of the FMU `plant`; 1.00000000000001 shows how rounding errors grow.
     input_scale: Annotated[float, Quantity(0.99, 1.01, "1")] = 1.0
+    # With an expected failure and its reason, a scenario tests that something does not work.
     expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"
     expect_reason: Annotated[str, Line()] = ""
     # How far a run may deviate from its reference recording.
@@ -163,7 +157,7 @@ class Scenario:
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
     # Steps of an FMU as multiples of the system's.
-    steps: Mapping[str, Annotated[int, PlainValidator(_multiple)]] = field(default_factory=dict)
+    steps: Mapping[str, Annotated[int, Whole(1, MAX_MULTIPLE)]] = field(default_factory=dict)
     # Values of unconnected inputs; `file`: a table of inputs over time.
     inputs: Mapping[str, Parameter] = field(default_factory=dict)
     input_table: InputTable = field(default_factory=InputTable)
@@ -313,7 +307,7 @@ class Scenario:
         """
         folder = Path(folder)
         path = folder / SCENARIO_FILE
-        keys = _parse_toml(path)
+        keys = read_toml(path, _MAX_BYTES)
         needs_none = keys.get("system") or keys.get("fmus") or keys.get("route")
         has_table, driven = not needs_none or (folder / TABLE_FILE).exists(), InputTable()
         if has_table:
@@ -384,13 +378,3 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
         f"scenario {excerpt(name)}: no such folder; must be one with {SCENARIO_FILE}, or a name "
         f"from `panda-cosim list`{did_you_mean(name, shipped)}"
     )
-
-
-def _parse_toml(path: Path) -> dict[str, Any]:
-    text = read_text(path, _MAX_BYTES)
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise InputError(f"{path}: is nested too deeply; must be TOML as documented") from None
-    except ValueError as error:  # syntax, or an integer of thousands of digits
-        raise InputError(f"{path}: {error}; must be TOML") from None

@@ -65,7 +65,14 @@ class Tolerances:
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", _TIME.check("[regression] time", self.time))
         object.__setattr__(self, "scale", _SCALE.check("[regression] scale", self.scale))
-        checked = {name: _check_value(name, value) for name, value in self.values.items()}
+        for name in self.values:
+            if not is_compared(name):
+                raise InputError(
+                    f"[regression] key {excerpt(name)} is unknown; valid: {', '.join(_OWN)}, "
+                    f"{', '.join(SIGNALS)}, or an element such as plant.qpos[10]"
+                    f"{did_you_mean(name, (*_OWN, *SIGNALS))}"
+                )
+        checked = {n: _VALUE.check(f"[regression] {n}", value) for n, value in self.values.items()}
         object.__setattr__(self, "values", checked)
 
     @classmethod
@@ -110,13 +117,3 @@ def is_compared(column: str) -> bool:
     """Whether a recording's column is compared with the reference."""
     instance, dot, _ = column.partition(".")
     return split(column)[0] in SIGNALS or (bool(dot) and instance not in _OURS)
-
-
-def _check_value(name: str, value: object) -> float:
-    if not is_compared(name):
-        raise InputError(
-            f"[regression] key {excerpt(name)} is unknown; valid: {', '.join(_OWN)}, "
-            f"{', '.join(SIGNALS)}, "
-            f"or an element such as plant.qpos[10]{did_you_mean(name, (*_OWN, *SIGNALS))}"
-        )
-    return float(_VALUE.check(f"[regression] {name}", value))

@@ -7,6 +7,8 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...fmus.interface import controller
+from ...fmus.interface.controller import CONTROLLER
 from .. import rotations
 from ..fields import Quantity, Vector, check_choice, checked
 from .table import POSITION, TrajectoryTable
@@ -16,15 +18,11 @@ Array = NDArray[np.float64]
 INTERPOLATIONS = ("linear", "quintic", "spline")
 
 # The controller's command inputs, the columns that `Trajectory.sample` returns.
-COMMANDS = (
-    *(f"pos_cmd[{i}]" for i in (1, 2, 3)),
-    *(f"quat_cmd[{i}]" for i in (1, 2, 3, 4)),
-    *(f"vel_cmd[{i}]" for i in (1, 2, 3)),
-    *(f"omega_cmd[{i}]" for i in (1, 2, 3)),
-    "grip_cmd",
-)
+COMMANDS = tuple(n for v in controller.COMMANDS for n in CONTROLLER.variable(v).names())
 # The further columns, if the rows have a posture.
-POSTURE_COMMANDS = tuple(f"posture_{k}[{i}]" for k in ("cmd", "vel_cmd") for i in range(1, 8))
+POSTURE_COMMANDS = tuple(
+    n for v in controller.POSTURE_COMMANDS for n in CONTROLLER.variable(v).names()
+)
 
 TIME_TOLERANCE = 1e-9  # s; k * dt reaches a row's time even if rounding makes it a little less
 UNIT_TOLERANCE = 1e-9  # of a quaternion's length

@@ -173,8 +173,3 @@ class Cluster(Backend):
         self._rows += len(chunk)
         self._seconds += sum(done.row.get("wall_s", 0.0) for done in future.result())
         return future.result()
-
-
-def backend(job: Job, jobs: int, dask: str | None) -> Backend:
-    """Return what runs rows: so many processes here, or Dask at an address."""
-    return Local(job, jobs) if dask is None else Cluster(job, jobs, dask)

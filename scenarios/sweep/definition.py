@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,8 +16,8 @@ from pydantic import PlainValidator
 
 from ...fmus.errors import InputError, excerpt
 from ...fmus.interface.parameters import literal
-from ..fields import Choice, Line, Quantity, Vector, check_keys, checked, field_names
-from ..files import read_text
+from ..fields import Choice, Line, Quantity, Vector, Whole, check_keys, checked, field_names
+from ..files import read_toml
 from ..scenario.scenario import shipped_scenarios
 
 Array = NDArray[np.float64]
@@ -54,17 +53,14 @@ class Distribution:
         if self.kind == "log-uniform":
             return np.asarray(first * (second / first) ** u)
         if self.kind == "normal":
-            return self._normal(u)
+            mean, deviation = first, second
+            if self.limits is None:
+                return np.asarray(mean + deviation * scipy.special.ndtri(u))
+            low, high = scipy.special.ndtr((np.array(self.limits) - mean) / deviation)
+            drawn: Array = mean + deviation * scipy.special.ndtri(low + (high - low) * u)
+            return np.clip(drawn, *self.limits)
         picked = np.minimum((u * len(self.values)).astype(int), len(self.values) - 1)
         return [self.values[i] for i in picked]
-
-    def _normal(self, u: Array) -> Array:
-        mean, deviation = self.numbers
-        if self.limits is None:
-            return np.asarray(mean + deviation * scipy.special.ndtri(u))
-        low, high = scipy.special.ndtr((np.array(self.limits) - mean) / deviation)
-        drawn: Array = mean + deviation * scipy.special.ndtri(low + (high - low) * u)
-        return np.clip(drawn, *self.limits)
 
     def ends(self) -> Sequence[Any]:
         """Return both ends of the range, or all choices; of a normal without limits, nothing."""
@@ -102,7 +98,7 @@ def read_distribution(section: object) -> Distribution:
     if kind == "values":
         return Distribution(kind, values=_choices(section[kind]))
     numbers = _pair(kind, section[kind])
-    steps = _whole("steps", section.get("steps", _STEPS), 2, MAX_STEPS)
+    steps = Whole(2, MAX_STEPS).check("steps", section.get("steps", _STEPS))
     if "limits" not in section:
         return Distribution(kind, numbers, steps=steps)
     if kind != "normal":
@@ -129,13 +125,6 @@ def _pair(kind: str, value: object) -> tuple[float, float]:
     if kind == "log-uniform" and first <= 0.0:
         raise ValueError(f"log-uniform: value {first!r}; must be above 0")
     return first, second
-
-
-def _whole(key: str, value: object, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        place = f"{key}: " if key else ""
-        raise ValueError(f"{place}value {excerpt(value)}; must be a whole number, {low} to {high}")
-    return value
 
 
 def _names(value: object) -> tuple[str, ...]:
@@ -176,8 +165,8 @@ class Sweep:
     scenario: Annotated[tuple[str, ...], PlainValidator(_names)]
     vary: Annotated[Mapping[str, Distribution], PlainValidator(_vary)] = field(default_factory=dict)
     design: Annotated[str, Choice(DESIGNS)] = "sobol"
-    samples: Annotated[int, PlainValidator(lambda v: _whole("", v, 0, MAX_SAMPLES))] = 0
-    seed: Annotated[int, PlainValidator(lambda v: _whole("", v, 0, 2**32 - 1))] = 0
+    samples: Annotated[int, Whole(0, MAX_SAMPLES)] = 0
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
     keep: Annotated[str, PlainValidator(_keep)] = "none"
     file: Path | None = None  # CSV of design "list"
     goal: Annotated[str, Choice(GOALS)] = "fail"  # of a search
@@ -220,11 +209,7 @@ class Sweep:
             InputError: The file cannot be used.
         """
         path = Path(path)
-        text = read_text(path, _MAX_BYTES)
-        try:
-            keys = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: {error}; must be TOML") from None
+        keys = read_toml(path, _MAX_BYTES)
         try:
             check_keys("", keys, field_names(cls))
             return cls(**_from_folder(keys, path.parent))

@@ -55,15 +55,12 @@ class Design:
 
     def values(self, index: int) -> Values:
         """Return the values of a row by key, as plain numbers, switches or text."""
-        return {key: _plain(column[index % len(column)]) for key, column in self.columns.items()}
+        row = {key: column[index % len(column)] for key, column in self.columns.items()}
+        return {k: v if isinstance(v, bool | str) else float(v) for k, v in row.items()}
 
     def scenario(self, index: int) -> int:
         """Return which scenario a row belongs to."""
         return index // self.count
-
-
-def _plain(value: Any) -> ParameterValue:
-    return value if isinstance(value, bool | str) else float(value)
 
 
 def make_design(sweep: Sweep) -> Design:
@@ -73,7 +70,10 @@ def make_design(sweep: Sweep) -> Design:
         assert sweep.file is not None  # Sweep has checked it
         columns = _read_list(sweep.file)
     elif sweep.design == "grid":
-        columns = _grid(sweep.vary)
+        axes = [distribution.grid() for distribution in sweep.vary.values()]
+        if (size := math.prod(map(len, axes))) > MAX_SAMPLES:
+            raise InputError(f"the grid has {size} points; must be at most {MAX_SAMPLES}")
+        columns = dict(zip(sweep.vary, zip(*itertools.product(*axes), strict=True), strict=True))
     elif sweep.design == "search":
         columns = {key: each.extremes() for key, each in sweep.vary.items()}
         return Design(columns, sweep.samples)
@@ -95,14 +95,6 @@ def _probabilities(sweep: Sweep) -> Array:
             warnings.simplefilter("ignore", UserWarning)
             u = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng).random(sweep.samples)
     return np.clip(u, _EDGE, 1.0 - _EDGE)
-
-
-def _grid(vary: Mapping[str, Distribution]) -> dict[str, Sequence[Any]]:
-    axes = [distribution.grid() for distribution in vary.values()]
-    if (size := int(np.prod([float(len(axis)) for axis in axes]))) > MAX_SAMPLES:
-        raise InputError(f"the grid has {size} points; must be at most {MAX_SAMPLES}")
-    points = zip(*itertools.product(*axes), strict=True)
-    return dict(zip(vary, points, strict=True))
 
 
 def _read_list(path: Path) -> dict[str, Sequence[Any]]:

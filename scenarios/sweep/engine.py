@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Target, build
@@ -25,7 +24,7 @@ from ..run.options import with_values
 from ..scenario.criteria import Success
 from ..scenario.scenario import Scenario
 from ..work import cores
-from .backend import Backend, backend
+from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
 from .design import Design, Search, check_design, keys_without_effect, make_design
 from .report import write_report
@@ -97,14 +96,18 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     scenarios, design = check_sweep(definition, out)
     keep = "none" if definition.keep.startswith("worst:") else definition.keep
     job = _job(scenarios, time_limit, keep)
-    engines = dict.fromkeys(map(str, design.columns.get("mujoco", ())))
-    varied = {each: _job(_with_engine(scenarios, each), time_limit, keep) for each in engines}
-    job = replace(job, engines=varied)
+    engines = {}
+    for each in dict.fromkeys(map(str, design.columns.get("mujoco", ()))):
+        own = [replace(s, scenario=with_values(s.scenario, {"mujoco": each})) for s in scenarios]
+        engines[each] = _job(own, time_limit, keep)
+    job = replace(job, engines=engines)
     begun_with = origin(definition, job.scenarios, job.fmus)
     store = Store(default_folder("sweep") if out is None else out)
     with store.claimed(), ExitStack() as stack:
         is_begun = store.begin(begun_with)
-        rows = stack.enter_context(backend(job, jobs or cores(), dask))
+        jobs = jobs or cores()
+        backend = Local(job, jobs) if dask is None else Cluster(job, jobs, dask)
+        rows = stack.enter_context(backend)
         if not is_begun:
             unvaried = [Task(-1 - number, number, {}) for number in range(len(scenarios))]
             columns = _columns(definition, design, rows.run(unvaried))
@@ -128,10 +131,6 @@ def _job(scenarios: Sequence[Loaded], time_limit: float | None, keep: str) -> Jo
     files = {} if others else build(target=Target(mujoco=engine))
     fmus = {name: path.read_bytes() for name, path in files.items()}
     return Job(tuple(map(pack, scenarios)), fmus, time_limit, keep)
-
-
-def _with_engine(scenarios: Sequence[Loaded], engine: str) -> list[Loaded]:
-    return [replace(s, scenario=with_values(s.scenario, {"mujoco": engine})) for s in scenarios]
 
 
 def judge_rate(definition: Sweep, counts: Mapping[str, int], rows: int) -> Criterion:
@@ -191,7 +190,9 @@ def _fill(
     """Run the missing rows; those done are in the table, whatever ends this."""
     there = store.done()
     search = Search(definition, store) if definition.design == "search" else None
-    tasks = _missing(design, there) if search is None else search.tasks()
+    missing = np.setdiff1d(np.arange(len(design)), there).tolist()
+    rest = (Task(index, design.scenario(index), design.values(index)) for index in missing)
+    tasks = rest if search is None else search.tasks()
     columns = schema(design.values(0), store.content["columns"])
     new, part = 0, []
     began = flushed = time.monotonic()
@@ -211,11 +212,6 @@ def _fill(
                 progress(Progress(len(there) + new, len(design), new))
     finally:
         store.add(part, columns)
-
-
-def _missing(design: Design, there: NDArray[np.int64]) -> Iterator[Task]:
-    for index in map(int, np.setdiff1d(np.arange(len(design)), there)):
-        yield Task(index, design.scenario(index), design.values(index))
 
 
 def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:

@@ -127,8 +127,11 @@ def _rows(
         if index in worst and (run / SUMMARY_FILE).exists() and not (run / VIEW_FILE).exists():
             write_view([shown_run(run, name=f"row {index}")], run / VIEW_FILE)
         pages = (store.folder / "shown" / run.name / VIEW_FILE, run / VIEW_FILE)
-        if page := next((each for each in pages if each.exists()), None):
-            views[str(index)] = _link(page, beside)
+        if page := next((each.resolve() for each in pages if each.exists()), None):
+            inside = page.is_relative_to(top := beside.resolve())
+            views[str(index)] = (
+                f"./{quote_address(page.relative_to(top).as_posix())}" if inside else page.as_uri()
+            )
     return {
         "results": [row["missed"] or row["status"] for row in rows],
         "errors": [row["error"] for row in rows],
@@ -137,13 +140,6 @@ def _rows(
         "show": printable(f"panda-cosim sweep show {quote(str(store.folder))}"),
         "views": views,
     }
-
-
-def _link(path: Path, folder: Path) -> str:
-    try:
-        return "./" + quote_address(path.resolve().relative_to(folder.resolve()).as_posix())
-    except ValueError:
-        return path.resolve().as_uri()
 
 
 def _data(

@@ -311,16 +311,13 @@ class Axis:
             half = _half_widths(values)
             names = results.labels.get(key) or value_names(values.tolist())
             return cls(values - half, values + half, names, names, part)
-        edges = _edges(float(values[0]), float(values[-1]), bins)
+        edges = np.linspace(values[0], values[-1], bins + 1)  # inner ones of few digits
+        edges[1:-1] = np.round(edges[1:-1], math.ceil(1 - math.log10(np.ptp(values) / bins)))
         part = np.clip(np.searchsorted(edges, column, "right") - 1, 0, bins - 1)
         texts = [f"{v:.3g}" for v in edges[[0, -1]]]
         texts[1:1] = [number_text(v) for v in edges[1:-1].tolist()]
         names = [f"{low} to {high}" for low, high in pairwise(texts)]
         return cls(edges[:-1], edges[1:], names, [texts[0], *[""] * (bins - 2), texts[-1]], part)
-
-    def __len__(self) -> int:
-        """Return the number of parts."""
-        return len(self.names)
 
 
 def _half_widths(values: Array) -> Array:
@@ -332,18 +329,12 @@ def _half_widths(values: Array) -> Array:
     return half
 
 
-def _edges(low: float, high: float, bins: int) -> Array:
-    """Return the ends, and inner edges of few digits."""
-    edges = np.linspace(low, high, bins + 1)
-    edges[1:-1] = np.round(edges[1:-1], math.ceil(1 - math.log10((high - low) / bins)))
-    return edges
-
-
 def marginal(results: Results, key: str, *, bounds: bool) -> dict[str, Any]:
     """Return rows and failures by value; with the bounds of their share, if rows are samples."""
     axis = Axis.of(results, key, int(np.clip(len(results.bad) / IN_A_BIN, *BINS)))
-    rows = np.bincount(axis.part, minlength=len(axis)).tolist()
-    bad = np.bincount(axis.part[results.bad], minlength=len(axis)).tolist()
+    parts = len(axis.names)
+    rows = np.bincount(axis.part, minlength=parts).tolist()
+    bad = np.bincount(axis.part[results.bad], minlength=parts).tolist()
     shares = map(share_bounds, bad, rows) if bounds else ()
     return {
         "starts": axis.starts.tolist(),
@@ -361,7 +352,7 @@ def heat_map(results: Results, first: str, second: str) -> dict[str, Any]:
     """Return rows and failures in the cells of two values, those of `first` one after the other."""
     bins = int(np.clip(math.sqrt(len(results.bad) / IN_A_BIN), *CELLS))
     x, y = (Axis.of(results, key, bins) for key in (first, second))
-    cell, cells = x.part * len(y) + y.part, len(x) * len(y)
+    cell, cells = x.part * len(y.names) + y.part, len(x.names) * len(y.names)
     return {
         "keys": [first, second],
         "names": [x.names, y.names],

@@ -180,8 +180,11 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     driven = driven_inputs(scenario, interfaces)
     connector.drive(driven)
     external += driven
-    if scenario.mismatch.has_sensors:
-        _feed_from_sensors(connector)
+    if scenario.mismatch.has_sensors:  # they feed the controller, unless [connect] does
+        inputs = {v.name for v in connector.parts["controller"].interface.of("input")}
+        for name in (*MEASURED, *SEEN):
+            if name in inputs and not connector.is_fed("controller", name):
+                connector.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
     for part in parts:
         for variable in part.interface.of("input"):
             connector.connect_by_name(part, variable)
@@ -249,14 +252,6 @@ def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> l
             external += [(instance, n) for n in variable.names()]
             connector.mark_fed(instance, variable)
     return external
-
-
-def _feed_from_sensors(connector: Connector) -> None:
-    """Feed the controller from the sensors, except where [connect] says otherwise."""
-    inputs = {v.name for v in connector.parts["controller"].interface.of("input")}
-    for name in (*MEASURED, *SEEN):
-        if name in inputs and not connector.is_fed("controller", name):
-            connector.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
 
 
 def instances(scenario: Scenario) -> tuple[str, ...]:

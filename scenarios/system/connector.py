@@ -123,8 +123,9 @@ class Connector:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
             raise InputError(f"{target}: {names} both match; choose one in [connect]")
         source, giving = outputs[0]
-        if giving.name in _OF_ARM and measures_a_panda(self.parts[source].interface):
-            giving = _of_arm(giving, variable.shape)
+        is_of_arm = giving.name in _OF_ARM and variable.shape == (len(ARM_JOINTS),)
+        if is_of_arm and measures_a_panda(self.parts[source].interface):
+            giving = replace(giving, shape=variable.shape, unit=giving.units[: variable.size])
         self.check(f"{source}.{giving.name}", giving, target, variable)
         self._connect(source, giving, part.name, variable)
 
@@ -208,13 +209,6 @@ class Connector:
             f"[connect] {excerpt(text)}: {part.place} has no {causality} of this name; valid: "
             f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
         )
-
-
-def _of_arm(giving: Variable, shape: tuple[int, ...]) -> Variable:
-    """Return the arm's part of PandaPlant's positions and velocities, which it begins with."""
-    if shape != (len(ARM_JOINTS),):
-        return giving
-    return replace(giving, shape=shape, unit=giving.units[: len(ARM_JOINTS)])
 
 
 def _shape_and_unit(variable: Variable) -> str:

@@ -99,11 +99,12 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
     """Return the share of each limit at each tick (n, 7), or (n, 1) for the hand's."""
     commands = trajectory.sample(reference.time)
     velocity = commands[:, 7:10]
-    acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
     return {
         **joint_demands(trajectory, reference, load),
         "hand speed": shares("hand speed", _lengths(velocity), reference.robot),
-        "hand acceleration": shares("hand acceleration", _lengths(acceleration), reference.robot),
+        "hand acceleration": shares(
+            "hand acceleration", _lengths(_rates(velocity)), reference.robot
+        ),
         "hand turn": shares("hand turn", _lengths(commands[:, 10:13]), reference.robot),
     }
 
@@ -114,7 +115,7 @@ def _lengths(vectors: Array) -> Array:
 
 
 def _rates(values: Array) -> Array:
-    """Rate of change of values (n, 7) per second; 0 in the first row."""
+    """Rate of change of values (n, k) per second; 0 in the first row."""
     return np.diff(values, axis=0, prepend=values[:1]) / STEP_SIZE
 
 
@@ -214,7 +215,10 @@ def find_violations(
 LAW = "controller"
 MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos")
 REFERENCE = ("qpos_ref", "qvel_ref")
-OUT_OF_THE_WAY = 100.0  # times the robot's limits
+WITHOUT_LIMITS = {  # gains far beyond what any command asks for
+    "limit_share": 100.0, "reference_lead": math.pi, "linear_correction": 100.0,
+    "angular_correction": 100.0, "linear_braking": 100.0, "angular_braking": 100.0,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,21 +235,10 @@ class JointReference:
 
     def derivatives(self) -> dict[str, Array]:
         """Return velocity, acceleration and jerk, each (n, 7), of the same instants."""
-        acceleration = np.diff(self.velocity, axis=0, prepend=self.velocity[:1]) / STEP_SIZE
-        jerk = np.diff(acceleration, axis=0, prepend=acceleration[:1]) / STEP_SIZE
-        return {"velocity": self.velocity, "acceleration": acceleration, "jerk": jerk}
-
-
-def _without_limits(gains: Gains) -> Gains:
-    return replace(
-        gains,
-        limit_share=OUT_OF_THE_WAY,
-        reference_lead=math.pi,
-        linear_correction=OUT_OF_THE_WAY,
-        angular_correction=OUT_OF_THE_WAY,
-        linear_braking=OUT_OF_THE_WAY,
-        angular_braking=OUT_OF_THE_WAY,
-    )
+        acceleration = _rates(self.velocity)
+        return {
+            "velocity": self.velocity, "acceleration": acceleration, "jerk": _rates(acceleration),
+        }  # fmt: skip
 
 
 @cache
@@ -266,8 +259,8 @@ def joint_reference(
 
     Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
     """
-    gains = replace(gains, reading_delay=0.0)  # readings are of their instant here
-    values = asdict(gains if limited else _without_limits(gains))
+    # Readings are of their instant here.
+    values = asdict(gains) | {"reading_delay": 0.0} | ({} if limited else WITHOUT_LIMITS)
     path, interface = _law()
     commanded = COMMANDS if trajectory.postures is None else (*COMMANDS, *POSTURE_COMMANDS)
     signals = (*commanded, *MEASURED)

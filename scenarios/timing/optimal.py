@@ -100,7 +100,11 @@ def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -
         times = np.diff(slowed.times)
         needed = np.ones(len(spans))
         for violation in violations:
-            at = _slowed_segment(violation, moving)
+            before = moving[moving <= violation.row - 2]  # the violation's segment, or a dwell's
+            if not len(before):
+                text = "no row moves the hand before, so more time does not help"
+                raise InputError(f"{violation}; {text}")
+            at = int(before[-1])
             _refuse_if_hopeless(violation, times[at] / usual[at], reference, missed)
             order = min(ORDERS[violation.quantity], KINK_ORDER if number else math.inf)
             factor = violation.share ** (1.0 / order) * SPARE
@@ -131,14 +135,6 @@ def _rehearsed(
         ):
             break
     return reference, violations, shares
-
-
-def _slowed_segment(violation: LimitViolation, moving: NDArray[np.intp]) -> int:
-    """Return the segment to slow down: the one that moves, at the violation or before it."""
-    before = moving[moving <= violation.row - 2]
-    if not len(before):
-        raise InputError(f"{violation}; no row moves the hand before, so more time does not help")
-    return int(before[-1])
 
 
 def _refuse_if_hopeless(
@@ -208,6 +204,7 @@ MOST_ROUNDS: Final = 20  # where the limits are not kept by then
 AIM: Final = 0.98  # of the given share, so that the rounds end below it
 ROUNDING: Final = 1e-6  # of a share
 DIGITS: Final = 9  # decimals of a row's numbers
+NOWHERE: Final = StartPose(HOME_XPOS, HOME_XQUAT, (0.0, 0.0, 0.0))  # all rows are in the world
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,23 +226,27 @@ def retimed(
     is what the fingers carry [kg], and `share` what may be used of each limit [1].
     """
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load, gains.robot)
-    bounds = [Bounds.of(share)] * len(parts)
+    bounds = [Bounds(share, share, share, share, share, share)] * len(parts)
     laws = [_slow(part) for part in parts]
     slowest = SLOWEST * sum(part.length / SPEED + STARTING for part in parts)
     within: list[Timing] = []
     for number in range(MOST_ROUNDS):
         course = _course(trajectory, parts, laws)
         table = _table(trajectory, course)
-        path = _resolved(table)
-        reference = _reference(path, gains)
+        path = Trajectory.from_table(table, NOWHERE, interpolation="spline")
+        instants = path.times[0] + STEP_SIZE * np.arange(len(course.poses))
+        reference = joint_reference(path, instants, gains)
         demanded = demands(path, reference, load)
         if number:  # the first round only finds the joint motion along the path
             shares = largest(demanded)
-            if _fits(shares, reference, share):
+            reached = reference.miss.max() <= WAY_TOLERANCE
+            reached &= reference.miss[-1] <= REACH_TOLERANCE
+            if reached and max(shares.values()) <= share + ROUNDING:
                 within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
-            for part, span in enumerate(_spans(course)):
+            ends = [*course.starts[1:], len(course.poses)]  # each with the dwell that follows it
+            for part, span in enumerate(map(slice, course.starts, ends)):
                 during = {name: shares[span] for name, shares in demanded.items()}
                 bounds[part] = _corrected(
                     bounds[part], laws[part], during, reference.miss[span], share
@@ -261,18 +262,6 @@ def retimed(
     if not within:
         raise InputError(_refusal(course, demanded, reference, share))
     return min(within, key=lambda timing: timing.cycle)
-
-
-def _fits(shares: Shares, reference: JointReference, share: float) -> bool:
-    reached = float(reference.miss.max()) <= WAY_TOLERANCE
-    reached &= float(reference.miss[-1]) <= REACH_TOLERANCE
-    return reached and max(shares.values()) <= share + ROUNDING
-
-
-def _spans(course: _Course) -> list[slice]:
-    """Return the ticks of each motion, with the dwell that follows it."""
-    ends = [*course.starts[1:], len(course.poses)]
-    return [slice(first, last) for first, last in zip(course.starts, ends, strict=True)]
 
 
 def _corrected(
@@ -378,17 +367,6 @@ def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
             for tick in sorted(ticks)
         )
     )
-
-
-def _resolved(table: TrajectoryTable) -> Trajectory:
-    nowhere = StartPose(HOME_XPOS, HOME_XQUAT, (0.0, 0.0, 0.0))  # all rows are in the world
-    return Trajectory.from_table(table, nowhere, interpolation="spline")
-
-
-def _reference(path: Trajectory, gains: Gains) -> JointReference:
-    first, last = path.times[0], path.times[-1]
-    times = first + STEP_SIZE * np.arange(round((last - first) / STEP_SIZE) + 1)
-    return joint_reference(path, times, gains)
 
 
 def _joints(

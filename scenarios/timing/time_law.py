@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,14 +178,9 @@ class Bounds:
     hand_speed: float
     hand_acceleration: float
     hand_turn: float
-    window: float  # [s]
+    window: float = FIRST_WINDOW  # [s]
     # Largest speed at each grid point of the path (`GRID` + 1,) [m/s].
     ceiling: Array = field(default_factory=lambda: np.full(GRID + 1, FREE))
-
-    @classmethod
-    def of(cls, share: float) -> Self:
-        """Return the initial bounds."""
-        return cls(share, share, share, share, share, share, FIRST_WINDOW)
 
     def corrected(self, shares: Shares, share: float) -> Bounds:
         """Return bounds that bring the measured shares closer to the wanted one."""

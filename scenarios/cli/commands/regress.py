@@ -235,7 +235,11 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
     replaced = sum(outcome.reference_path.exists() for outcome, _ in changed)
     if replaced and not yes:
         question = f"Overwrite {replaced} of {len(outcomes)} references?"
-        _refuse_without_terminal(question)
+        if sys.stdin is None or not sys.stdin.isatty():
+            raise InputError(
+                f"--update: nothing was overwritten: {question} Answer with --yes, as standard "
+                "input is not a terminal"
+            )
         page = default_folder("update") / REPORT_FILE
         write_report([outcome for outcome, _ in changed], page, {})
         show_file(page)  # with the differences from the references, before they are gone
@@ -247,11 +251,3 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
         show_file(outcome.reference_path)
     if refused:
         raise typer.Exit(CosimError.exit_code)
-
-
-def _refuse_without_terminal(question: str) -> None:
-    if sys.stdin is None or not sys.stdin.isatty():
-        raise InputError(
-            f"--update: nothing was overwritten: {question} Answer with --yes, as standard input "
-            "is not a terminal"
-        )

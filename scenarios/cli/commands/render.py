@@ -56,21 +56,15 @@ def command(  # noqa: PLR0913 - one for each option
     files = (VIDEO_FILE, SHEET_FILE) if video else (SHEET_FILE,)
     check_replaceable(*(folder / name for name in files), overwrite=overwrite)
     position_columns(recording)  # refuses one that lacks signals, before anything is drawn
-    width, height = _pixels(size)
+    if not (match := re.fullmatch(r"(\d{1,5})x(\d{1,5})", size.strip(), re.A)):
+        raise InputError(f"--size {size!r}: must be WIDTHxHEIGHT in pixels, such as 640x480")
+    width, height = map(int, match.groups())
     check_video(folder / VIDEO_FILE, fps, width, height)
     tell(TILING)
     show(str(contact_sheet(recording, folder / SHEET_FILE, camera=camera, meshes=meshes)))
     if video:
         look = {"fps": fps, "width": width, "height": height, "camera": camera, "meshes": meshes}
         show(str(draw_video(recording, folder, **look)))
-
-
-def _pixels(text: str) -> tuple[int, int]:
-    """Read a size in pixels, such as 1280x720."""
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip(), re.A)
-    if match is None:
-        raise InputError(f"--size {text!r}: must be WIDTHxHEIGHT in pixels, such as 640x480")
-    return int(match[1]), int(match[2])
 
 
 def plot(

@@ -16,7 +16,7 @@ from ...run.start import new_timing, start_values
 from ...scenario.scenario import MAX_DURATION, SCENARIO_FILE, TABLE_FILE, Scenario
 from ...scenario.table import TrajectoryTable
 from ...scenario.writer import write_scenario
-from ...timing.demand import Shares, Timing
+from ...timing.demand import Shares
 from ..console import show, table, tell
 from ..options import ROBOT, SCENARIO, SETTINGS, Robot, assigned, find_scenario, option
 
@@ -81,29 +81,17 @@ def retime(
         timing = new_timing(new, start_values(scenario))
     except InputError as error:
         raise InputError(f"{scenario.name}: {error}") from None
-    if timing.table is None:
-        return _slowed(scenario, timing), timing.shares
-    optimal = replace(
-        scenario,
-        table=timing.table,
-        timing="table",
-        interpolation="spline",
-        duration=_whole_ticks(timing.cycle),
+    table, interpolation, duration = timing.table, "spline", timing.cycle
+    if table is None:  # the rows at new times, and as much time after the last one as before
+        rows, times = scenario.table.rows, timing.trajectory.times.tolist()
+        moved = (replace(row, time=time) for row, time in zip(rows, times, strict=True))
+        table, interpolation = TrajectoryTable(tuple(moved)), scenario.interpolation
+        duration = scenario.duration + timing.cycle - rows[-1].time
+    duration = round(math.ceil(duration / STEP_SIZE - 1e-6) * STEP_SIZE, 9)
+    new = replace(
+        scenario, table=table, timing="table", interpolation=interpolation, duration=duration
     )
-    return optimal, timing.shares
-
-
-def _slowed(scenario: Scenario, timing: Timing) -> Scenario:
-    """Return the scenario with its rows at new times, and as much time after the last one."""
-    rows = scenario.table.rows
-    moved = zip(rows, timing.trajectory.times.tolist(), strict=True)
-    table = TrajectoryTable(tuple(replace(row, time=time) for row, time in moved))
-    duration = _whole_ticks(scenario.duration + timing.cycle - rows[-1].time)
-    return replace(scenario, table=table, timing="table", duration=duration)
-
-
-def _whole_ticks(time: float) -> float:
-    return round(math.ceil(time / STEP_SIZE - 1e-6) * STEP_SIZE, 9)
+    return new, timing.shares
 
 
 def route(

@@ -98,7 +98,9 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError(
             "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
         )
-    definition = _definition(sweep, vary, mujoco)
+    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    engines = {"mujoco": Distribution("values", values=tuple(mujoco.split(",")))} if mujoco else {}
+    definition = replace(definition, vary={**definition.vary, **engines})
     if min_success is not None:
         definition = replace(definition, min_success=min_success)
     if confidence is not None:
@@ -112,7 +114,11 @@ def command(  # noqa: PLR0913 - one for each option
     folder = out or default_folder("sweep")
     name, began = Path(sweep).stem, time.perf_counter()
     try:
-        done = _run(definition, folder, jobs, dask, time_limit)
+        with progress("Running the sweep") as update:
+            done = run_sweep(
+                definition, folder, jobs=jobs, dask=dask, time_limit=time_limit, remark=warn,
+                progress=lambda now: update(now.new, now.total - now.done + now.new),
+            )  # fmt: skip
     except BaseException as error:  # also Ctrl-C and SIGTERM
         if Store(folder).parts() and not isinstance(error, InputError):
             more = "" if out else f" with --out {quote(str(folder))}"
@@ -131,32 +137,10 @@ def command(  # noqa: PLR0913 - one for each option
             raise typer.Exit(NOT_A_SUCCESS)
 
 
-def _definition(sweep: str, vary: list[str] | None, mujoco: str) -> Sweep:
-    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
-    engines = {"mujoco": Distribution("values", values=tuple(mujoco.split(",")))} if mujoco else {}
-    return replace(definition, vary={**definition.vary, **engines})
-
-
 def _write_junit(path: Path | None, name: str, began: float, fault: Fault | None) -> None:
     if path is not None:
         case = Case(name, time.perf_counter() - began, *(fault or ()))
         write_cases("panda-cosim sweep", [case], path)
-
-
-def _run(
-    definition: Sweep, out: Path, jobs: int | None, dask: str | None, limit: float | None
-) -> SweepResult:
-    """Run with a progress bar."""
-    with progress("Running the sweep") as update:
-        return run_sweep(
-            definition,
-            out,
-            jobs=jobs,
-            dask=dask,
-            time_limit=limit,
-            progress=lambda now: update(now.new, now.total - now.done + now.new),
-            remark=warn,
-        )
 
 
 def _show_counts(done: SweepResult, definition: Sweep) -> None:
