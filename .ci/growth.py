@@ -1,8 +1,13 @@
-"""Costs that grow with rows, variables and length: `panda-cosim bench --all` calls `figures`."""
+"""Costs that grow with rows, variables and length: `panda-cosim bench --all` calls `figures`.
+
+`python .ci/growth.py HOURS` prints the memory of a process that steps the task for so many
+simulated hours, without recording: a scenario lasts an hour at most.
+"""
 
 from __future__ import annotations
 
 import re
+import sys
 import tempfile
 import time as clock
 from pathlib import Path
@@ -10,9 +15,12 @@ from resource import getpagesize
 from shutil import copytree
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.interface.variables import Interface, input_, output
+from panda_cosim.fmus.master.wiring import BLOCK_ROWS
 from panda_cosim.fmus.sources.targets import build_fmu
 from panda_cosim.scenarios.benchmark import OURS, cost_of
 from panda_cosim.scenarios.run.prepare import prepare
@@ -75,9 +83,39 @@ def memory_added(task: Path, out: Path) -> float:
         resident = []
         for last in (execution.ticks // 6, execution.ticks):
             execution.advance(last, StopRequest())
-            words = Path("/proc/self/statm").read_text(encoding="utf-8").split()
-            resident.append((int(words[1]) - int(words[2])) * getpagesize() / 1e6)
+            resident.append(own_memory())
     return resident[1] - resident[0]
+
+
+def own_memory() -> float:
+    """Memory of this process without pages of files [MB]."""
+    words = Path("/proc/self/statm").read_text(encoding="utf-8").split()
+    return (int(words[1]) - int(words[2])) * getpagesize() / 1e6
+
+
+def step_for(hours: int) -> None:
+    """Step the task, and print the memory after each hour; its last command is held."""
+    prepared = prepare(load_scenario("pick_and_place"))
+    inputs = prepared.inputs()
+    held = np.repeat(inputs[-1:], BLOCK_ROWS, axis=0)
+    ticks = round(HOUR / STEP_SIZE)
+    with prepared.open([], longer=hours * HOUR) as system:
+        master = system.master
+        master.begin(lambda _rows: None)
+        master.step(prepared.scenario.ticks, inputs)
+        for hour in range(1, hours + 1):
+            master.step(hour * ticks - master.steps, _Held(held))
+            print(f"{hour} h: {own_memory():.1f} MB", flush=True)
+
+
+class _Held:
+    """The same inputs at all ticks."""
+
+    def __init__(self, rows: NDArray[np.float64]) -> None:
+        self._rows, self.shape = rows, rows.shape
+
+    def __getitem__(self, ticks: slice) -> NDArray[np.float64]:
+        return self._rows[: ticks.stop - ticks.start]
 
 
 def set_up(folder: Path, variables: int) -> float:
@@ -95,3 +133,7 @@ def set_up(folder: Path, variables: int) -> float:
     began = clock.process_time()
     with Execution(prepare(load_scenario(folder)), writes=False):
         return clock.process_time() - began
+
+
+if __name__ == "__main__":
+    step_for(int(sys.argv[1]))
