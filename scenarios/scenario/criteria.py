@@ -127,7 +127,7 @@ class SignalCriterion:
 
     signal: Annotated[Signal, PlainValidator(_signal)]
     reduce: Annotated[str, Choice(tuple(REDUCTIONS))]
-    from_: Annotated[Instant, PlainValidator(check_instant)] = 0.0
+    from_: Annotated[Instant, PlainValidator(check_instant)] = "start"
     to: Annotated[Instant, PlainValidator(check_instant)] = "end"
     below: Annotated[float, _ANY] | None = None
     above: Annotated[float, _ANY] | None = None
@@ -182,7 +182,7 @@ class SignalCriterion:
         if self.name:
             return self.name
         start, end = (at if isinstance(at, str) else f"{at:g} s" for at in (self.from_, self.to))
-        window = f" from {start}" if self.from_ != 0.0 else ""
+        window = f" from {start}" if self.from_ not in ("start", 0.0) else ""
         window += f" to {end}" if self.to != "end" else ""
         return f"{self.reduce} {signal_text(self.signal)}{window}"
 
@@ -328,12 +328,12 @@ class Success:
                 raise ValueError(f"name {excerpt(criterion.label)} is taken; must be unique")
             taken.add(criterion.label)
 
-    def within(self, end: float) -> Self:
-        """Return the criteria that a run from 0 to `end` [s] can measure."""
+    def within(self, start: float, end: float) -> Self:
+        """Return the criteria that a run from `start` to `end` [s] can measure."""
 
         def fits(criterion: SignalCriterion | BodyCriterion) -> bool:
             try:
-                criterion.check_window(0.0, end)
+                criterion.check_window(start, end)
             except ValueError:
                 return False
             return True
