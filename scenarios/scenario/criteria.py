@@ -181,7 +181,7 @@ class SignalCriterion:
         """Its name, or one made from reduction, signal and window."""
         if self.name:
             return self.name
-        start, end = (at if isinstance(at, str) else f"{at:g} s" for at in (self.from_, self.to))
+        start, end = map(_instant_text, (self.from_, self.to))
         window = f" from {start}" if self.from_ not in ("start", 0.0) else ""
         window += f" to {end}" if self.to != "end" else ""
         return f"{self.reduce} {signal_text(self.signal)}{window}"
@@ -205,6 +205,10 @@ def check_within(key: str, instant: Instant, start: float, end: float) -> float 
             f"{key}: value {instant!r}; must be within the run, from {start:g} to {end:g} s"
         )
     return float(at)
+
+
+def _instant_text(instant: Instant) -> str:
+    return instant if isinstance(instant, str) else f"{instant:g} s"
 
 
 def signal_text(signal: Signal) -> str:
@@ -269,6 +273,11 @@ class BodyCriterion:
         values = {name: getattr(self, name) for name in BOUNDS}
         return {name: value for name, value in values.items() if value is not None}
 
+    def label(self, bound: str) -> str:
+        """Name of one of the bounds in results."""
+        at = "" if self.at == "end" else f" at {_instant_text(self.at)}"
+        return f"{self.body} {'position' if bound == 'tolerance' else bound}{at}"
+
     @property
     def signals(self) -> tuple[str, ...]:
         """Recorded signals that hold its pose: position and quaternion, or qpos of the block."""
@@ -323,10 +332,11 @@ class Success:
                 "block_position and position_tolerance: one is missing; must be both or neither"
             )
         taken = set(field_names(Success))
-        for criterion in self.signal:
-            if criterion.label in taken:
-                raise ValueError(f"name {excerpt(criterion.label)} is taken; must be unique")
-            taken.add(criterion.label)
+        bodies = (each.label(bound) for each in self.body for bound in each.bounds)
+        for label in (*(each.label for each in self.signal), *bodies):
+            if label in taken:
+                raise ValueError(f"name {excerpt(label)} is taken; must be unique")
+            taken.add(label)
 
     def within(self, start: float, end: float) -> Self:
         """Return the criteria that a run from `start` to `end` [s] can measure."""
