@@ -31,6 +31,7 @@ from ..judging.criterion import miss_text
 from ..judging.holds import find_holds
 from ..judging.limits import Level, outcome
 from ..recording import Recording
+from ..recording.reader import shapes_of
 from ..run.options import Options, with_options, with_values
 from ..run.prepare import Prepared, prepare
 from ..run.result import Run
@@ -46,6 +47,7 @@ from ..run.start import (
     unsuitable_gains,
 )
 from ..run.stopping import StopRequest
+from ..run.summary import unrecorded
 from ..scenario.criteria import HELD_FORCE
 from ..scenario.limits import LIMITS, saturated, shares, torque_rates
 from ..scenario.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
@@ -136,6 +138,11 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
         run = f"`panda-cosim run {_name(scenario)} --set preflight={scenario.preflight}`"
         text = f"what {scenario.preflight} refuses is not known before a run: {run}"
         hints.append(Diagnostic(level, text))
+    columns = {column.name for column in assembly.recorded(scenario.coupling)}
+    recorded = {*columns, *shapes_of(tuple(columns))}
+    file = f"{scenario.folder}/{SCENARIO_FILE}"
+    if lacking := [f"{file}: [success] {text}" for text in unrecorded(scenario.success, recorded)]:
+        return [*_diagnostics("wrong", lacking), *hints]
     if len(assembly.interfaces) > 1 and not count:
         text = f"{about}; it runs, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
@@ -222,7 +229,7 @@ def _located(run: Run, prepared: Prepared) -> Iterator[str]:
     """Yield what goes wrong, with the row that the hand is on its way to, or the last."""
     times = resolve(prepared.scenario, prepared.values).times
     for at, text in findings(run, prepared):
-        place = TABLE_FILE
+        place = SCENARIO_FILE
         if at is not None:
             row = min(int(np.searchsorted(times, at - TIME_TOLERANCE)) + 1, len(times))
             place = f"{TABLE_FILE}: row {row}"
@@ -315,6 +322,8 @@ def findings(run: Run, prepared: Prepared) -> Iterator[Finding]:
         for criterion in run.summary.criteria:
             if criterion.measured and not criterion.ok:
                 yield None, f"[success] {miss_text(criterion)}"
+    elif run.summary.success:
+        yield None, f"[success] holds, but a failure is expected: {run.summary.expect_reason}"
 
 
 def _dragging(recording: Recording) -> Iterator[Finding]:
