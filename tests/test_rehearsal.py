@@ -81,6 +81,12 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> Non
     heavy = check_folder(FOLDER, {"plant": {"block_mass": 1.2, "block_friction": 0.5}})
     assert any("N by friction; the block needs" in finding.text for finding in heavy)
     assert not any("can run" in finding.text for finding in heavy)
+    idle = check_folder(FOLDER, settings={"timing_share": 0.5, "mismatch.seed": 3})
+    assert sum("has no effect" in finding.text for finding in idle) == 2
+    assert (
+        "acts only with scene"
+        in check_folder(FOLDER, settings={"inputs.plant.torque": 1.0})[0].text
+    )
     unknown = check_folder(FOLDER, {"plant": {"block_maas": 1.0}})
     assert [finding.level for finding in unknown] == ["wrong"]
     assert "block_maas" in unknown[0].text

@@ -244,6 +244,11 @@ def _remarks(scenario: Scenario) -> Iterator[str]:
         yield f"{SCENARIO_FILE}: purpose is empty; one line should say what the scenario is for"
     if scenario.success == type(scenario.success)():
         yield f"{SCENARIO_FILE}: [success] is empty, so every run that reaches its end is a success"
+    is_timed = scenario.timing != "table" or scenario.route
+    if not is_timed and scenario.timing_share != Scenario.timing_share:
+        yield f'{SCENARIO_FILE}: timing_share has no effect on a run with timing = "table"'
+    if scenario.mismatch.seed and not scenario.mismatch.values:
+        yield f"{SCENARIO_FILE}: [mismatch] seed has no effect, as nothing is drawn"
     last = 0.0 if scenario.is_system else scenario.table.rows[-1].time
     if last > scenario.duration:
         yield (
