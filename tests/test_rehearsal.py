@@ -92,6 +92,11 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> Non
     assert "block_maas" in unknown[0].text
 
 
+def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it() -> None:
+    texts = [each.text for each in check_folder(shipped_scenarios()["push"])]
+    assert "the push from t = 0.5 s causes it" in texts[0]
+
+
 def test_check_advises_no_more_time_for_what_is_out_of_reach() -> None:
     texts = [each.text for each in check_folder(shipped_scenarios()["near_singular"])]
     assert any("more time does not help" in text for text in texts)

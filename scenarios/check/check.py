@@ -300,6 +300,7 @@ Finding = tuple[float | None, str]  # time [s], or None for the whole run; and w
 GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
 AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
+JOLT: Final = 0.02  # [s] for which the torques answer the begin or end of a push
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
 FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it opens
 
@@ -356,6 +357,10 @@ def _servos(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
         most, at = float(LIMITS["torque rate"].bound[joint]), float(recording.time[row])
         text = f"torque rate of joint {joint + 1} is {share * most:.3g} N.m/s at t = {at:.3f} s, "
         text += f"contacts included; must be at most {most:.3g} N.m/s ({share:.0%}); "
+        for push in prepared.scenario.push:
+            if any(0.0 <= at - edge < JOLT for edge in (push.start, push.start + push.duration)):
+                yield at, f"{text}the push from t = {push.start:g} s causes it: push more gently"
+                return
         noisy = "lower controller.ik_gain, or " if prepared.scenario.mismatch.has_sensors else ""
         yield at, f"{text}{noisy}move more slowly and touch more gently"
 

@@ -358,8 +358,8 @@ def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
         and any(limit.startswith("torque rate") for limit in beyond)
     ):
         yield (
-            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently"
-            f"{NOISE if ours else ''}"
+            f"Torque rate: give the rows more time ({MORE_TIME}) or push and set bodies down more "
+            f"gently{NOISE if ours else ''}"
         )
 
 
