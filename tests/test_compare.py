@@ -279,4 +279,4 @@ def test_an_element_goes_before_its_signal_and_that_before_the_default() -> None
     assert Tolerances(scale=5.0).value("controller.dq[1]", "rad") == 5.0 * DQ
     assert default.value("plant.qpos[1]", "rad") < default.value("plant.qpos[16]", "1")
     assert default.value("controller.ctrl[8]", "1") > default.value("controller.ctrl[7]", "rad")
-    assert all(default.value(f"{signal}[1]", "1") > 0.0 for signal in SIGNALS)
+    assert all(default.value(f"{s}{i}", "1") > 0.0 for s in SIGNALS for i in ("", "[1]"))
