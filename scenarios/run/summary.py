@@ -37,7 +37,7 @@ NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
     "orientation": (_HAND[1], COMMAND[1]),
     "block": (_FORCE, "plant.qpos[16]", *_HAND),
     "contact": (UNWANTED,),  # but for its peak
-    "energy": ("plant.actuator_force[7]", "plant.qvel[9]"),
+    "energy": ("plant.actuator_force[7]", "plant.qvel[9]", _HAND[0]),
 }
 
 
