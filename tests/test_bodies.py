@@ -13,7 +13,7 @@ from panda_cosim.fmus.sources.model_fmu import model_part
 from panda_cosim.scenarios.judging.signals import check_bodies, judge_bodies
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.start import check_criteria
-from panda_cosim.scenarios.scenario.criteria import BodyCriterion
+from panda_cosim.scenarios.scenario.criteria import BodyCriterion, Success
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.system.assembly import assemble
 
@@ -68,10 +68,13 @@ def test_a_body_is_judged_where_it_is_at_the_end(recording: Recording) -> None:
 
 
 def test_a_body_is_judged_at_another_instant(recording: Recording) -> None:
-    assert judged(recording, min_lift=0.0, at=0.5)["cup min_lift"][0] == pytest.approx(0.1)
-    assert judged(recording, max_tilt=1.0, at=0.5)["cup max_tilt"] == (0.0, True)
-    assert judged(recording, max_tilt=1.0, at="release")["cup max_tilt"] == (None, False)
-    assert judged(recording, max_tilt=1.0, at=1.5)["cup max_tilt"] == (None, False)
+    assert judged(recording, min_lift=0.0, at=0.5)["cup min_lift at 0.5 s"][0] == pytest.approx(0.1)
+    assert judged(recording, max_tilt=1.0, at=0.5)["cup max_tilt at 0.5 s"] == (0.0, True)
+    for at, name in (("release", "release"), (1.5, "1.5 s")):
+        assert judged(recording, max_tilt=1.0, at=at) == {f"cup max_tilt at {name}": (None, False)}
+    again = (BodyCriterion(body="cup", max_tilt=tilt) for tilt in (1.0, 2.0))
+    with pytest.raises(InputError, match="name 'cup max_tilt' is taken; must be unique"):
+        Success(body=tuple(again))
 
 
 @pytest.mark.parametrize(

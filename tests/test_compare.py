@@ -116,6 +116,19 @@ def test_a_reference_too_coarse_for_the_tolerances_must_be_recorded_again(
         compared(columns(), tolerances=Tolerances(values={"plant.qpos[1]": 5e-8}))
 
 
+def test_a_system_that_starts_later_matches_its_reference(tmp_path: Path) -> None:
+    later = columns()
+    later["time"] = later["time"] + 2.5
+    run = record(tmp_path / "run", later, metadata={"start_time": 2.5})
+    Reference.of(run, SUMMARY, TOLERANCES).write(tmp_path / "reference.parquet", run)
+    reference = Reference.read(tmp_path / "reference.parquet")
+    comparison = compare_with_reference(run, SUMMARY, reference, TOLERANCES, exact=True)
+    assert comparison.ok, texts(comparison)
+    earlier = record(tmp_path / "earlier", columns())
+    problems = compare_with_reference(earlier, SUMMARY, reference, TOLERANCES).problems
+    assert "the reference from 2.5 to" in problems[0]
+
+
 def test_a_comparison_of_no_signal_is_no_match(tmp_path: Path, reference: Reference) -> None:
     values = {name: columns()[name] for name in ("time", "plant.jac[1,1]")}
     run = record(tmp_path / "now", values)
@@ -266,4 +279,4 @@ def test_an_element_goes_before_its_signal_and_that_before_the_default() -> None
     assert Tolerances(scale=5.0).value("controller.dq[1]", "rad") == 5.0 * DQ
     assert default.value("plant.qpos[1]", "rad") < default.value("plant.qpos[16]", "1")
     assert default.value("controller.ctrl[8]", "1") > default.value("controller.ctrl[7]", "rad")
-    assert all(default.value(f"{signal}[1]", "1") > 0.0 for signal in SIGNALS)
+    assert all(default.value(f"{s}{i}", "1") > 0.0 for s in SIGNALS for i in ("", "[1]"))

@@ -10,7 +10,7 @@ import pytest
 from fmu_support import compiler
 from forked import command
 from odd_fmu import Variable, odd_fmu, odd_ssp
-from panda_cosim import Recording
+from panda_cosim import Recording, Scenario, Session
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 
 pytestmark = [
@@ -109,6 +109,20 @@ def test_the_start_time_is_the_first_row_s(tmp_path: Path) -> None:
     recording = Recording.open(tmp_path / "run")
     assert recording.time.tolist() == [2.5 + k * 0.001 for k in range(11)]
     assert recording["c.start"][0] == 2.5  # as the FMU is told
+
+
+@pytest.mark.own_process
+def test_a_session_of_a_system_keeps_the_criteria_within_its_time(tmp_path: Path) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
+    experiment = '<ssd:DefaultExperiment startTime="2.5" stopTime="2.51"/>'
+    odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y"]}, experiment=experiment)
+    (tmp_path / "scenario.toml").write_text(
+        'system = "odd.ssp"\nduration = 0.01\n[[success.signal]]\n'
+        'signal = "c.y"\nreduce = "max"\nto = 2.504\nbelow = 9.0\n'
+    )
+    with Session(tmp_path) as session:
+        session.step(5)
+        assert session.as_scenario().success == Scenario.read(tmp_path).success
 
 
 def test_the_fmus_name_the_times_that_the_system_leaves_open(tmp_path: Path) -> None:

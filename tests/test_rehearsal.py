@@ -32,6 +32,9 @@ def rehearsed(plant: Mapping[str, float | tuple[float, ...]]) -> tuple[Prepared,
 def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path: Path) -> None:
     prepared, rehearsal = rehearsed({})
     assert list(findings(rehearsal, prepared)) == []
+    failing = replace(prepared.scenario, expect="failure", expect_reason="so")
+    unexpected = findings(rehearsal, replace(prepared, scenario=failing))
+    assert "but a failure is expected" in next(unexpected)[1]
     grip = weakest_grip(rehearsal.recording, prepared)
     assert grip is not None
     assert grip[1] > 2.0 * grip[2]
@@ -78,9 +81,20 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> Non
     heavy = check_folder(FOLDER, {"plant": {"block_mass": 1.2, "block_friction": 0.5}})
     assert any("N by friction; the block needs" in finding.text for finding in heavy)
     assert not any("can run" in finding.text for finding in heavy)
+    idle = check_folder(FOLDER, settings={"timing_share": 0.5, "mismatch.seed": 3})
+    assert sum("has no effect" in finding.text for finding in idle) == 2
+    assert (
+        "acts only with scene"
+        in check_folder(FOLDER, settings={"inputs.plant.torque": 1.0})[0].text
+    )
     unknown = check_folder(FOLDER, {"plant": {"block_maas": 1.0}})
     assert [finding.level for finding in unknown] == ["wrong"]
     assert "block_maas" in unknown[0].text
+
+
+def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it() -> None:
+    texts = [each.text for each in check_folder(shipped_scenarios()["push"])]
+    assert "the push from t = 0.5 s causes it" in texts[0]
 
 
 def test_check_advises_no_more_time_for_what_is_out_of_reach() -> None:

@@ -32,10 +32,19 @@ def still(**metadata: Any) -> FakeRecording:
         "plant.qpos": np.tile([*HOME_Q, *(0.0,) * 9], (TICKS, 1)),
         "plant.qvel": np.zeros((TICKS, 15)),
         "plant.actuator_force": np.zeros((TICKS, 8)),
+        "plant.hand_xpos": np.zeros((TICKS, 3)),
         "controller.qvel_ref": np.zeros((TICKS, 7)),
         "controller.limit": np.zeros((TICKS, 7)),
     }
     return FakeRecording(1e-3 * np.arange(TICKS), signals, metadata)
+
+
+def test_another_arm_is_not_held_against_this_robots_limits() -> None:
+    run = still()
+    del run.signals["plant.hand_xpos"]
+    shares = limit_shares(run)
+    assert {key for key in shares if not key.startswith("reference_")} == {"not_measured"}
+    assert set(shares["not_measured"].values()) == {"plant.hand_xpos is not recorded"}
 
 
 def test_a_torque_rate_is_measured_but_for_the_servos_switching_on() -> None:

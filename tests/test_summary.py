@@ -168,6 +168,7 @@ def test_yaw_counts_modulo_a_quarter_turn(
 def test_an_incomplete_run_is_no_success(record: Callable[..., Recording], rows: int) -> None:
     summary = summarize(record(blank_rows()[:rows], complete=False), scenario(max_tilt=1.0))
     assert (summary.success, summary.complete, summary.reason) == (False, False, "cut")
+    assert "ended early: cut" in next(outcome_lines(summary, realtime=False))[0]
 
 
 @pytest.mark.parametrize("expect", ["success", "failure"])

@@ -187,6 +187,18 @@ def test_a_run_that_diverged_is_described() -> None:
         ),
         ({"criteria": [{"name": "a", "ok": False, "value": 1.0}]}, {}, "bad", "missed: a"),
         ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "not measured: a"),
+        (
+            {"expect": "failure", "criteria": [{"name": "a", "ok": False, "value": 1.0}]},
+            {},
+            "good",
+            "failure, as expected: a",
+        ),
+        (
+            {"expect": "failure", "criteria": [{"name": "a", "ok": True, "value": 1.0}]},
+            {},
+            "bad",
+            "unexpected success",
+        ),
         ({"reason": "diverged"}, {"complete": False}, "bad", "incomplete: diverged"),
     ],
 )

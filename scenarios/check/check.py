@@ -31,6 +31,7 @@ from ..judging.criterion import miss_text
 from ..judging.holds import find_holds
 from ..judging.limits import Level, outcome
 from ..recording import Recording
+from ..recording.reader import shapes_of
 from ..run.options import Options, with_options, with_values
 from ..run.prepare import Prepared, prepare
 from ..run.result import Run
@@ -46,6 +47,7 @@ from ..run.start import (
     unsuitable_gains,
 )
 from ..run.stopping import StopRequest
+from ..run.summary import unrecorded
 from ..scenario.criteria import HELD_FORCE
 from ..scenario.limits import LIMITS, saturated, shares, torque_rates
 from ..scenario.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
@@ -136,6 +138,11 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
         run = f"`panda-cosim run {_name(scenario)} --set preflight={scenario.preflight}`"
         text = f"what {scenario.preflight} refuses is not known before a run: {run}"
         hints.append(Diagnostic(level, text))
+    columns = {column.name for column in assembly.recorded(scenario.coupling)}
+    recorded = {*columns, *shapes_of(tuple(columns))}
+    file = f"{scenario.folder}/{SCENARIO_FILE}"
+    if lacking := [f"{file}: [success] {text}" for text in unrecorded(scenario.success, recorded)]:
+        return [*_diagnostics("wrong", lacking), *hints]
     if len(assembly.interfaces) > 1 and not count:
         text = f"{about}; it runs, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
@@ -222,7 +229,7 @@ def _located(run: Run, prepared: Prepared) -> Iterator[str]:
     """Yield what goes wrong, with the row that the hand is on its way to, or the last."""
     times = resolve(prepared.scenario, prepared.values).times
     for at, text in findings(run, prepared):
-        place = TABLE_FILE
+        place = SCENARIO_FILE
         if at is not None:
             row = min(int(np.searchsorted(times, at - TIME_TOLERANCE)) + 1, len(times))
             place = f"{TABLE_FILE}: row {row}"
@@ -237,6 +244,11 @@ def _remarks(scenario: Scenario) -> Iterator[str]:
         yield f"{SCENARIO_FILE}: purpose is empty; one line should say what the scenario is for"
     if scenario.success == type(scenario.success)():
         yield f"{SCENARIO_FILE}: [success] is empty, so every run that reaches its end is a success"
+    is_timed = scenario.timing != "table" or scenario.route
+    if not is_timed and scenario.timing_share != Scenario.timing_share:
+        yield f'{SCENARIO_FILE}: timing_share has no effect on a run with timing = "table"'
+    if scenario.mismatch.seed and not scenario.mismatch.values:
+        yield f"{SCENARIO_FILE}: [mismatch] seed has no effect, as nothing is drawn"
     last = 0.0 if scenario.is_system else scenario.table.rows[-1].time
     if last > scenario.duration:
         yield (
@@ -288,6 +300,7 @@ Finding = tuple[float | None, str]  # time [s], or None for the whole run; and w
 GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
 AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
+JOLT: Final = 0.02  # [s] for which the torques answer the begin or end of a push
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
 FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it opens
 
@@ -315,6 +328,8 @@ def findings(run: Run, prepared: Prepared) -> Iterator[Finding]:
         for criterion in run.summary.criteria:
             if criterion.measured and not criterion.ok:
                 yield None, f"[success] {miss_text(criterion)}"
+    elif run.summary.success:
+        yield None, f"[success] holds, but a failure is expected: {run.summary.expect_reason}"
 
 
 def _dragging(recording: Recording) -> Iterator[Finding]:
@@ -342,6 +357,10 @@ def _servos(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
         most, at = float(LIMITS["torque rate"].bound[joint]), float(recording.time[row])
         text = f"torque rate of joint {joint + 1} is {share * most:.3g} N.m/s at t = {at:.3f} s, "
         text += f"contacts included; must be at most {most:.3g} N.m/s ({share:.0%}); "
+        for push in prepared.scenario.push:
+            if any(0.0 <= at - edge < JOLT for edge in (push.start, push.start + push.duration)):
+                yield at, f"{text}the push from t = {push.start:g} s causes it: push more gently"
+                return
         noisy = "lower controller.ik_gain, or " if prepared.scenario.mismatch.has_sensors else ""
         yield at, f"{text}{noisy}move more slowly and touch more gently"
 

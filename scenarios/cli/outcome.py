@@ -234,6 +234,8 @@ def _fault(done: Run) -> Fault | None:
         return "error", "stopped", str(summary.reason)
     if summary.as_expected:
         return None
+    if not summary.complete:
+        return "error", "ended early", str(summary.reason)
     if _has_no_verdict(summary):
         return "error", "not measured", unmeasured_text(summary.criteria)
     message = missed_text(summary.criteria) or f"{NOT_FAILED}: {summary.expect_reason}"
@@ -298,8 +300,9 @@ def outcome_lines(
 
 def _verdict_line(summary: Summary) -> tuple[str, str]:
     missed = missed_text(summary.criteria)
-    if _has_no_verdict(summary):
-        return f"{NO_VERDICT}: {missed}", "bold red"
+    if not summary.complete or _has_no_verdict(summary):
+        early = f"No success, as the run ended early: {summary.reason}"
+        return f"{NO_VERDICT}: {missed}" if summary.complete else early, "bold red"
     if summary.expect == "failure":
         if not summary.as_expected:
             return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
@@ -355,8 +358,8 @@ def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
         and any(limit.startswith("torque rate") for limit in beyond)
     ):
         yield (
-            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently"
-            f"{NOISE if ours else ''}"
+            f"Torque rate: give the rows more time ({MORE_TIME}) or push and set bodies down more "
+            f"gently{NOISE if ours else ''}"
         )
 
 

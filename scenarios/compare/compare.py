@@ -96,11 +96,11 @@ def value_problems(recording: Recording) -> list[str]:
 
 def time_problems(time: Array, reference: Reference) -> list[str]:
     """Check that the time axis is that of the reference."""
-    end = reference.time[-1]
+    start, end = reference.time[[0, -1]].tolist()
     first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
-    if not (abs(first) <= TIME_SLACK and abs(last - end) <= TIME_SLACK):
-        span = f"{precise(first)} to {precise(last)} s"
-        return [f"goes from {span}, the reference from 0 to {precise(end)} s"]
+    if not (abs(first - start) <= TIME_SLACK and abs(last - end) <= TIME_SLACK):
+        spans = [f"{precise(a)} to {precise(b)} s" for a, b in ((first, last), (start, end))]
+        return [f"goes from {spans[0]}, the reference from {spans[1]}"]
     if len(time) != reference.rows:
         return [f"has {len(time)} rows, the reference {reference.rows}"]
     off = np.flatnonzero(~(np.abs(time - reference.time) <= TIME_SLACK))
@@ -275,7 +275,7 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
 
 def matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
     """Return the reference's row at each instant, -1 if it has none."""
-    ticks = np.round(np.nan_to_num(time, nan=-1.0) / reference.step_size)
+    ticks = np.round(np.nan_to_num(time - reference.time[0], nan=-1.0) / reference.step_size)
     inside = (ticks >= 0) & (ticks < reference.rows)
     return np.where(inside, ticks, -1).astype(np.int64)
 

@@ -39,7 +39,7 @@ CHECKSUM_KEY: Final = b"panda-cosim.checksum"
 QUANTA: Final = 10  # quanta per tolerance
 _DIGEST_DIGITS = 16  # hexadecimal digits of a SHA-256; enough to exclude collisions
 _LARGEST = 2**31 - 1
-_KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
+_KEPT = ("scenario", "coupling", "step_size", "start_time", "versions", "platform", "fmus")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,8 @@ class Reference:
     @property
     def time(self) -> Array:
         """Instant of each row (rows,) [s]."""
-        return self.step_size * np.arange(self.rows, dtype=np.float64)
+        start: float = self.metadata.get("start_time", 0.0)  # only a system's
+        return start + self.step_size * np.arange(self.rows, dtype=np.float64)
 
     @property
     def columns(self) -> tuple[str, ...]:

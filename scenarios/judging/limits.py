@@ -81,6 +81,7 @@ def _text(refusal: Mapping[str, Any]) -> str:
 
 Array = NDArray[np.float64]
 
+HAND: Final = "plant.hand_xpos"
 FORCE: Final = "plant.actuator_force"  # of the servos [N.m, N]
 REFERENCE: Final = "controller.qvel_ref"
 # Values 1 to 6 of `controller.limit`.
@@ -98,13 +99,18 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
     for key, (signal, _) in _USES.items():
         if key.startswith("reference_") and controller.get("impedance"):
             missing[key] = "the impedance law has no joint reference"
-        elif signal not in recording:
-            missing[key] = f"{signal.partition('[')[0]} is not recorded"
+        elif lacking := [each for each in (signal, *_arm(signal)) if each not in recording]:
+            missing[key] = f"{lacking[0].partition('[')[0]} is not recorded"
         elif not len(recording.time):
             missing[key] = "no row is recorded"
         else:
             shares[key] = [float(np.abs(used).max()) for used in shares_over_time(recording, key)]
     return shares | {"not_measured": missing}
+
+
+def _arm(signal: str) -> list[str]:
+    """Return what tells our arm from another plant, whose joints these limits are not of."""
+    return [HAND] if signal.startswith("plant.") else []
 
 
 def shares_over_time(recording: Recording, metric: str) -> Iterator[Array]:
@@ -209,7 +215,8 @@ def first_limit(recording: Recording) -> dict[str, Any] | None:
     """Return `time_s`, `joint` (from 1) and `kind` of the limit that bound first, or None."""
     plant = recording.metadata.get("parameters", {}).get("plant", {})
     scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
-    names = [name for name in (FORCE, "controller.limit") if f"{name}[7]" in recording]
+    known = (FORCE, "controller.limit") if HAND in recording else ("controller.limit",)
+    names = [name for name in known if f"{name}[7]" in recording]
     for time, *signals in recording.in_blocks("time", *names):
         by_name, kinds = dict(zip(names, signals, strict=True)), np.zeros((len(time), 7))
         if FORCE in by_name:

@@ -236,7 +236,7 @@ def _judge_body(criterion: BodyCriterion, recording: Recording, events: Events) 
         reason = str(error)
     return [
         Criterion.judge(
-            f"{criterion.body} {'position' if name == 'tolerance' else name}",
+            criterion.label(name),
             values.get(name),
             bound,
             BOUNDS[name],

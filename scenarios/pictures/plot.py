@@ -89,8 +89,9 @@ def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
         figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
         figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
         if criteria := Criterion.read(summary or {}):
-            missed = shorten(missed_text(criteria), LENGTH, placeholder=" ...")
-            words, colour = (missed, MISSED) if missed else ("all criteria hold", HOLDS)
+            missed = missed_text(criteria)
+            words = shorten(missed or "all criteria hold", LENGTH, placeholder=" ...")
+            colour = HOLDS if (summary or {}).get("as_expected", not missed) else MISSED
             figure.text(0.975, 0.979, words, fontsize=11, color=colour, ha="right", **plain)
         note = "shaded: the fingers hold the block    ▾ waypoint of the table"
         figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")

@@ -61,19 +61,19 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
         rows.append(inputs[first : action.tick])
         first = action.tick
         if action.name == "set" and action.arguments["name"] not in inputs:
-            started = _with_parameter(started, action)
+            started = _with_parameter(prepared, started, action)
         elif action.name == "set_coupling" and action.tick > 0:
-            raise InputError(f"session: the coupling was changed at {_time(scenario, action.tick)};"
+            raise InputError(f"session: the coupling was changed at {_time(prepared, action.tick)};"
                              " a scenario has one")  # fmt: skip
         adjustments.take(action)
     session = np.vstack([*rows, inputs[first:ticks]])
-    duration = round(ticks * scenario.step, _DIGITS)
+    start, duration = prepared.assembly.start_time, round(ticks * scenario.step, _DIGITS)
     written = replace(
         started,
         coupling=adjustments.coupling,
         table=inputs.table,
         duration=duration,
-        success=scenario.success.within(duration),
+        success=scenario.success.within(start, start + duration),
         push=tuple(_all_pushes(session, inputs)),
         folder=scenario.folder if scenario.has_own_parts else None,
     )
@@ -86,18 +86,18 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
     if not same.all():
         tick = int(np.flatnonzero(~same.all(axis=1))[0])
         raise InputError(
-            f"session: from {_time(scenario, tick)} on, no table gives its commands: they were "
+            f"session: from {_time(prepared, tick)} on, no table gives its commands: they were "
             "held, or a waypoint was moved when the hand was on its way to it"
         )
     return written
 
 
-def _with_parameter(scenario: Scenario, action: Action) -> Scenario:
+def _with_parameter(prepared: Prepared, scenario: Scenario, action: Action) -> Scenario:
     """Return the scenario with a parameter that was set before the first step."""
     name, value = action.arguments["name"], action.arguments["value"]
     if action.tick > 0:
         raise InputError(
-            f"session: {name} was set at {_time(scenario, action.tick)}; a scenario has values of "
+            f"session: {name} was set at {_time(prepared, action.tick)}; a scenario has values of "
             "parameters at its start only"
         )
     instance, _, parameter = name.partition(".")
@@ -122,8 +122,8 @@ def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
                 )
 
 
-def _time(scenario: Scenario, tick: int) -> str:
-    return f"t = {tick * scenario.step:.3f} s"
+def _time(prepared: Prepared, tick: int) -> str:
+    return f"t = {prepared.assembly.start_time + tick * prepared.scenario.step:.3f} s"
 
 
 _REFUSED = ("realtime", "time_limit")  # options: the caller paces, and stops

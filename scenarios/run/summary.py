@@ -6,9 +6,9 @@ be measured is null.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,15 @@ Array = NDArray[np.float64]
 Metrics = dict[str, Any]
 
 FORMAT = 3
+_HAND, _FORCE = ("plant.hand_xpos", "plant.hand_xquat"), "plant.contact_force"
+# Signals without which a section is empty; foreign FMUs may lack some.
+NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
+    "tracking": (_HAND[0], COMMAND[0]),
+    "orientation": (_HAND[1], COMMAND[1]),
+    "block": (_FORCE, "plant.qpos[16]", *_HAND),
+    "contact": (UNWANTED,),  # but for its peak
+    "energy": ("plant.actuator_force[7]", "plant.qvel[9]", _HAND[0]),
+}
 
 
 @dataclass(frozen=True)
@@ -70,32 +79,27 @@ def summarize(
     """Measure a run."""
     held = find_holds(recording)
     happened = events(recording, held)
-    hand, force = ("plant.hand_xpos", "plant.hand_xquat"), "plant.contact_force"
 
     def measured_if(names: Iterable[str], measure: Callable[[], Metrics]) -> Metrics:
-        """Measure what the recorded signals allow; foreign FMUs may lack some."""
+        """Measure what the recorded signals allow."""
         return measure() if all(name in recording for name in names) else {}
 
     target = scenario.success.block_position
     measured = {
-        "tracking": measured_if((hand[0], COMMAND[0]), lambda: _tracking(recording)),
-        "orientation": measured_if((hand[1], COMMAND[1]), lambda: _orientation(recording)),
-        "block": measured_if(
-            (force, "plant.qpos[16]", *hand), lambda: measure_block(recording, held, target)
-        ),
+        "tracking": measured_if(NEEDED["tracking"], lambda: _tracking(recording)),
+        "orientation": measured_if(NEEDED["orientation"], lambda: _orientation(recording)),
+        "block": measured_if(NEEDED["block"], lambda: measure_block(recording, held, target)),
         "contact": {
-            **measured_if([force], lambda: {"peak_force_N": _peak(recording[force])}),
-            **measured_if([UNWANTED], lambda: unwanted_contacts(recording)),
+            **measured_if([_FORCE], lambda: {"peak_force_N": _peak(recording[_FORCE])}),
+            **measured_if(NEEDED["contact"], lambda: unwanted_contacts(recording)),
         },
         "limits": limit_shares(recording),
         "preflight": _preflight(recording, scenario.preflight),
-        "energy": measured_if(
-            ("plant.actuator_force[7]", "plant.qvel[9]"), lambda: _energy(recording)
-        ),
+        "energy": measured_if(NEEDED["energy"], lambda: _energy(recording)),
         "timing": _timing(recording, happened, statistics),
     }
     criteria = (
-        *_criteria(scenario.success, measured),
+        *_criteria(scenario.success, measured, recording),
         *judge_bodies(scenario.success.body, recording, happened),
         *judge_signals(scenario.success.signal, recording, happened),
     )
@@ -189,7 +193,25 @@ def _timing(recording: Recording, happened: Events, statistics: RunStatistics | 
     return timing
 
 
-def _criteria(success: Success, measured: Mapping[str, Metrics]) -> Iterator[Criterion]:
+def unrecorded(success: Success, recorded: Container[str]) -> Iterator[str]:
+    """Say of each criterion on a metric which signal it lacks."""
+    from ..judging.definitions import DEFINITIONS  # noqa: PLC0415 - slow to read
+
+    for name in field_names(Success):
+        definition = DEFINITIONS.get(f"success.{name}")
+        reason = _lacking(definition.metric, recorded) if definition is not None else None
+        if reason and getattr(success, name) is not None:
+            yield f"{name}: {reason}"
+
+
+def _lacking(metric: str, recorded: Container[str]) -> str | None:
+    needed = NEEDED.get(metric.partition(".")[0], ())
+    return next((f"{signal} is not recorded" for signal in needed if signal not in recorded), None)
+
+
+def _criteria(
+    success: Success, measured: Mapping[str, Metrics], recorded: Container[str]
+) -> Iterator[Criterion]:
     """Compare the metrics with the success criteria, in the scenario file's units."""
     from ..judging.definitions import DEFINITIONS  # noqa: PLC0415 - read while FMUs step, for pages
 
@@ -202,5 +224,7 @@ def _criteria(success: Success, measured: Mapping[str, Metrics]) -> Iterator[Cri
             if key.endswith("_mm"):
                 value = _scaled(value, 1e-3)
             direction: Direction = "above" if definition.better == "higher" else "below"
-            reason = DEFINITIONS[definition.metric].unmeasured if key and value is None else None
+            reason = _lacking(definition.metric, recorded) if value is None else None
+            if key and value is None:
+                reason = reason or DEFINITIONS[definition.metric].unmeasured
             yield Criterion.judge(name, value, bound, definition.unit, direction, reason)

@@ -127,7 +127,7 @@ class SignalCriterion:
 
     signal: Annotated[Signal, PlainValidator(_signal)]
     reduce: Annotated[str, Choice(tuple(REDUCTIONS))]
-    from_: Annotated[Instant, PlainValidator(check_instant)] = 0.0
+    from_: Annotated[Instant, PlainValidator(check_instant)] = "start"
     to: Annotated[Instant, PlainValidator(check_instant)] = "end"
     below: Annotated[float, _ANY] | None = None
     above: Annotated[float, _ANY] | None = None
@@ -181,8 +181,8 @@ class SignalCriterion:
         """Its name, or one made from reduction, signal and window."""
         if self.name:
             return self.name
-        start, end = (at if isinstance(at, str) else f"{at:g} s" for at in (self.from_, self.to))
-        window = f" from {start}" if self.from_ != 0.0 else ""
+        start, end = map(_instant_text, (self.from_, self.to))
+        window = f" from {start}" if self.from_ not in ("start", 0.0) else ""
         window += f" to {end}" if self.to != "end" else ""
         return f"{self.reduce} {signal_text(self.signal)}{window}"
 
@@ -205,6 +205,10 @@ def check_within(key: str, instant: Instant, start: float, end: float) -> float 
             f"{key}: value {instant!r}; must be within the run, from {start:g} to {end:g} s"
         )
     return float(at)
+
+
+def _instant_text(instant: Instant) -> str:
+    return instant if isinstance(instant, str) else f"{instant:g} s"
 
 
 def signal_text(signal: Signal) -> str:
@@ -269,6 +273,11 @@ class BodyCriterion:
         values = {name: getattr(self, name) for name in BOUNDS}
         return {name: value for name, value in values.items() if value is not None}
 
+    def label(self, bound: str) -> str:
+        """Name of one of the bounds in results."""
+        at = "" if self.at == "end" else f" at {_instant_text(self.at)}"
+        return f"{self.body} {'position' if bound == 'tolerance' else bound}{at}"
+
     @property
     def signals(self) -> tuple[str, ...]:
         """Recorded signals that hold its pose: position and quaternion, or qpos of the block."""
@@ -323,17 +332,18 @@ class Success:
                 "block_position and position_tolerance: one is missing; must be both or neither"
             )
         taken = set(field_names(Success))
-        for criterion in self.signal:
-            if criterion.label in taken:
-                raise ValueError(f"name {excerpt(criterion.label)} is taken; must be unique")
-            taken.add(criterion.label)
+        bodies = (each.label(bound) for each in self.body for bound in each.bounds)
+        for label in (*(each.label for each in self.signal), *bodies):
+            if label in taken:
+                raise ValueError(f"name {excerpt(label)} is taken; must be unique")
+            taken.add(label)
 
-    def within(self, end: float) -> Self:
-        """Return the criteria that a run from 0 to `end` [s] can measure."""
+    def within(self, start: float, end: float) -> Self:
+        """Return the criteria that a run from `start` to `end` [s] can measure."""
 
         def fits(criterion: SignalCriterion | BodyCriterion) -> bool:
             try:
-                criterion.check_window(0.0, end)
+                criterion.check_window(start, end)
             except ValueError:
                 return False
             return True

@@ -233,6 +233,9 @@ class Scenario:
             raise ValueError(
                 f'gains: value {self.gains!r}; must come with scene = "{TORQUE_DRIVEN}"'
             )
+        driven = any(name.partition("[")[0] == "plant.torque" for name in self.inputs)
+        if driven and "plant" not in self.fmus and not (self.is_system or self.is_torque_driven):
+            raise ValueError(f'[inputs] plant.torque: acts only with scene = "{TORQUE_DRIVEN}"')
         reaction = self.controller.get("reaction", "none")
         if impedance and reaction != "none":
             raise ValueError(f"[controller] reaction: value {reaction!r} moves servos; with "

@@ -99,8 +99,8 @@ class Tolerances:
                 return self.values[name]
         if signal not in SIGNALS:
             return self.scale * OTHERS
-        if signal == "plant.qpos" and index is not None:
-            return self.scale * _QPOS[min(index, len(_QPOS)) - 1]
+        if signal == "plant.qpos":  # without an index, that of a model with a single joint
+            return self.scale * _QPOS[min(index or 1, len(_QPOS)) - 1]
         by_unit = COMPARED[signal]
         return self.scale * by_unit.get(unit, min(by_unit.values()))
 
