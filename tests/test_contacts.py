@@ -146,6 +146,9 @@ def test_a_contact_is_missed_and_named_before_any_other_advice(plant: dict[str, 
     lines = said(summary)
     assert "more time" not in lines
     assert "carry less" not in lines
+    assert "the path must avoid them" in lines
+    needed = [replace(criterion, ok=True) for criterion in summary.criteria]  # as of a peg
+    assert "must avoid" not in said(replace(summary, criteria=needed, success=True))
     assert lines.index("Unwanted contacts: ") < lines.index("Beyond the robot's limits")
 
 

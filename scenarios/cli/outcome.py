@@ -331,7 +331,10 @@ def _contact_lines(summary: Summary) -> Iterator[str]:
     if contacts:
         more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
         named = "; ".join(contacts[:SHOWN])
-        yield f"Unwanted contacts: {named}{more}; the path must avoid them"
+        # A task whose criteria all hold with these contacts, such as a peg in its hole, needs them.
+        held = bool(summary.criteria) and summary.success
+        advice = "" if held else "; the path must avoid them"
+        yield f"Unwanted contacts: {named}{more}{advice}"
     elif peak := summary.contact.get("unwanted_force_N"):
         yield f"Unwanted contacts, with up to {peak:.3g} N"
 
