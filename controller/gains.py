@@ -165,6 +165,12 @@ class Gains:
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
     gain.name: gain.metadata["range"] for gain in fields(Gains) if "range" in gain.metadata
 }
+_NAMES: Final = [gain.name for gain in fields(Gains)]
+# Gains that only the impedance law has, and that only the laws with servos have.
+OF_IMPEDANCE: Final = frozenset(_NAMES[_NAMES.index("stiffness") :])
+OF_SERVOS: Final = frozenset(_NAMES[_NAMES.index("kp") : _NAMES.index("limit_share")]) - {
+    "base_ctrl", "posture",
+}  # fmt: skip
 DEFAULT: Final = Gains()
 
 # Gains, base and order of terms of the published tutorial (Collimator, Panda pick and place).

@@ -14,7 +14,7 @@ from forked import command
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import TORQUE_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
-from panda_cosim.controller.gains import preset
+from panda_cosim.controller.gains import OF_IMPEDANCE, OF_SERVOS, Gains, preset
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.run.options import Options, with_values
 from panda_cosim.scenarios.run.prepare import prepare
@@ -49,6 +49,29 @@ def settled(controller: Controller) -> Array:
     for _ in range(100):
         controller.update()
     return np.array(controller.outputs["motor_torque"])
+
+
+@pytest.mark.parametrize(("law", "others"), [("impedance", OF_SERVOS), ("default", OF_IMPEDANCE)])
+def test_the_gains_of_the_other_laws_change_nothing(law: str, others: frozenset[str]) -> None:
+    def outputs(gains: Gains) -> Array:
+        controller, random = Controller(gains), np.random.default_rng(3)
+        at_home(controller)
+        rows = []
+        for _ in range(20):
+            controller.inputs["qvel"] = random.normal(0.0, 0.1, 7)
+            controller.update()
+            rows.append(controller.output_values.copy())
+        return np.array(rows)
+
+    gains = preset(law)
+    expected = outputs(gains)
+    for name in others:
+        changed = replace(gains, **{name: (0.5 * np.array(getattr(gains, name)) + 1.0).tolist()})
+        np.testing.assert_array_equal(outputs(changed), expected, err_msg=name)
+    key = f"controller.{min(others)}"
+    task = {"impedance": "pick_and_place_impedance", "default": "pick_and_place"}[law]
+    scenario = with_values(load_scenario(task), {key: 2.0})
+    assert prepare(scenario).notes[0].startswith(f"[controller] {min(others)}: without effect")
 
 
 def test_springs_offset_and_commanded_force_act_at_the_hand() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...assets import ELASTIC
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
-from ...controller.gains import DEFAULT, PRESETS, Gains, preset
+from ...controller.gains import DEFAULT, OF_IMPEDANCE, OF_SERVOS, PRESETS, Gains, preset
 from ...fmus.errors import InputError
 from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import ParameterValue, grouped
@@ -169,8 +169,16 @@ def law_gains(scenario: Scenario, values: StartValues) -> Gains:
 
 
 def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:
-    """Say, in one line, that the default gains meet noise or elastic joints, which they amplify."""
-    if scenario.gains != "default" or scenario.is_system or scenario.fmus:
+    """Say which gains the law does not have, or that it amplifies noise or elastic joints."""
+    if scenario.is_system or "controller" in scenario.fmus:
+        return []
+    law, others = "servos", OF_IMPEDANCE
+    if values["controller"]["impedance"]:
+        law, others = "impedance", OF_SERVOS
+    idle = [key for key in scenario.controller if key.partition("[")[0] in others]
+    if idle:
+        return [f"[controller] {', '.join(idle)}: without effect, as the law is that of {law}"]
+    if scenario.gains != "default" or scenario.fmus:
         return []
     gains, mismatch = law_gains(scenario, values), scenario.mismatch.values
     causes = [f"mismatch.{key}" for key in NOISES if np.any(mismatch.get(key, 0.0))]
