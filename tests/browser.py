@@ -26,6 +26,7 @@ FLAGS = (
     "--webgl-antialiasing-mode=none",  # software draws here, and smooth edges are dear
 )
 TIMEOUT = 60.0  # [s] for any answer, on a busy machine
+SRCDOC = "about:srcdoc"  # address of a frame whose page is an attribute
 
 
 def find_browser() -> str | None:
@@ -155,14 +156,24 @@ class Page:
     @contextmanager
     def in_frame(self) -> Iterator[None]:
         """Speak to the page's frame that the browser keeps in a process of its own."""
-        targets = self.call("Target.getTargets")["targetInfos"]
-        frame = next(target["targetId"] for target in targets if target["type"] == "iframe")
-        attached = self.call("Target.attachToTarget", targetId=frame, flatten=True)
+        deadline = time.monotonic() + TIMEOUT
+        while len(frames := self._frames()) != 1:  # that of the page before may still be there
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the page never had one frame, but {len(frames)}")
+            time.sleep(0.05)
+        attached = self.call("Target.attachToTarget", targetId=frames[0], flatten=True)
         before, self._session = self._session, attached["sessionId"]
         try:
+            self.wait(f"location.href === '{SRCDOC}' && document.readyState === 'complete'")
             yield
         finally:
             self._session = before
+
+    def _frames(self) -> list[str]:
+        targets = self.call("Target.getTargets")["targetInfos"]
+        # The browser's own new tab has a frame, too.
+        ours = [each for each in targets if (each["type"], each["url"]) == ("iframe", SRCDOC)]
+        return [target["targetId"] for target in ours]
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drag the mouse from one place in the window to another."""

@@ -361,7 +361,6 @@ def test_a_notebook_shows_it_in_a_frame(page: Page, run: Path, folder: Path) -> 
     path.write_text(f"<!DOCTYPE html><body>{html}", encoding="utf-8")
     page.errors.clear()
     page.open(path)
-    time.sleep(1.0)
     with page.in_frame():
         page.wait("document.querySelector('.pv-stage canvas') !== null")
         page.wait("document.querySelectorAll('.pv-chart canvas').length === 5")
