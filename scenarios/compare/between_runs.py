@@ -234,7 +234,7 @@ def _criteria_part(comparison: RunComparison) -> list[Part]:
     for row in comparison.criteria:
         bound = next(bound_text(c) for c in row.judged if c is not None)
         rows.append((row.name, bound, *map(judged_text, row.judged)))
-    return [Part("Success condition", [Table(("Criterion", "Required", *comparison.names), rows)])]
+    return [Part("Success criteria", [Table(("Criterion", "Required", *comparison.names), rows)])]
 
 
 def _signals_part(comparison: RunComparison) -> list[Part]:
