@@ -219,7 +219,7 @@ def test_a_missed_success_condition_is_named_also_to_ci(tmp_path: Path) -> None:
     done = forked("run", strict, *options)
 
     assert done.returncode == 3, done.stderr
-    assert "Success condition missed: tracking_max" in done.stdout
+    assert "Success criteria missed: tracking_max" in done.stdout
     suite = ElementTree.parse(file).getroot()[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("1", "1", "0")
     (case,) = suite

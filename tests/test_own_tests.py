@@ -123,7 +123,7 @@ def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine: Path, tmp_path
     ("name", "code", "told"),
     [
         ("good", 0, "Success: 1 of 1 criteria hold"),
-        ("failing", 3, "Success condition missed: tracking_rms"),
+        ("failing", 3, "Success criteria missed: tracking_rms"),
         ("expected", 0, "Failure, as expected (no arm tracks to a nanometre): tracking_rms"),
         ("surprise", 3, "Unexpected success: the scenario expects a failure (no arm tracks to a"),
         ("unmeasured", 3, "No verdict, as not all criteria could be measured: "),

@@ -102,6 +102,7 @@ def test_a_folder_without_one_of_its_files_is_refused(tmp_path: Path, missing: s
         ("a\nb", "no such folder"),
         (Path("/nowhere/at/all"), "no such folder; must be one with scenario.toml"),
         (Path(__file__), "no such folder; must be one with scenario.toml"),
+        ("lift/scenario.toml", "or a name from `panda-cosim list`; did you mean 'lift'"),
     ],
 )
 def test_an_unknown_scenario_is_refused_with_the_nearest(name: str | Path, expected: str) -> None:

@@ -183,7 +183,7 @@ def test_what_was_not_measured_is_neither_success_nor_the_expected_failure(
     assert not summary.success
     assert not summary.as_expected
     assert summary.margin is None
-    told = "No verdict" if expect == "failure" else "Success condition missed: min_lift"
+    told = "No verdict" if expect == "failure" else "Success criteria missed: min_lift"
     assert next(outcome_lines(summary, realtime=False))[0].startswith(told)
 
     open_ended = summarize(recording, replace(asked, success=Success(max_slip=0.001)))

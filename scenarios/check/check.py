@@ -133,7 +133,7 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     models = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
-    unseen = "limits, collisions and grip are checked only with the project's plant and controller"
+    unseen = "no FMU was run; limits, collisions and grip are checked only with our own FMUs"
     if scenario.preflight:
         run = f"`panda-cosim run {_name(scenario)} --set preflight={scenario.preflight}`"
         text = f"what {scenario.preflight} refuses is not known before a run: {run}"

@@ -308,7 +308,7 @@ def _verdict_line(summary: Summary) -> tuple[str, str]:
             return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
         return f"Failure, as expected ({summary.expect_reason}): {missed}", "bold green"
     if missed:
-        return f"Success condition missed: {missed}", "bold red"
+        return f"Success criteria missed: {missed}", "bold red"
     if not summary.criteria:
         return "Done; the scenario has no success criteria", "bold"
     count = len(summary.criteria)

@@ -206,7 +206,7 @@ def _page(comparison: RunComparison) -> Page:
         Part("Recorded", [Table(("Recorded", *comparison.names), extent_rows(comparison))]),
         *view,
         _values("Parameter", comparison, comparison.parameters),
-        *([Part("Success condition", [criteria])] if criteria.rows else []),
+        *([Part("Success criteria", [criteria])] if criteria.rows else []),
         *_signals_part(comparison),
         _values("Metric", comparison, comparison.metrics),
     ]

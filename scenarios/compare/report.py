@@ -91,7 +91,7 @@ def _section(outcome: Outcome, views: Views) -> Section:
     return Section(
         name=outcome.name,
         state="good" if outcome.ok else "warn" if unknown else "bad",
-        parts=[*([Part("Success condition", [criteria])] if criteria.rows else []), *compared],
+        parts=[*([Part("Success criteria", [criteria])] if criteria.rows else []), *compared],
         word="not compared" if unknown else outcome.verdict,
         purpose=outcome.scenario.purpose,
         problems=comparison.problems if comparison else [outcome.error] if outcome.error else [],

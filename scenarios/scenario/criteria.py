@@ -1,4 +1,4 @@
-"""Success conditions of a scenario: [success], [[success.signal]] and [[success.body]].
+"""Success criteria of a scenario: [success], [[success.signal]] and [[success.body]].
 
 A criterion is only data, which `judging` interprets; no code in it is run.
 """

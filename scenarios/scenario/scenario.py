@@ -377,7 +377,8 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
     if is_folder:
         return Scenario.read(folder)
     name = str(name_or_folder)
+    parent = f"; did you mean '{folder.parent}'?" if folder.name == SCENARIO_FILE else ""
     raise InputError(
         f"scenario {excerpt(name)}: no such folder; must be one with {SCENARIO_FILE}, or a name "
-        f"from `panda-cosim list`{did_you_mean(name, shipped)}"
+        f"from `panda-cosim list`{parent or did_you_mean(name, shipped)}"
     )

@@ -62,9 +62,9 @@
 
   // Scales and axes.
 
-  /** Round numbers from low to high, about `most` of them. */
-  function steps(low, high, most) {
-    const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
+  /** Round numbers from low to high, about `wanted` of them, but never one alone. */
+  function steps(low, high, wanted) {
+    const rough = (high - low) / Math.max(wanted, 5), power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].map((f) => f * power).find((s) => s >= rough * 0.999);
     const places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
     const ticks = [];
@@ -83,7 +83,7 @@
     const bend = bent ? (v) => Math.asinh(v / middle) : (v) => v;
     const pad = 0.04 * (bend(high) - bend(low)), first = bend(low) - (low === 0 ? 0 : pad), last = bend(high) + pad;
     const at = (v) => from + ((bend(v) - first) / (last - first)) * (to - from);
-    let ticks = steps(low, high, Math.max(Math.abs(to - from) / 70, 2));
+    let ticks = steps(low, high, Math.abs(to - from) / 70);
     if (bent) {
       const powers = Array.from({ length: 13 }, (_, i) => 10 ** (Math.floor(Math.log10(middle)) + i));
       ticks = [0];
@@ -104,7 +104,7 @@
     }
     const [low, high] = [part.starts[0], part.ends[parts - 1]], pad = (to - from) * 0.015;
     const at = (v) => from + pad + ((v - low) / (high - low)) * (to - from - 2 * pad);
-    return { each: false, parts, at, ticks: steps(low, high, Math.max(Math.abs(to - from) / 110, 2)).map((v) => [number(v), at(v)]) };
+    return { each: false, parts, at, ticks: steps(low, high, Math.abs(to - from) / 110).map((v) => [number(v), at(v)]) };
   }
 
   function canvas(box, height, label) {
@@ -341,7 +341,7 @@
     byId("parallel-section").hidden = data.keys.length < 3;
     if (data.keys.length < 3) return;
     const metric = state.metric === FAILURES ? [] : [state.metric];
-    const axes = [...data.keys, ...metric], place = byId("parallel"), height = 368, top = 46, bottom = 338;
+    const axes = [...data.keys, ...metric], place = byId("parallel"), height = 368, top = 52, bottom = 338;
     const width = Math.max(place.parentElement.clientWidth, 110 * axes.length), ratio = window.devicePixelRatio || 1;
     place.width = width * ratio; place.height = height * ratio;
     place.style.width = `${width}px`; place.style.height = `${height}px`;
@@ -374,7 +374,7 @@
     draw.strokeStyle = draw.fillStyle = ink.getPropertyValue("--ink");
     axes.forEach((name, i) => {
       draw.beginPath(); draw.moveTo(x(i), top); draw.lineTo(x(i), bottom); draw.stroke();
-      draw.fillText(fit(title(name).replace(/^(plant|controller)\./, ""), 26), x(i), i % 2 ? 30 : 13);
+      draw.fillText(fit(title(name).replace(/^(plant|controller)\./, ""), 26), x(i), i % 2 ? 32 : 14);
       draw.fillText(value(name, reach[i][1]), x(i), top - 3);
       if (reach[i][1] > reach[i][0]) draw.fillText(value(name, reach[i][0]), x(i), bottom + 16);
       const span = chosen.get(name);
