@@ -62,9 +62,9 @@
 
   // Scales and axes.
 
-  /** Round numbers from low to high, about `wanted` of them, but never one alone. */
-  function steps(low, high, wanted) {
-    const rough = (high - low) / Math.max(wanted, 5), power = 10 ** Math.floor(Math.log10(rough));
+  /** Round numbers from low to high, about `count` of them, but never one alone. */
+  function steps(low, high, count) {
+    const rough = (high - low) / Math.max(count, 5), power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].map((f) => f * power).find((s) => s >= rough * 0.999);
     const places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
     const ticks = [];
