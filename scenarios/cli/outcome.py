@@ -205,7 +205,7 @@ def _drawing(done: Run) -> Iterator[None]:
     try:
         yield
     except RenderError as error:
-        warn(f"{error}; then `panda-cosim render {quote(str(done.folder))}` draws the pictures")
+        warn(f"{error}; later, `panda-cosim render {quote(str(done.folder))}` draws the pictures")
     except INTERRUPTS:
         warn(f"interrupted while drawing; recording and summary are in {done.folder}")
         raise

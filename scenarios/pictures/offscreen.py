@@ -77,7 +77,7 @@ class OffscreenRenderer:
             with self._patience():
                 content = self._process.stdout.read(size)
             if len(content) < size:
-                raise RenderError(f"no picture: the process that draws {self._how_it_ended()}")
+                raise RenderError(f"picture missing: the process that draws {self._how_it_ended()}")
             yield np.frombuffer(content, np.uint8).reshape(self._shape)
 
     def close(self) -> None:
