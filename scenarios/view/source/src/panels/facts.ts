@@ -6,7 +6,7 @@ import { make, quantity } from "../dom.ts";
 export function facts(about: About, ghost: About | null): HTMLElement {
   const parts: HTMLElement[] = [];
   const notes = [...new Set([...about.notes, ...(ghost?.notes ?? [])])];
-  if (about.criteria.length) parts.push(make("h3", "", "Success condition"), criteria(about.criteria));
+  if (about.criteria.length) parts.push(make("h3", "", "Success criteria"), criteria(about.criteria));
   if (about.limits.length) parts.push(make("h3", "", "Robot limits, largest share used"), limits(about.limits));
   parts.push(make("h3", "", "About this page"), make("ul", "pv-notes", ...notes.map((note) => make("li", "", note))));
   return make("div", "pv-facts", ...parts);
