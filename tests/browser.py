@@ -24,6 +24,7 @@ FLAGS = (
     "--disable-sync",
     "--remote-debugging-pipe",
     "--webgl-antialiasing-mode=none",  # software draws here, and smooth edges are dear
+    "about:blank",  # instead of the page of a new tab, which has a frame of its own
 )
 TIMEOUT = 60.0  # [s] for any answer, on a busy machine
 SRCDOC = "about:srcdoc"  # address of a frame whose page is an attribute

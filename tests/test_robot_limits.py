@@ -142,7 +142,9 @@ def test_limits_are_told_where_all_criteria_hold_and_can_be_criteria() -> None:
     assert "torque rate" in text
     assert "reference jerk" not in text  # which is kept
     assert "limit of joint" in text
-    assert "give that row more time" in text
+    assert "give that row more time (`panda-cosim retime" in text
+    foreign = outcome_lines(summary, realtime=False, ours=False)
+    assert not any("retime" in line for line, _ in foreign)  # it refuses FMUs of one's own
     for bound, ok in ((1.0, False), (100.0, True)):
         bounded = replace(scenario.success, max_limit_share=bound)
         summary = summarize(run, replace(scenario, success=bounded))

@@ -161,7 +161,7 @@ def test_run_and_check_refuse_a_system_in_the_same_words(folder: Path, tmp_path:
         (("{ssp}", "--plant", "a.xml"), "plant: cannot be combined with system = 'Panda.ssp'"),
         (("{ssp}", "--set", "plant.block_mas=0.2"), "did you mean 'block_mass'?"),
         (("--system", "{ssp}", "--duration", "0.0105"), "whole number of steps of 0.001 s"),
-        (("tutorial", "--system", "{ssp}"), "'tutorial': cannot be combined with --system"),
+        (("pick_and_place", "--system", "{ssp}"), "'pick_and_place': cannot be combined"),
         (("--system", "{ssp}", "--out", "{files}"), "already exists"),
     ],
 )

@@ -234,3 +234,9 @@ def test_a_notebook_gets_a_frame_with_the_page() -> None:
     html = inline._repr_html_()
     assert html.count("<") == 2
     assert 'srcdoc="&lt;p title=&quot;a &#x27;b&#x27;&quot;&gt;&amp;amp;&lt;/p&gt;"' in html
+
+
+def test_columns_of_different_units_are_not_in_one_plot() -> None:
+    units = {"plant.qvel[1]": "m/s", "plant.qvel[2]": "rad/s", "plant.qvel[3]": "rad/s"}
+    plots = run.shown_curves(run.CURVES, units)
+    assert [plot["columns"] for plot in plots] == [[*units][:1], [*units][1:]]

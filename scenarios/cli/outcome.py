@@ -41,17 +41,18 @@ if TYPE_CHECKING:
 
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
 NOT_A_SUCCESS = 3  # exit code
-MORE_TIME = "`panda-cosim retime SCENARIO --keep-times`"
+MORE_TIME = " (`panda-cosim retime SCENARIO --keep-times`)"
+OURS = {"PandaPlant", "PandaSensors", "PandaController"}  # models for which it is there
 REMEDIES = {  # by the kind of limit that held the arm back
     "position": "move the rows before and after it, or turn the hand",
-    "velocity": f"give that row more time ({MORE_TIME})",
-    "acceleration": f"give that row more time ({MORE_TIME})",
-    "jerk": f"give that row more time ({MORE_TIME}), or keep the path away from the stretched arm",
-    "torque": f"give that row more time ({MORE_TIME}), or carry less",
-    "torque rate": f"give that row more time ({MORE_TIME}), or touch bodies more gently",
+    "velocity": f"give that row more time{MORE_TIME}",
+    "acceleration": f"give that row more time{MORE_TIME}",
+    "jerk": f"give that row more time{MORE_TIME}, or keep the path away from the stretched arm",
+    "torque": f"give that row more time{MORE_TIME}, or carry less",
+    "torque rate": f"give that row more time{MORE_TIME}, or touch bodies more gently",
 }
 NOISE = "; with noisy readings, lower controller.ik_gain"
-GAIN_REMEDIES = {  # besides, if the controller is our own
+GAIN_REMEDIES = {  # besides, if all FMUs are our own
     "jerk": NOISE,
     "torque": "; with friction, elastic joints or weak servos, lower controller.kp and "
     "controller.ik_gain",
@@ -147,7 +148,7 @@ def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
         if not output.json:
             if done.summary.criteria:
                 show(verdict_table(done.summary))
-            ours = "controller.limit" in done.recording
+            ours = {fmu["model"] for fmu in done.recording.metadata["fmus"].values()} <= OURS
             for text, style in outcome_lines(done.summary, realtime=realtime, ours=ours):
                 show(text, style)
         draw_view(output, done)
@@ -204,7 +205,7 @@ def _drawing(done: Run) -> Iterator[None]:
     try:
         yield
     except RenderError as error:
-        warn(f"{error}; then `panda-cosim render {quote(str(done.folder))}` draws the pictures")
+        warn(f"{error}; later, `panda-cosim render {quote(str(done.folder))}` draws the pictures")
     except INTERRUPTS:
         warn(f"interrupted while drawing; recording and summary are in {done.folder}")
         raise
@@ -274,7 +275,7 @@ def verdict_table(summary: Summary) -> Table:
 def outcome_lines(
     summary: Summary, *, realtime: bool, ours: bool = True
 ) -> Iterator[tuple[str, str]]:
-    """Yield the lines below the table, each with its style; `ours`: it has our controller."""
+    """Yield the lines below the table, each with its style; `ours`: all FMUs are."""
     yield _verdict_line(summary)
     yield _speed_line(summary), ""
     for end in summary.row_ends:
@@ -287,7 +288,7 @@ def outcome_lines(
     for level, text in outcome(summary.preflight, complete=summary.complete):
         yield text, STYLES[level]
     for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
-        yield line, "yellow"
+        yield line if ours else line.replace(MORE_TIME, ""), "yellow"
     if realtime:
         timing = summary.timing
         late = f"{timing['worst_lateness_s'] * 1e3:.1f} ms"
@@ -361,7 +362,7 @@ def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
         and any(limit.startswith("torque rate") for limit in beyond)
     ):
         yield (
-            f"Torque rate: give the rows more time ({MORE_TIME}) or push and set bodies down more "
+            f"Torque rate: give the rows more time{MORE_TIME} or push and set bodies down more "
             f"gently{NOISE if ours else ''}"
         )
 

@@ -74,7 +74,7 @@ class OffscreenRenderer:
             image = self._process.stdout.read(size)
             if len(image) < size:
                 code = self._process.wait()
-                raise RenderError(f"no picture: the process that draws ended with code {code}")
+                raise RenderError(f"picture missing: the process that draws ended with code {code}")
             yield np.frombuffer(image, np.uint8).reshape(self._shape)
 
     def close(self) -> None:

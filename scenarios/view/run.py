@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -141,10 +141,13 @@ def number(value: object) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def shown_curves(curves: Iterable[tuple[str, list[str]]], columns: Collection[str]) -> list[Any]:
-    """Return the curves whose columns a run has."""
-    kept = [(title, [name for name in names if name in columns]) for title, names in curves]
-    return [{"title": title, "columns": names} for title, names in kept if names]
+def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, str]) -> list[Any]:
+    """Return the curves whose columns a run has, in one plot per unit."""
+    return [
+        {"title": title, "columns": [name for name in names if units.get(name) == unit]}
+        for title, names in curves
+        for unit in dict.fromkeys(units[name] for name in names if name in units)
+    ]
 
 
 Array = NDArray[np.float64]
@@ -208,7 +211,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         recorded = _signals(source, thinning, columns["qpos"], second)
         contacts = _contacts(run)
         signals = [*_derived(source, thinning, against), *recorded]
-    known = {name for signal in signals for name in signal["columns"]}
+    known = {n: unit for s in signals for n, unit in zip(s["columns"], s["units"], strict=True)}
     is_ours = model_file(source) is None
     bounds = column_bounds(robot_of(source.metadata)) if is_ours else {}
     notes = (thinning.words(), ROUNDING, contacts["words"] if contacts else "", *run.notes)

@@ -50,8 +50,10 @@ JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenario: str = scenario_argument(
-        "Name of a shipped scenario, a scenario's folder, or an .ssp file.", DEFAULT_SCENARIO
+    scenario: str | None = scenario_argument(
+        "Name of a shipped scenario, a scenario's folder, or an .ssp file. Default: "
+        f"{DEFAULT_SCENARIO}.",
+        None,
     ),
     out: Path | None = OUT_RUN,
     assignments: list[str] | None = SETTINGS,
@@ -153,17 +155,17 @@ def replay(  # noqa: PLR0913 - one for each option
     conclude(simulate(scenario, options.kind, output, repeat), output)
 
 
-def _chosen(name: str, system: Path | None, duration: float | None) -> Scenario:
+def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:
     """Return a scenario, or what runs the system of an .ssp file, which a scenario may judge."""
-    if system is None and Path(name).suffix == ".ssp":
-        name, system = DEFAULT_SCENARIO, Path(name)
+    if system is None and name is not None and Path(name).suffix == ".ssp":
+        system, name = Path(name), None
     if system is None:
-        chosen = find_scenario(name)
+        chosen = find_scenario(DEFAULT_SCENARIO if name is None else name)
         return chosen if duration is None else with_values(chosen, {"duration": duration})
     from ...system.assembly import system_scenario  # noqa: PLC0415 - rarely needed
 
     alone = system_scenario(system, duration)
-    if name == DEFAULT_SCENARIO:
+    if name is None:
         return alone
     judging = find_scenario(name)
     if not judging.system:

@@ -40,7 +40,8 @@ export class Viewpoint {
     this.controls.maxDistance = 12 * model.extent;
     this.controls.addEventListener("start", () => this.release());
     this.controls.addEventListener("change", () => this.changed());
-    this.names = [...new Set([...model.cameras.map(({ name }) => name), "top"])];
+    const own = model.cameras.map(({ name }) => name);
+    this.names = [...new Set([...(own.length ? own : ["overview"]), "top"])];
   }
 
   /** Name of the active camera, or six numbers (eye, target) for a free view. */
@@ -66,7 +67,7 @@ export class Viewpoint {
     const data = this.model.cameras.find((camera) => camera.name === name);
     this.riding = data && data.body !== 0 ? data : null;
     this.controls.enabled = true;
-    if (!this.riding) this.place(data ? this.poseOf(data) : this.fromAbove(), smoothly);
+    if (!this.riding) this.place(data ? this.poseOf(data) : this.from(name), smoothly);
     this.chosen = name;
     this.changed();
     return true;
@@ -192,9 +193,10 @@ export class Viewpoint {
     }
   }
 
-  private fromAbove(): Pose {
+  private from(name: string): Pose {
     const target = new Vector3(...this.model.center);
-    const eye = target.clone().add(new Vector3(-0.001, 0, 2 * this.model.extent));
+    const way = name === "top" ? new Vector3(-0.001, 0, 2) : new Vector3(0.7, -1.6, 1); // in extents
+    const eye = target.clone().addScaledVector(way, this.model.extent);
     return { eye, target, fovy: 40 };
   }
 }
