@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
+import zlib
 from typing import Any, ClassVar
 
 import mujoco
@@ -13,11 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.plant.parameters import PlantParameters
-from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.view import columns, run
-from panda_cosim.scenarios.view.columns import Thinning, contact_forces, contact_rows, encode
+from panda_cosim.scenarios.view.columns import Thinning, encode
 from panda_cosim.scenarios.view.model import describe as describe_model
 from panda_cosim.scenarios.view.page import Inline, script_sources, view_page
 from panda_cosim.scenarios.view.run import Shown, describe
@@ -85,7 +85,12 @@ def test_the_model_has_all_shapes_and_reduces_textures() -> None:
     expected = ["plane", "mesh", "box", "capsule", "ellipsoid", "mesh", "sphere", "cylinder"]
     assert sorted(kinds) == sorted(expected)  # the sphere of group 3 is hidden; that is the site
     assert len(described["meshes"]) == 2
-    assert len(described["textures"]) == 1
+    (texture,) = described["textures"]  # of 300 by 200 pixels, 3 by 2 of which make one
+    pixels = np.frombuffer(zlib.decompress(base64.b64decode(texture["pixels"])), np.uint8)
+    image = pixels.reshape(texture["height"], texture["width"], 4)
+    assert image.shape == (100, 100, 4)
+    lower_left, upper_left = image[0, 0].tolist(), image[-1, 0].tolist()
+    assert (upper_left, lower_left) == ([255, 0, 0, 255], [0, 0, 255, 255])
     green = described["bodies"][2]["shapes"][0]
     # Five sides of that cube are green, the sixth is grey.
     assert green["rgba"] == pytest.approx([1 / 12, 11 / 12, 1 / 12, 1.0], abs=0.01)
@@ -93,28 +98,6 @@ def test_the_model_has_all_shapes_and_reduces_textures() -> None:
     assert joints == ["slide", "hinge", "hinge", "ball", "free"]
     assert [camera["name"] for camera in described["cameras"]] == ["fixed", "on the arm"]
     assert len(json.dumps(described)) < 20_000
-
-
-def test_contact_forces_hold_the_block_up() -> None:
-    model = load_scene(PlantParameters(block_mass=0.5))
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    for _ in range(300):
-        mujoco.mj_step(model, data)
-    state = (data.qpos[None], data.qvel[None], data.ctrl[None])
-    found = contact_forces(model, *(np.array(part) for part in state))
-    *_, upward = decoded(found["block"])
-    assert upward.sum() == pytest.approx(0.5 * 9.81, rel=0.01)  # [N]
-    assert decoded(found["counts"])[0] == [len(upward)]
-
-
-def test_contacts_are_sampled_within_the_run() -> None:
-    interval, rows = contact_rows(np.linspace(0.0, 3600.0, 3_600_001))
-    assert interval == pytest.approx(0.2)
-    assert len(rows) <= 18_001
-    assert rows[0] == 0
-    assert rows[-1] == 3_600_000
-    assert contact_rows(np.array([0.0]))[1].tolist() == [0]
 
 
 def made_up(rows: int = 200, **metadata: Any) -> MadeUp:
@@ -128,7 +111,8 @@ def made_up(rows: int = 200, **metadata: Any) -> MadeUp:
 
 def foreign(source: MadeUp, name: str = "foreign", **summary: Any) -> Shown:
     """That run with its model."""
-    return Shown(name, source, mujoco.MjModel.from_xml_string(MODEL), summary=summary)
+    model = describe_model(mujoco.MjModel.from_xml_string(MODEL))
+    return Shown(name, source, model, summary=summary)
 
 
 class Rounded(MadeUp):
@@ -151,7 +135,7 @@ def test_what_a_references_rounding_explains_is_no_difference() -> None:
 
 def test_a_foreign_run_with_nothing_but_positions_is_described() -> None:
     document = describe(foreign(made_up()), "key")
-    assert document["contacts"] is None
+    assert document["masses"] is None
     assert document["curves"] == []
     assert list(document["roles"]) == ["qpos"]
     assert document["verdict"] == {"state": "plain", "words": "no success criteria"}

@@ -125,11 +125,9 @@ def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
         import_module("rich.table")
         import_module("pyarrow.parquet")
         if view:
-            import_module("PIL.PngImagePlugin")
             page = import_module("..view.page", __package__)
-            page.code_elements()
             if values is not None:
-                page.described_model(page.plant_model({"parameters": values}))
+                page.plant_model({"parameters": values})
 
     sys.setswitchinterval(1e-5)  # [s] else each return from C waits up to 5 ms for this thread
     ThreadPoolExecutor(1).submit(load)

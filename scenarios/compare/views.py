@@ -104,5 +104,4 @@ class _Selected:
 def limited(run: Shown, columns: Iterable[str]) -> Shown:
     """Leave out most signals, so that a page of many runs stays small."""
     source = _Selected(run.source, frozenset((*KEPT, *columns)))
-    # Contact forces need more signals than the curves do; the full view has them.
-    return replace(run, source=source, physics=None, notes=(*run.notes, LIMITED))
+    return replace(run, source=source, notes=(*run.notes, LIMITED))

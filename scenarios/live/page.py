@@ -55,6 +55,7 @@ def page_of(session: Session) -> str:
         "name": session.scenario.name,
         "about": _about(session),
         "model": describe_model(model),
+        "masses": model.body_mass.tolist() if session.is_panda else None,
         "signals": _signals(session),
         "columns": columns,
         "roles": {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from typing import Any, Final
 
 import mujoco
@@ -14,6 +12,7 @@ from .columns import pack
 
 GROUPS: Final = 3  # the groups that MuJoCo's own viewer shows: 0, 1, 2
 TEXTURE_SIDE: Final = 128  # [px] largest texture; larger ones are scaled down
+RGB: Final = 3  # channels
 SHAPES: Final = {
     mujoco.mjtGeom.mjGEOM_PLANE: "plane",
     mujoco.mjtGeom.mjGEOM_HFIELD: "mesh",
@@ -44,6 +43,7 @@ def describe(model: Any) -> dict[str, Any]:
     return {
         "nq": int(model.nq),
         "qpos0": _floats(model.qpos0, 9),
+        "gravity": _floats(model.opt.gravity),
         "bodies": [_body(model, body, shapes) for body in range(model.nbody)],
         "meshes": shapes.meshes,
         "textures": shapes.textures,
@@ -68,6 +68,8 @@ def _body(model: Any, body: int, shapes: _Shapes) -> dict[str, Any]:
         "fixed": int(model.body_weldid[body]) == 0,
         "pos": _floats(model.body_pos[body], 9),
         "quat": _floats(model.body_quat[body], 9),
+        "com": _floats(model.body_ipos[body], 9),
+        "mass": float(model.body_mass[body]),
         "joints": [_joint(model, joint) for joint in range(first, first + count)],
         "shapes": [shape for shape in drawn if shape is not None],
     }
@@ -104,7 +106,7 @@ class _Shapes:
     def __init__(self, model: Any) -> None:
         self._model = model
         self.meshes: list[dict[str, Any]] = []
-        self.textures: list[str] = []
+        self.textures: list[dict[str, Any]] = []
         self._mesh_index: dict[tuple[str, int], int] = {}
         self._texture_index: dict[int, int] = {}
 
@@ -167,17 +169,21 @@ class _Shapes:
         return np.asarray(m.tex_data[first : first + np.prod(shape)]).reshape(shape)
 
     def _texture(self, texture: int) -> int:
-        """Return the index of a texture in the page: a PNG of at most 128 px."""
+        """Return the index of a texture in the page: RGBA from the lower left."""
         if texture not in self._texture_index:
-            from PIL import Image  # noqa: PLC0415 - only where there are textures
-
-            image = Image.fromarray(self._pixels(texture).squeeze())
-            image.thumbnail((TEXTURE_SIDE, TEXTURE_SIDE))
-            file = io.BytesIO()
-            file.name = "texture.png"  # so that only this format is imported
-            image.save(file)
+            pixels = self._pixels(texture)
+            height, width, channels = pixels.shape
+            tall, wide = -(-height // TEXTURE_SIDE), -(-width // TEXTURE_SIDE)  # pixels made one
+            rows, columns = height // tall, width // wide
+            whole = pixels[: rows * tall, : columns * wide]
+            small = whole.reshape(rows, tall, columns, wide, channels).mean(axis=(1, 3))
+            rgba = np.full((rows, columns, 4), 255, np.uint8)
+            rgba[..., :3] = small[..., :3] if channels >= RGB else small[..., :1]
+            if channels > RGB:
+                rgba[..., 3] = small[..., 3]
             self._texture_index[texture] = len(self.textures)
-            self.textures.append(base64.b64encode(file.getvalue()).decode("ascii"))
+            data = pack(rgba[::-1].tobytes())
+            self.textures.append({"width": columns, "height": rows, "pixels": data})
         return self._texture_index[texture]
 
     def _mesh(self, key: tuple[str, int]) -> int:

@@ -12,23 +12,21 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import Any, Final
 
-from ...fmus.atomic import replacing
+from ...fmus.atomic import cache_folder, cached, replacing
+from ...fmus.build.libraries import code_digest, digest
 from ...fmus.errors import InputError, legible
-from ...plant.parameters import PlantParameters
-from ...plant.scene import load_scene
+from ...plant.parameters import BLOCK, PlantParameters
 from ..files import model_file, read_integer
 from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import DEFAULT_SCENE, refuse_without_model
 from ..recording import Recording
-from .columns import pack
-from .model import describe as describe_model
 from .run import RunData, Shown
 from .run import describe as describe_run
 
@@ -88,7 +86,7 @@ def data_elements(contents: Contents) -> str:
 
 def code_elements() -> str:
     """Return the elements with the page's code, deflated, and the code that starts it."""
-    code = f'<script type="text/plain" id="view-code">{_packed_code()}</script>'
+    code = f'<script type="text/plain" id="view-code">{_code()["deflated"]}</script>'
     return f"{code}\n<script>{LOADER}</script>"
 
 
@@ -99,8 +97,8 @@ def style() -> str:
 
 def script_sources() -> list[str]:
     """Return the sources for a content security policy that lets the code run."""
-    digests = (hashlib.sha256(text.encode()).digest() for text in (LOADER, _part("view.js")))
-    return [f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests]
+    loader = base64.b64encode(hashlib.sha256(LOADER.encode()).digest()).decode()
+    return [f"'sha256-{digest}'" for digest in (loader, _code()["sha256"])]
 
 
 def json_text(value: Any) -> str:
@@ -121,8 +119,9 @@ def _part(name: str) -> str:
 
 
 @cache
-def _packed_code() -> str:
-    return pack(_part("view.js").encode(), level=4)
+def _code() -> dict[str, str]:
+    """Return the page's code as it was built: deflated, and its digest, both in base64."""
+    return dict(json.loads(_part("code.json")))
 
 
 @dataclass(frozen=True)
@@ -143,9 +142,6 @@ class Inline:
 
 VIEW_FILE: Final = "view.html"
 SUMMARY_FILE: Final = "summary.json"
-# Of runs with the same scene, and of one that was described while its FMUs stepped.
-described_model = lru_cache(maxsize=2)(describe_model)
-_drawn_scene = lru_cache(maxsize=2)(partial(load_scene, drawn=True))
 
 
 def write_view(runs: Sequence[Shown], path: Path) -> Path:
@@ -165,9 +161,8 @@ def contents(runs: Sequence[Shown]) -> Contents:
     models: dict[str, dict[str, Any]] = {}
     documents = []
     for index, run in enumerate(runs):
-        described = described_model(run.model)
-        key = hashlib.sha256(json.dumps(described).encode()).hexdigest()[:12]
-        models[key] = described
+        key = hashlib.sha256(json.dumps(run.model).encode()).hexdigest()[:12]
+        models[key] = dict(run.model)
         against = runs[1].source if index == 0 and len(runs) > 1 else None
         documents.append(describe_run(run, key, against))
     title = f"{documents[0]['title']} · panda-cosim"
@@ -185,27 +180,52 @@ def shown_run(folder: Path | str, *, name: str | None = None, meshes: Meshes = "
 def show_source(
     source: RunData, name: str, *, summary: dict[str, Any], meshes: Meshes = "never"
 ) -> Shown:
-    """Return a run to show, with the models named in its recording."""
+    """Return a run to show, with the model named in its recording."""
     own = model_file(source)
     if own is not None:
-        return Shown(name, source, load_model(str(own)), None, summary)
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+        return Shown(name, source, describe(load_model(str(own))), summary=summary)
     refuse_without_model(source)
-    physics = plant_model(source.metadata)
-    scene = str(source.metadata.get("scene") or DEFAULT_SCENE)
-    look = physics if meshes == "never" else load_model(scene, meshes)
-    # Another engine's contact forces cannot be computed by the installed one.
-    return Shown(name, source, look, None if "mujoco" in source.metadata else physics, summary)
+    model, masses = plant_model(source.metadata, meshes)
+    return Shown(name, source, model, masses, summary)
 
 
-def plant_model(metadata: Mapping[str, Any]) -> Any:
-    """Return the plant's model with a recording's scene, block mass and friction."""
+def plant_model(
+    metadata: Mapping[str, Any], meshes: Meshes = "never"
+) -> tuple[Mapping[str, Any], list[float]]:
+    """Return the plant's model with a recording's scene and robot, and the masses of its bodies."""
     plant = metadata.get("parameters", {}).get("plant", {})
-    values = {key: plant[key] for key in ("robot", "block_mass", "block_friction") if key in plant}
+    values = {key: plant[key] for key in ("robot", "block_mass") if key in plant}
     scene = metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
     try:
-        return _drawn_scene(PlantParameters(scene=scene, **values))
+        parameters = PlantParameters(scene=scene, **values)
     except (TypeError, ValueError) as error:
         raise InputError(f"the recording's plant cannot be drawn: {error}") from error
+    model = described_scene(parameters.scene, parameters.robot, meshes)
+    given = {BLOCK: parameters.block_mass}
+    return model, [given.get(body["name"], body["mass"]) for body in model["bodies"]]
+
+
+@lru_cache(maxsize=4)
+def described_scene(scene: str, robot: str, meshes: Meshes = "never") -> Mapping[str, Any]:
+    """Describe a scene of ours; without meshes, once for each version of the code."""
+    if meshes != "never":
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+        return describe(load_model(scene, meshes))
+
+    def make() -> bytes:
+        from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+        model = load_scene(PlantParameters(scene=scene, robot=robot), drawn=True)
+        return json.dumps(describe(model)).encode()
+
+    code = [Path(__file__).with_name(name).read_bytes() for name in ("model.py", "columns.py")]
+    key = digest(scene, robot, code_digest(), *code)
+    kept = cached(cache_folder() / "scenes" / f"{key[:24]}.json", make)
+    return dict(json.loads(kept.read_bytes()))
 
 
 def read_summary(path: Path) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from ..judging.limits import CHECKS, outcome
 from ..pictures.motion import Signals, describe_run, key_moments
 from ..recording import Recording, by_rows
 from ..scenario.limits import METRICS, robot_of
-from .columns import Thinning, contact_forces, contact_rows, describe_time, encode
+from .columns import Thinning, describe_time, encode
 
 MOMENTS: Final = 8  # most marks on the timeline
 JOINTS: Final = range(1, 8)
@@ -152,12 +152,14 @@ def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, st
 
 Array = NDArray[np.float64]
 
-FORMAT: Final = 1
 POSE_STEP: Final = 1e-6  # [rad], [m], [1] rounding step of qpos
 CLEAR: Final = 20  # rounding steps of a reference from which a difference is no noise
 PIECE: Final = 100_000  # rows computed at once
 ROUNDING: Final = "Curves are rounded to 1/65536 of their range; what stays below 1e-12 is 0."
-
+FORCES: Final = (
+    "Arrows: the forces on each free body besides its weight, m (a - g), from its recorded motion; "
+    "means over at least 33 ms."
+)
 
 # Signals by their role in the scene; what is missing is not drawn, but positions must be there.
 ROLES: Final = {
@@ -167,7 +169,6 @@ ROLES: Final = {
     "commanded": "controller.pos_cmd",
     "commanded_turn": "controller.quat_cmd",
 }
-STATE: Final = (ROLES["qpos"], "plant.qvel", "controller.ctrl")  # gives the contact forces
 
 
 class RunData(Signals, Protocol):
@@ -188,8 +189,9 @@ class Shown:
 
     name: str  # in links and on the page
     source: RunData
-    model: Any  # `mujoco.MjModel` for drawing
-    physics: Any = None  # `mujoco.MjModel` for contact forces; None: not drawn
+    model: Mapping[str, Any]  # as `model.describe` returns it
+    # Of the model's bodies [kg]; None: the run may have had others, and no forces are drawn.
+    masses: Sequence[float] | None = None
     summary: Mapping[str, Any] = field(default_factory=dict)  # of `summary.json`
     notes: tuple[str, ...] = ()  # further remarks on its data
 
@@ -200,24 +202,22 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     columns = {role: _columns(source, signal) for role, signal in ROLES.items()}
     if not len(source.time):
         raise InputError(f"{run.name}: the recording has no rows; there is nothing to show")
-    if len(columns["qpos"]) != run.model.nq:
+    if len(columns["qpos"]) != run.model["nq"]:
         raise InputError(
             f"{run.name}: {len(columns['qpos'])} columns of {ROLES['qpos']}; the model that it is "
-            f"drawn with has {run.model.nq} positions"
+            f"drawn with has {run.model['nq']} positions"
         )
     thinning = Thinning.of(source.time)
     title, about = describe_run(source)
     with ThreadPoolExecutor(1) as second:  # zlib compresses without Python's lock
         recorded = _signals(source, thinning, columns["qpos"], second)
-        contacts = _contacts(run)
         signals = [*_derived(source, thinning, against), *recorded]
     known = {n: unit for s in signals for n, unit in zip(s["columns"], s["units"], strict=True)}
     is_ours = model_file(source) is None
     bounds = column_bounds(robot_of(source.metadata)) if is_ours else {}
-    notes = (thinning.words(), ROUNDING, contacts["words"] if contacts else "", *run.notes)
-    notes = (*refusals_of(run.summary), *notes)
+    forces = FORCES if run.masses else ""
+    notes = (*refusals_of(run.summary), thinning.words(), ROUNDING, forces, *run.notes)
     return {
-        "format": FORMAT,
         "name": run.name,
         "title": title,
         "purpose": str(metadata.get("purpose") or ""),
@@ -231,7 +231,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         "signals": signals,
         "poses": _poses(source, thinning, columns) if thinning.every > 1 else None,
         "roles": {role: names for role, names in columns.items() if names},
-        "contacts": contacts,
+        "masses": run.masses,
         "moments": moments(source),
         "waypoints": waypoints(metadata),
         "bounds": {name: pair for name, pair in bounds.items() if name in known},
@@ -342,16 +342,3 @@ def _poses(
     values = [thinning.poses(source[name]) for name in names]
     block = encode(values, [POSE_STEP] * len(names))
     return {"time": describe_time(thinning.pose_time), "columns": names, **block}
-
-
-def _contacts(run: Shown) -> dict[str, Any] | None:
-    """Return the contact forces, or None if the run lacks signals for them."""
-    source, physics = run.source, run.physics
-    columns = [_columns(source, name) for name in STATE]
-    if physics is None or [len(c) for c in columns] != [physics.nq, physics.nv, physics.nu]:
-        return None
-    interval, rows = contact_rows(source.time)
-    # Column by column, so that a long run needs little memory.
-    state = (np.column_stack([source[name][rows] for name in names]) for names in columns)
-    start = float(source.time[0])
-    return {"start": start, "interval": interval, **contact_forces(physics, *state)}

@@ -1,9 +1,11 @@
-// Builds ../page/view.js and ../page/view.css, and collects the licences of the bundled libraries.
-// `node build.mjs [FOLDER]` writes elsewhere. The same versions give the same bytes.
+// Builds ../page/code.json and ../page/view.css, and collects the licences of the bundled libraries.
+// `node build.mjs [FOLDER]` writes elsewhere. The same versions give the same code.
 import { build } from "esbuild";
+import { createHash } from "node:crypto";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
+import { deflateSync } from "node:zlib";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = process.argv[2] ?? join(here, "..", "page");
@@ -18,7 +20,7 @@ const notice = `Contains the following libraries, each under its own licence.\n\
 
 mkdirSync(out, { recursive: true });
 writeFileSync(join(out, "LICENSES.txt"), notice);
-await build({
+const { outputFiles } = await build({
   absWorkingDir: here,
   entryPoints: { view: "src/main.ts" },
   outdir: out,
@@ -30,4 +32,15 @@ await build({
   legalComments: "none", // the notice holds all of them
   banner: { js: `/*\n${notice}*/` },
   charset: "utf8",
+  write: false,
 });
+for (const { path, contents } of outputFiles) {
+  if (path.endsWith(".css")) writeFileSync(path, contents);
+  else {
+    const code = {
+      sha256: createHash("sha256").update(contents).digest("base64"),
+      deflated: deflateSync(contents, { level: 9 }).toString("base64"),
+    };
+    writeFileSync(join(out, "code.json"), JSON.stringify(code));
+  }
+}

@@ -1,44 +1,18 @@
 // A recorded run, from the page's data. Columns are decoded when they are first needed.
 import { decode, decodeTime } from "./codec.ts";
 import { between, mix } from "./lookup.ts";
-import type { About, Contact, Path, RunSource, Series, Signal } from "./source.ts";
+import type { About, Path, RunSource, Series, Signal } from "./source.ts";
 import type { ModelData, Role, RunData } from "./types.ts";
 
 type Columns = Map<string, Float64Array>;
 
-class ContactTable {
-  private readonly first: Int32Array;
-
-  constructor(
-    private readonly start: number,
-    private readonly interval: number,
-    counts: Float64Array,
-    private readonly columns: Float64Array[],
-  ) {
-    this.first = new Int32Array(counts.length + 1);
-    counts.forEach((count, index) => (this.first[index + 1] = this.first[index] + count));
-  }
-
-  at(time: number): Contact[] {
-    const index = Math.round((time - this.start) / this.interval);
-    const last = this.first.length - 2;
-    const instant = Math.min(Math.max(index, 0), last);
-    const found: Contact[] = [];
-    for (let row = this.first[instant]; row < this.first[instant + 1]; row++) {
-      const [x, y, z, fx, fy, fz] = this.columns.map((values) => values[row]);
-      found.push({ place: [x, y, z], force: [fx, fy, fz] });
-    }
-    return found;
-  }
-}
-
 export class RecordedRun implements RunSource {
   readonly name: string;
   readonly about: About;
+  readonly masses: readonly number[] | null;
   readonly signals: readonly Signal[];
   readonly span: readonly [number, number];
   readonly tick: number;
-  readonly hasContacts: boolean;
   private readonly signalOf = new Map<string, number>();
   private readonly unpacked = new Map<number, Promise<Float64Array[]>>();
 
@@ -48,25 +22,20 @@ export class RecordedRun implements RunSource {
     private readonly curveTime: Float64Array,
     private readonly poseTime: Float64Array,
     private readonly poses: Columns,
-    private readonly contactTable: ContactTable | null,
   ) {
     this.name = data.name;
     this.about = data;
+    this.masses = data.masses;
     this.signals = data.signals.map(({ name, columns, units, words }) => ({ name, columns, words, unit: units[0] }));
     this.span = [poseTime[0], poseTime[poseTime.length - 1]];
     this.tick = poseTime.length > 1 ? (this.span[1] - this.span[0]) / (poseTime.length - 1) : 0.001;
-    this.hasContacts = contactTable !== null;
     data.signals.forEach(({ columns }, index) => columns.forEach((column) => this.signalOf.set(column, index)));
   }
 
   static async open(data: RunData, model: ModelData): Promise<RecordedRun> {
     const curveTime = await decodeTime(data.time);
     const poseTime = data.poses ? await decodeTime(data.poses.time) : curveTime;
-    const table = data.contacts;
-    const contacts = table
-      ? new ContactTable(table.start, table.interval, (await decode(table.counts))[0], await decode(table.block))
-      : null;
-    return new RecordedRun(data, model, curveTime, poseTime, await poseColumns(data), contacts);
+    return new RecordedRun(data, model, curveTime, poseTime, await poseColumns(data));
   }
 
   pose(time: number, qpos: Float64Array): void {
@@ -87,10 +56,6 @@ export class RecordedRun implements RunSource {
     const points = new Float32Array(3 * this.poseTime.length);
     columns.forEach((values, axis) => values.forEach((value, row) => (points[3 * row + axis] = value)));
     return { time: this.poseTime, points };
-  }
-
-  contacts(time: number): Contact[] {
-    return this.contactTable?.at(time) ?? [];
   }
 
   unit(column: string): string {

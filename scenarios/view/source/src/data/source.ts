@@ -1,6 +1,6 @@
 // Interface that scene, curves and panels need of a run: a recording (recorded.ts) or a live
 // simulation (live/source.ts), which reports when it has grown.
-import type { ContactData, Criterion, CurveChoice, Limit, Mark, ModelData, Role } from "./types.ts";
+import type { Criterion, CurveChoice, Limit, Mark, ModelData, Role } from "./types.ts";
 
 /** A curve: values over time [s]; NaN is a gap. */
 export interface Series {
@@ -21,12 +21,6 @@ export interface Signal {
   words: string;
 }
 
-/** A contact's position [m] and force [N], world frame. */
-export interface Contact {
-  place: [number, number, number];
-  force: [number, number, number];
-}
-
 /** Title, verdict and notes of a run. */
 export interface About {
   title: string;
@@ -45,8 +39,9 @@ export interface RunSource {
   readonly name: string;
   readonly about: About;
   readonly model: ModelData;
+  /** Masses of the model's bodies [kg], or null where the run may have had others. */
+  readonly masses: readonly number[] | null;
   readonly signals: readonly Signal[];
-  readonly hasContacts: boolean;
   /** First and last instant [s]; the last may grow. */
   readonly span: readonly [number, number];
   /** Time between two rows [s]. */
@@ -57,7 +52,6 @@ export interface RunSource {
   at(role: Role, time: number): number[] | null;
   /** Return the path of a role's signal, or null. */
   path(role: Role): Path | null;
-  contacts(time: number): Contact[];
   unit(column: string): string;
   bounds(column: string): readonly [number, number] | null;
   /** Return a column's curve; rejects if there is no such column. */
@@ -65,5 +59,3 @@ export interface RunSource {
   /** Call a listener whenever the run has grown; returns a function that stops it. */
   onGrowth(listener: () => void): () => void;
 }
-
-export type { ContactData };

@@ -43,6 +43,8 @@ export interface BodyData {
   fixed: boolean;
   pos: number[];
   quat: number[]; // w, x, y, z
+  mass: number; // of the model [kg]; a run may have had another
+  com: number[]; // centre of mass in its frame [m]
   joints: JointData[];
   shapes: ShapeData[];
 }
@@ -53,6 +55,13 @@ export interface MeshData {
   vertices: string;
   faces: string;
   texture?: string;
+}
+
+/** Pixels are deflated RGBA, from the lower left. */
+export interface TextureData {
+  width: number;
+  height: number;
+  pixels: string;
 }
 
 export interface CameraData {
@@ -66,9 +75,10 @@ export interface CameraData {
 export interface ModelData {
   nq: number;
   qpos0: number[];
+  gravity: number[]; // [m/s^2]
   bodies: BodyData[];
   meshes: MeshData[];
-  textures: string[];
+  textures: TextureData[];
   cameras: CameraData[];
   center: number[];
   extent: number;
@@ -110,15 +120,7 @@ export interface CurveChoice {
 
 export type Role = "qpos" | "actual" | "actual_turn" | "commanded" | "commanded_turn";
 
-export interface ContactData {
-  start: number;
-  interval: number;
-  counts: Block;
-  block: Block;
-}
-
 export interface RunData {
-  format: number;
   name: string;
   title: string;
   purpose: string;
@@ -132,7 +134,7 @@ export interface RunData {
   signals: SignalData[];
   poses: (Block & { time: TimeData; columns: string[] }) | null;
   roles: Partial<Record<Role, string[]>>;
-  contacts: ContactData | null;
+  masses: number[] | null;
   moments: Mark[];
   waypoints: Mark[];
   bounds: Record<string, [number, number]>;

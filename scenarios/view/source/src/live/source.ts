@@ -1,6 +1,6 @@
 // A live run, in the form that scene and curves read.
 import { between, mix } from "../data/lookup.ts";
-import type { About, Contact, Path, RunSource, Series, Signal } from "../data/source.ts";
+import type { About, Path, RunSource, Series, Signal } from "../data/source.ts";
 import type { ModelData, Role } from "../data/types.ts";
 import type { Plan, Tunable } from "./link.ts";
 import type { Push } from "./drag.ts";
@@ -10,6 +10,7 @@ export interface LiveData {
   name: string;
   about: About;
   model: ModelData;
+  masses: number[] | null;
   signals: (Signal & { units: string[] })[];
   columns: string[]; // of a row, `time` first
   roles: Partial<Record<Role, string[]>>;
@@ -29,8 +30,8 @@ export class LiveRun implements RunSource {
   readonly name: string;
   readonly about: About;
   readonly model: ModelData;
+  readonly masses: readonly number[] | null;
   readonly signals: readonly Signal[];
-  readonly hasContacts = false;
   readonly tick = 0.001;
   private readonly index: Map<string, number>;
   private readonly units = new Map<string, string>();
@@ -44,6 +45,7 @@ export class LiveRun implements RunSource {
     this.about = { ...data.about };
     this.use(data.plan);
     this.model = data.model;
+    this.masses = data.masses;
     this.signals = data.signals;
     this.index = new Map(data.columns.map((column, at) => [column, at]));
     for (const { columns, units } of data.signals) columns.forEach((column, at) => this.units.set(column, units[at]));
@@ -97,10 +99,6 @@ export class LiveRun implements RunSource {
 
   path(role: Role): Path | null {
     return role === "commanded" ? this.way : null; // the hand's own path is not known yet
-  }
-
-  contacts(): Contact[] {
-    return [];
   }
 
   unit(column: string): string {

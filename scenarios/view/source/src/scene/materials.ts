@@ -1,26 +1,36 @@
 // Colours, gloss and textures of the model.
-import { Color, type Material, MeshStandardMaterial, RepeatWrapping, SRGBColorSpace, Texture } from "three";
-import type { ShapeData } from "../data/types.ts";
+import {
+  Color,
+  DataTexture,
+  LinearFilter,
+  LinearMipmapLinearFilter,
+  type Material,
+  MeshStandardMaterial,
+  RepeatWrapping,
+  SRGBColorSpace,
+  type Texture,
+} from "three";
+import { inflate } from "../data/codec.ts";
+import type { ShapeData, TextureData } from "../data/types.ts";
 
-/** Decode the model's textures (PNG); null for one that fails. */
-export async function loadTextures(images: readonly string[], anisotropy: number): Promise<(Texture | null)[]> {
-  const loading = images.map(async (image) => {
-    const bytes = Uint8Array.from(atob(image), (c) => c.charCodeAt(0));
-    const bitmap = await createImageBitmap(new Blob([bytes], { type: "image/png" }), { imageOrientation: "flipY" });
-    const texture = new Texture(bitmap);
-    texture.flipY = false; // the bitmap is already flipped
+/** Decode the model's textures. */
+export function loadTextures(images: readonly TextureData[], anisotropy: number): Promise<Texture[]> {
+  const load = async ({ width, height, pixels }: TextureData): Promise<Texture> => {
+    const texture = new DataTexture(await inflate(pixels), width, height);
     texture.wrapS = texture.wrapT = RepeatWrapping;
+    texture.magFilter = LinearFilter;
+    texture.minFilter = LinearMipmapLinearFilter;
+    texture.generateMipmaps = true;
     texture.colorSpace = SRGBColorSpace;
     texture.anisotropy = anisotropy;
     texture.needsUpdate = true;
     return texture;
-  });
-  const done = await Promise.allSettled(loading);
-  return done.map((result) => (result.status === "fulfilled" ? result.value : null));
+  };
+  return Promise.all(images.map(load));
 }
 
 /** Return a shape's material. */
-export function shapeMaterial(shape: ShapeData, textures: readonly (Texture | null)[]): MeshStandardMaterial {
+export function shapeMaterial(shape: ShapeData, textures: readonly Texture[]): MeshStandardMaterial {
   const [red, green, blue, alpha] = shape.rgba;
   const colour = new Color().setRGB(red, green, blue, SRGBColorSpace);
   const texture = shape.texture === undefined ? null : textures[shape.texture];

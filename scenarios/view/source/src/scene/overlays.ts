@@ -1,18 +1,20 @@
-// Layers over the model: paths, frames, contact forces, waypoints.
+// Layers over the model: paths, frames, forces, waypoints.
 import { Color, ConeGeometry, CylinderGeometry, Group, Mesh, MeshBasicMaterial, type Object3D, SphereGeometry, Vector3 } from "three";
 import { Line2 } from "three/examples/jsm/lines/Line2.js";
 import { LineGeometry } from "three/examples/jsm/lines/LineGeometry.js";
 import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
 import { rowAt } from "../data/lookup.ts";
-import type { Contact, Path, RunSource } from "../data/source.ts";
+import type { Path, RunSource } from "../data/source.ts";
 import { quaternion } from "./kinematics.ts";
+import { type Load, Loads } from "./loads.ts";
 
-const METRES_PER_NEWTON = 0.008;
+const METRES_PER_NEWTON = 0.05;
 const LONGEST = 0.3; // [m] length of an arrow
+const LEAST = 0.05; // [N] smaller forces are not drawn
 const WINDOW = 8000; // points of a path that are drawn
 const APART = 0.002; // [m] distance of a path's drawn points; nearer ones look the same and cost time
 const HOP = 2000; // points by which the drawn section moves on
-const HEAD = 0.013; // [m] of an arrow
+const HEAD = 0.025; // [m] of an arrow
 const UP = new Vector3(0, 1, 0);
 const AXES = [0xe5484d, 0x30a46c, 0x3e63dd]; // x, y, z
 
@@ -137,41 +139,42 @@ export function frames(run: RunSource): Layer | null {
 }
 
 function arrow(material: MeshBasicMaterial): Group {
-  const shaft = new Mesh(new CylinderGeometry(0.0014, 0.0014, 1, 10).translate(0, 0.5, 0), material);
-  const head = new Mesh(new ConeGeometry(0.0045, HEAD, 14).translate(0, HEAD / 2, 0), material);
+  const shaft = new Mesh(new CylinderGeometry(0.003, 0.003, 1, 12).translate(0, 0.5, 0), material);
+  const head = new Mesh(new ConeGeometry(0.009, HEAD, 16).translate(0, HEAD / 2, 0), material);
   const group = new Group().add(shaft, head);
   for (const part of [shaft, head]) part.renderOrder = 25;
   return group;
 }
 
 /** Orient and scale an arrow; a short one also has a small head. */
-function point(group: Object3D, { place, force }: Contact): void {
-  const direction = new Vector3(...force);
-  const strength = direction.length();
+function point(group: Object3D, { place, force }: Load): void {
+  const strength = force.length();
   const length = Math.min(strength * METRES_PER_NEWTON, LONGEST);
   const size = Math.min(length / (2 * HEAD), 1);
   const [shaft, head] = group.children;
-  group.position.set(...place);
-  group.quaternion.setFromUnitVectors(UP, direction.divideScalar(strength || 1));
+  group.position.copy(place);
+  group.quaternion.setFromUnitVectors(UP, force.divideScalar(strength || 1));
   shaft.scale.set(size, Math.max(length - HEAD * size, 1e-4), size);
   head.scale.setScalar(size);
   head.position.y = length - HEAD * size;
 }
 
-/** Contact forces as arrows, which are reused. */
+/** Forces on free bodies besides their weights, as arrows. */
 export function forces(run: RunSource): Layer | null {
-  if (!run.hasContacts) return null;
+  const loads = new Loads(run);
+  if (!loads.any) return null;
   const group = new Group();
   const material = new MeshBasicMaterial({ color: new Color(COLOURS.force), depthTest: false, transparent: true });
   const update = (time: number) => {
-    const contacts = run.contacts(time);
-    while (group.children.length < contacts.length) group.add(arrow(material));
-    group.children.forEach((child, index) => {
-      child.visible = index < contacts.length;
-      if (child.visible) point(child, contacts[index]);
+    group.children.forEach((child) => (child.visible = false));
+    loads.at(time).forEach((load, index) => {
+      if (group.children.length <= index) group.add(arrow(material));
+      const child = group.children[index];
+      child.visible = load.force.length() > LEAST;
+      point(child, load);
     });
   };
-  return { name: `contact forces (${METRES_PER_NEWTON * 1e3} mm per N)`, key: "forces", object: group, update };
+  return { name: `forces on bodies, less weight (${METRES_PER_NEWTON * 1e3} mm per N)`, key: "forces", object: group, update };
 }
 
 /** Waypoints: where the rows of the scenario's table command the hand to be. */
