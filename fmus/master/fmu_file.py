@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, cast
 from xml.etree import ElementTree as ET
 
-from ..atomic import cache_folder
+from ..atomic import cache_folder, cached
+from ..build.libraries import digest, package_version
 from ..errors import InputError, did_you_mean, excerpt, one_line
 from ..interface.units import BASES, Unit, Units
 from ..interface.variables import INTEGERS, Interface, Kind, Scalar, Value, Variability, Variable
@@ -49,9 +51,23 @@ class Fmu:
         self.path, self.label = path, label or str(path)
         self.sha256 = file_digest(path)
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
-        place = f"{path}: modelDescription.xml"
+        kept = self.folder.with_name(f"{self.folder.name}-{_reader()[:16]}.pickle")
+        # What the cache holds is code that is run, anyway.
+        vars(self).update(pickle.loads(cached(kept, self._read).read_bytes()))  # noqa: S301
+        _check_library(path, self.folder, self.description)
+        # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
+        if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
+            raise InputError(
+                f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
+                f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
+            )
+
+    def _read(self) -> bytes:
+        """Read the description, which takes longer than to load what is returned."""
+        before = set(vars(self))
+        place = f"{self.path}: modelDescription.xml"
         root = read_xml(self.folder / "modelDescription.xml", place)
-        self.description = _read_description(path, self.folder, root)
+        self.description = _read_description(self.path, self.folder, root)
         self.fmi = VERSIONS[self.description.fmiVersion]
         described = self.description.modelVariables
         self.clocked = [v.name for v in described if v.type == "Clock" or v.clocks]  # left out
@@ -61,12 +77,7 @@ class Fmu:
         self._noted = _noted_names(root)
         self.variables = self._scalars()
         self.units = read_units(place, root.iterfind("UnitDefinitions/Unit"))
-        # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
-        if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
-            raise InputError(
-                f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
-                f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
-            )
+        return pickle.dumps({k: value for k, value in vars(self).items() if k not in before})
 
     def _scalars(self) -> dict[str, Scalar]:
         place = f"{self.path}: modelDescription.xml"
@@ -145,8 +156,8 @@ def _parsed(variable: Variable, text: str) -> Value:
 
 
 def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
-    import fmpy  # noqa: PLC0415 - takes 0.2 s, wasted on a command that runs no FMU
-    from fmpy.model_description import read_model_description  # noqa: PLC0415 - see above
+    # It takes 0.2 s to import, wasted on a command that runs no FMU.
+    from fmpy.model_description import read_model_description  # noqa: PLC0415
 
     label = f"{path}: modelDescription.xml"
     version = root.get("fmiVersion")
@@ -169,13 +180,26 @@ def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
     if not _IDENTIFIER.fullmatch(identifier):
         raise InputError(f"{path}: modelIdentifier {excerpt(identifier)}; must be letters, digits, "
                          "_ and -")  # fmt: skip
-    platform = fmpy.platform if version == "2.0" else fmpy.platform_tuple
+    return description
+
+
+def _check_library(path: Path, folder: Path, description: Any) -> None:
+    import fmpy  # noqa: PLC0415 - see above
+
+    platform = fmpy.platform if description.fmiVersion == "2.0" else fmpy.platform_tuple
+    identifier = description.coSimulation.modelIdentifier
     library = folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
     if not library.is_file():
         raise InputError(
             f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
         )
-    return description
+
+
+@cache
+def _reader() -> str:
+    """Hash of the code that reads a description."""
+    code = [Path(__file__).parents[1] / "interface" / name for name in ("units.py", "variables.py")]
+    return digest(package_version("fmpy"), *(file.read_bytes() for file in (Path(__file__), *code)))
 
 
 def read_units(place: str, elements: Iterable[ET.Element]) -> Units:
