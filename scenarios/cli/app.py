@@ -68,7 +68,7 @@ class LazyCommand(TyperCommand):
         command = load(name)
         if not gc.isenabled():  # see `main`
             gc.freeze()  # modules stay to the end
-            gc.set_threshold(20_000)  # objects; else a run has little garbage, and many searches
+            gc.set_threshold(50_000)  # objects; else a run has little garbage, and many searches
             gc.enable()
         return command.make_context(name, args, *more, **extra)
 

@@ -1,5 +1,6 @@
 """Takes a run's rows: into a file that survives any end of the run, or into memory."""
 
+import json
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -60,12 +61,9 @@ class Recorder(_Context):
         self._stream = place / STREAM_FILE
         self._parquet = place / PARQUET_FILE
         storage.literal(self._parquet)  # or it would be refused after the run
-        self._schema = storage.make_schema(
-            storage.distinct(columns), {**metadata, "format": storage.FORMAT}
-        )
-        self._memory: MemoryRecorder | None = MemoryRecorder(
-            place, *storage.read_schema(self._parquet, self._schema)
-        )
+        # As a file returns it.
+        kept: dict[str, Any] = json.loads(json.dumps({**metadata, "format": storage.FORMAT}))
+        self._memory: MemoryRecorder | None = MemoryRecorder(place, columns, kept)
         self._buffer = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
         self.late: dict[str, Any] = {}  # metadata that is known only at the end, `storage.LATE`
         self._filled = 0
@@ -81,12 +79,9 @@ class Recorder(_Context):
         except (OSError, ValueError) as error:  # ValueError: a null byte in the name
             reason = getattr(error, "strerror", None) or str(error)
             raise InputError(f"{folder}: cannot be written to: {reason}") from error
-        try:
-            self._write(self._schema.serialize())
-        except SimulationError:
-            self._file.close()
-            self._stream.unlink()
-            raise
+        # A thread imports pyarrow and writes the stream's head, while FMUs in C begin to step.
+        head = partial(self._write_head, storage.distinct(columns), kept)
+        self._head: Future[Any] = ThreadPoolExecutor(1).submit(head)
 
     @property
     def rows(self) -> int:
@@ -115,7 +110,8 @@ class Recorder(_Context):
         """Pass all rows to the operating system as one batch; they then survive the process."""
         self._last_flush = time.monotonic()
         if self._filled:
-            self._write(storage.serialize_rows(self._schema, self._buffer[:, : self._filled]))
+            rows = self._buffer[:, : self._filled]
+            self._write(storage.serialize_rows(self._head.result(), rows))
             self._saved += self._filled
             self._filled = 0
 
@@ -148,6 +144,16 @@ class Recorder(_Context):
         """Return what was recorded, if it is short and was written whole."""
         return None if self._memory is None else self._memory.recording()
 
+    def _write_head(self, columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
+        """Write the stream's first message, and return its schema."""
+        schema = storage.make_schema(columns, metadata)
+        try:
+            self._write(schema.serialize())
+        except SimulationError:
+            self._stream.unlink()
+            raise
+        return schema
+
     def _make_place(self) -> None:
         self._stream.parent.mkdir(parents=True, exist_ok=True)
         for path in (self._stream, self._parquet):
@@ -179,8 +185,9 @@ class Recorder(_Context):
             self._memory.late = self.late
             self._memory.end(complete=complete, reason=reason)
         state = {"complete": complete, "reason": reason, **self.late}
+        schema = self._head.result()
         self._error = None
-        self._write(storage.serialize_end(self._schema, state))
+        self._write(storage.serialize_end(schema, state))
 
     def _write(self, message: Any) -> None:
         """Append one message to the stream, completely or not at all."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -158,6 +157,8 @@ def _row(criterion: Criterion) -> str:
 
 
 def _text(text: str) -> str:
+    from html import escape  # noqa: PLC0415 - only a notebook needs it
+
     return escape(legible(text, TEXT_LENGTH))
 
 
