@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
 NOT_A_SUCCESS = 3  # exit code
 MORE_TIME = " (`panda-cosim retime SCENARIO --keep-times`)"
-OURS = {"PandaPlant", "PandaSensors", "PandaController"}  # models for which it is there
 REMEDIES = {  # by the kind of limit that held the arm back
     "position": "move the rows before and after it, or turn the hand",
     "velocity": f"give that row more time{MORE_TIME}",
@@ -133,8 +132,8 @@ def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
     ThreadPoolExecutor(1).submit(load)
 
 
-def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
-    """Show a finished run, draw its pictures, and exit with its exit code."""
+def conclude(done: Run, output: Output, *, ours: bool, realtime: bool = False) -> None:
+    """Show a finished run, draw its pictures, and exit with its exit code; `ours`: all FMUs are."""
     for message in dict.fromkeys(done.warnings):
         warn(message)
     seconds = done.summary.timing.get("wall_s") or 0.0
@@ -146,7 +145,6 @@ def conclude(done: Run, output: Output, *, realtime: bool = False) -> None:
         if not output.json:
             if done.summary.criteria:
                 show(verdict_table(done.summary))
-            ours = {fmu["model"] for fmu in done.recording.metadata["fmus"].values()} <= OURS
             for text, style in outcome_lines(done.summary, realtime=realtime, ours=ours):
                 show(text, style)
         draw_view(output, done)

@@ -118,7 +118,7 @@ def command(  # noqa: PLR0913 - one for each option
 
     early, values = not realtime, prepared.values
     done = simulate(prepared.scenario, kind, output, run, early=early, values=values)
-    conclude(done, output, realtime=realtime)
+    conclude(done, output, ours=not prepared.scenario.has_own_parts, realtime=realtime)
 
 
 def replay(  # noqa: PLR0913 - one for each option
@@ -152,7 +152,8 @@ def replay(  # noqa: PLR0913 - one for each option
     def repeat(folder: Path, update: Progress) -> Run:
         return journal.replay(run, folder, options, progress=update)
 
-    conclude(simulate(scenario, options.kind, output, repeat), output)
+    done = simulate(scenario, options.kind, output, repeat)
+    conclude(done, output, ours=not (scenario.has_own_parts or options.parts))
 
 
 def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:
