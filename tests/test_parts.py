@@ -281,11 +281,18 @@ def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None
     told = CliRunner().invoke(app, ["info", str(folder / "toy.fmu"), "--json"])
     assert told.exit_code == 0, told.output
     assert '"k"' in told.output
-    (folder / "scenario.toml").write_text(f"success.tracking_rms = 1.0\n{TOYS}")
-    reason = "plant.hand_xpos is not recorded"
+    keys = "success.tracking_rms = 1.0\nsuccess.max_limit_share = 1.0\n"
+    (folder / "scenario.toml").write_text(keys + TOYS)
     wrong = [each.text for each in check_folder(folder) if each.level == "wrong"]
-    assert [text.partition(": ")[2] for text in wrong] == [f"[success] tracking_rms: {reason}"]
-    assert job(folder, tmp_path / "unmeasured")["summary"]["criteria"][0]["reason"] == reason
+    reasons = {
+        "tracking_rms": "plant.hand_xpos is not recorded",
+        "max_limit_share": "plant.qpos is not recorded",
+    }
+    assert [text.partition(": ")[2] for text in wrong] == [
+        f"[success] {name}: {reason}" for name, reason in reasons.items()
+    ]
+    criteria = job(folder, tmp_path / "unmeasured")["summary"]["criteria"]
+    assert {c["name"]: c["reason"] for c in criteria if c["name"] in reasons} == reasons
 
 
 @pytest.mark.fmu

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -96,11 +96,11 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
     shares: dict[str, Any] = {}
     missing = {}
     controller = recording.metadata.get("parameters", {}).get("controller", {})
-    for key, (signal, _) in _USES.items():
+    for key in _USES:
         if key.startswith("reference_") and controller.get("impedance"):
             missing[key] = "the impedance law has no joint reference"
-        elif lacking := [each for each in (signal, *_arm(signal)) if each not in recording]:
-            missing[key] = f"{lacking[0].partition('[')[0]} is not recorded"
+        elif reason := lacking(key, recording):
+            missing[key] = reason
         elif not len(recording.time):
             missing[key] = "no row is recorded"
         else:
@@ -108,9 +108,19 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
     return shares | {"not_measured": missing}
 
 
-def _arm(signal: str) -> list[str]:
-    """Return what tells our arm from another plant, whose joints these limits are not of."""
-    return [HAND] if signal.startswith("plant.") else []
+def lacking(key: str, recorded: Container[str]) -> str:
+    """Return which signal the use of a limit lacks, or ""."""
+    signal = _USES[key][0]
+    # The hand tells our arm from another plant, whose joints these limits are not of.
+    needed = (signal, HAND) if signal.startswith("plant.") else (signal,)
+    missing = [each.partition("[")[0] for each in needed if each not in recorded]
+    return f"{missing[0]} is not recorded" if missing else ""
+
+
+def all_lacking(recorded: Container[str]) -> str:
+    """Return a signal without which no use of a limit is known, or ""."""
+    reasons = [lacking(key, recorded) for key in _USES]
+    return reasons[0] if all(reasons) else ""
 
 
 def shares_over_time(recording: Recording, metric: str) -> Iterator[Array]:

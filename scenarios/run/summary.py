@@ -20,7 +20,7 @@ from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
 from ..judging.criterion import Criterion, Direction, smallest_margin
 from ..judging.holds import COMMAND, Events, events, find_holds, measure_block, moving_rows
-from ..judging.limits import first_limit, largest_share, limit_shares
+from ..judging.limits import all_lacking, first_limit, largest_share, limit_shares
 from ..judging.signals import judge_bodies, judge_signals
 from ..recording import Recording, by_rows
 from ..scenario.criteria import Success
@@ -205,6 +205,8 @@ def unrecorded(success: Success, recorded: Container[str]) -> Iterator[str]:
 
 
 def _lacking(metric: str, recorded: Container[str]) -> str | None:
+    if metric == "limits":
+        return all_lacking(recorded) or None
     needed = NEEDED.get(metric.partition(".")[0], ())
     return next((f"{signal} is not recorded" for signal in needed if signal not in recorded), None)
 

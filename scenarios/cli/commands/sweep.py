@@ -150,7 +150,7 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
     show(table(("status", "rows", "share"), rows, right=("rows", "share")))
     good = done.counts.get("success", 0)
     if unjudged := sum(done.counts.get(status, 0) for status in UNJUDGED):
-        show(f"{unjudged} rows did not finish or could not be judged; they count as failures")
+        show(f"{unjudged} of {total} rows did not finish or were not judged, and count as failures")
     if definition.design in SAMPLED:
         low, high = share_bounds(good, total)
         show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
