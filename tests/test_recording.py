@@ -203,6 +203,8 @@ def test_rows_are_on_disk_after_half_a_second(
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     recorder = Recorder(tmp_path, COLUMNS, METADATA)
+    while not (tmp_path / "recording.arrows").stat().st_size:  # a thread writes its head
+        time.sleep(0.01)
     for tick in range(100):
         clock[0] += 0.05
         recorder.append(make_rows(1, tick))

@@ -145,7 +145,7 @@ def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path: Path) -
     path.write_text(path.read_text().replace("seed = 3", 'design = "grid"'), encoding="utf-8")
     limits = ("--jobs", 1, "--time-limit", 0.3)
     done = command("sweep", path, "--out", tmp_path / "out", *limits)
-    assert "2 rows did not finish" in done.stdout
+    assert "2 of 4 rows did not finish" in done.stdout
     counts = Store(tmp_path / "out").count()
     assert counts == {"success": 2, "timeout": 2}
     late = [row for row in rows_of(tmp_path / "out") if row["status"] == "timeout"]
