@@ -105,6 +105,11 @@ def test_a_failing_fmu_ends_the_run_as_a_failure_with_its_rows_kept(
     assert out.exists() == (rows != 0)
     if rows == 0:
         return
+    stream = out / "recording.arrows"
+    if rows is None and not stream.stat().st_size:  # it ended before a thread had written the head
+        with pytest.raises(InputError, match="killed at once"):
+            Recording.open(out)
+        return
     recording = Recording.open(out)
     check_rows(recording)
     assert not recording.complete
