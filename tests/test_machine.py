@@ -42,6 +42,23 @@ def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.fmu
+@pytest.mark.parametrize("duration", [0.02, 3.0])
+def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path: Path, duration: float) -> None:
+    scenario = write_scenario(tmp_path / "scenario", duration)
+    done = subprocess.run(
+        [*limited(FSIZE=8192), *COMMAND, "run", scenario, "--out", tmp_path / "run", *QUIET],
+        env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "recording failed after 0 rows, which are kept: File too large" in done.stderr
+    assert not list((tmp_path / "run").glob("recording.*"))
+
+
+@pytest.mark.fmu
 def test_a_system_that_cannot_be_written_to_its_end_leaves_the_old_one(tmp_path: Path) -> None:
     """Nor does one whose `build` is killed meanwhile."""
     build_all(load_scenario("pick_and_place"), tmp_path)

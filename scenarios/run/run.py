@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import CosimError, InputError
+from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.master import Master, RealtimePacer
 from ..scenario.scenario import Scenario, load_scenario
 from .folder import claimed_folder
@@ -22,6 +22,7 @@ from .output import Output
 from .prepare import Prepared, prepare
 from .result import Run
 from .stopping import StopRequest, exit_guard, stopping_on_signals
+from .summary import Summary
 
 Progress = Callable[[int, int], None]  # completed and total steps
 
@@ -96,6 +97,7 @@ class Execution:
         self.actions: list[Action] = []
         self.warnings: list[str] = self.prepared.notes
         self.failure = ""
+        self._summary: Summary | None = None  # of a failed run, if its recording can be read
         self._columns: dict[str, list[int]] = {}  # of the master's rows, by signal
 
     def open(self) -> Self:
@@ -150,6 +152,8 @@ class Execution:
                 with self._guarded():
                     self._end(reason)
                     self._summary = self._begun.judge()
+            if self._summary is None:
+                raise SimulationError(self.failure)
             warnings, recording = tuple(self.warnings), self._begun.in_memory
             run = Run(self.folder, self._summary, number, warnings, recording)
             if meanwhile is not None:
