@@ -162,7 +162,7 @@ def draw_view(output: Output, done: Run) -> None:
     """Write the page of a run, unless it is there; that it cannot be drawn is a warning."""
     if not output.view or done.signal or not _is_drawable(done):
         return
-    from ..view.page import VIEW_FILE, write_view  # noqa: PLC0415 - imports MuJoCo
+    from ..view.page import VIEW_FILE, write_view  # noqa: PLC0415 - slow to import
 
     path = done.folder / VIEW_FILE
     if not path.exists():

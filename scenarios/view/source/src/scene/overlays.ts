@@ -174,7 +174,8 @@ export function forces(run: RunSource): Layer | null {
       point(child, load);
     });
   };
-  return { name: `forces on bodies, less weight (${METRES_PER_NEWTON * 1e3} mm per N)`, key: "forces", object: group, update };
+  const scale = `${METRES_PER_NEWTON * 1e3} mm per N, up to ${LONGEST / METRES_PER_NEWTON} N`;
+  return { name: `forces on bodies, less weight (${scale})`, key: "forces", object: group, update };
 }
 
 /** Waypoints: where the rows of the scenario's table command the hand to be. */
