@@ -277,10 +277,10 @@ def test_a_folder_with_a_model_is_a_suite_over_engines(
     assert other["difference"] in text
 
 
-def test_the_suite_of_the_readme_runs(tmp_path: Path) -> None:
+def test_the_suite_of_the_page_on_engines_runs(tmp_path: Path) -> None:
     gymnasium = pytest.importorskip("gymnasium")
-    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    section = readme.partition("### Does another MuJoCo break my task?")[2]
+    page = Path(__file__).parents[1] / "docs" / "reference" / "engines.md"
+    section = page.read_text(encoding="utf-8").partition("## Does another MuJoCo")[2]
     (tmp_path / "scenario.toml").write_text(re.findall(r"```toml\n(.*?)```", section, re.S)[0])
     assets = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
     shutil.copy(assets / "hopper.xml", tmp_path / "model.xml")

@@ -74,7 +74,7 @@ class Output:
     view: bool
     junit: Path | None
     json: bool  # instead of tables
-    fps: float = 60.0  # of the video
+    fps: float = 30.0  # of the video
 
 
 def simulate(  # noqa: PLR0913 - what a run is, and what is made of it

@@ -130,7 +130,7 @@ def describe_run(recording: Signals) -> tuple[str, str]:
 
 def frame_times(time: FloatArray, fps: float) -> FloatArray:
     """Return the instants (k,) [s] of a video's frames: k/fps from the first row on."""
-    # A frame is shown for 1/fps, so 6.5 s at 60 fps are 390 frames, the last of them at 6.483 s.
+    # A frame is shown for 1/fps, so 6.5 s at 30 fps are 195 frames, the last of them at 6.467 s.
     count = max(1, round(float(time[-1] - time[0]) * fps))
     return np.asarray(time[0] + np.arange(count) / fps)
 

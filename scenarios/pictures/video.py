@@ -28,6 +28,7 @@ Progress = Callable[[int, int], None]
 """Called with the number of frames done and the total."""
 
 FPS_RANGE = (1.0, 240.0)  # [1/s]
+FPS = 30.0  # [1/s] by default: without a GPU, each frame costs a tenth of a second
 QUALITY = 18  # x264's constant rate factor; 18 looks lossless, more makes smaller files
 # Drawing is slower than any preset. With its index first, a video starts at once in a browser.
 FFMPEG_ARGS = ["-crf", str(QUALITY), "-preset", "medium", "-movflags", "+faststart"]
@@ -38,7 +39,7 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     recording: Signals,
     path: str | Path,
     *,
-    fps: float = 60.0,
+    fps: float = FPS,
     width: int = 640,
     height: int = 480,
     camera: str = "overview",

@@ -36,7 +36,7 @@ def command(  # noqa: PLR0913 - one for each option
         "overview",
     ),
     size: str = option("--size WxH", "Size of the video [px]; even numbers.", "640x480"),
-    fps: float = option("--fps HZ", "Frames per second.", 60.0),
+    fps: float = option("--fps HZ", "Frames per second.", 30.0),
     meshes: Meshes = MESHES,
     video: bool = option("--video/--no-video", "Draw the video as well.", True),
     overwrite: bool = OVERWRITE,

@@ -34,7 +34,7 @@ from ..outcome import Output, Progress, conclude, draw_view, simulate
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
 FPS = option(
-    "--fps HZ", "Frames per second of the video; 15 takes a third of the time.", 60.0, min=1
+    "--fps HZ", "Frames per second of the video; 60 takes twice as long.", 30.0, min=1
 )
 PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
 VIEW = option("--view/--no-view", "Write the page that shows the run in 3D.", True)
