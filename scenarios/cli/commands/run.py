@@ -33,9 +33,7 @@ from ..options import (
 from ..outcome import Output, Progress, conclude, draw_view, simulate
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
-FPS = option(
-    "--fps HZ", "Frames per second of the video; 60 takes twice as long.", 30.0, min=1
-)
+FPS = option("--fps HZ", "Frames per second of the video; 60 takes twice as long.", 30.0, min=1)
 PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
 VIEW = option("--view/--no-view", "Write the page that shows the run in 3D.", True)
 ISOLATE = option(
