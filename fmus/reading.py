@@ -12,14 +12,20 @@ import re
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BufferedReader
+from io import BufferedReader, BytesIO
 from pathlib import Path
+from typing import Final
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
-from .atomic import in_cache
+from .atomic import cache_folder, in_cache
 from .errors import InputError, one_line
 
+# Of an archive, unpacked: so many bytes in any case, or so many times its own size.
+ANY_SIZE: Final = 100_000_000
+MOST_TIMES: Final = 100
+MOST_BYTES: Final = 8_000_000_000
+_BLOCK: Final = 4096  # [byte] that the smallest file takes on a disk
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -46,20 +52,23 @@ def open_regular(path: Path) -> Iterator[BufferedReader]:
         raise InputError(f"{str(path)!a}: cannot be read: {reason}") from error
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, as hexadecimal digits; raises InputError if it cannot be read."""
+def unpack(path: Path) -> tuple[Path, str]:
+    """Unpack an archive into the cache, unless it is there; returns its folder and its SHA-256."""
+    # Its bytes are read once: the folder's name is the hash of what is in it, whoever writes the
+    # file meanwhile.
     with open_regular(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def unpack(path: Path, destination: Path) -> Path:
-    """Unpack an archive, unless its folder is there; never leaves a partial one."""
+        content = file.read()
+    sha256 = hashlib.sha256(content).hexdigest()
+    destination = cache_folder() / "unpacked" / sha256[:24]
     if not destination.is_dir():
         with in_cache(destination) as folder:
             folder.mkdir(mode=0o700)
             try:
-                with zipfile.ZipFile(path) as archive:
+                with zipfile.ZipFile(BytesIO(content)) as archive:
+                    _check_size(path, archive, len(content))
                     archive.extractall(folder)  # also of ../evil or /evil, which it takes as evil
+            except InputError:
+                raise
             except Exception as error:  # zipfile raises ten types for damaged archives
                 # Of the cache, unless it has no number (bz2) or is EINVAL (a wild offset).
                 if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
@@ -71,7 +80,18 @@ def unpack(path: Path, destination: Path) -> Path:
             except OSError:
                 if not destination.is_dir():  # else somebody was faster
                     raise
-    return destination
+    return destination, sha256
+
+
+def _check_size(path: Path, archive: zipfile.ZipFile, packed: int) -> None:
+    """Refuse an archive that would fill the disk; zipfile writes no more than a member declares."""
+    unpacked = sum(max(member.file_size, _BLOCK) for member in archive.infolist())
+    most = min(max(MOST_TIMES * packed, ANY_SIZE), MOST_BYTES)
+    if unpacked > most:
+        raise InputError(
+            f"{path}: its {packed / 1e6:.3g} MB would be {unpacked / 1e6:.0f} MB unpacked; must be "
+            f"at most {most / 1e6:.0f} MB"
+        )
 
 
 def file_inside(folder: Path, source: str, root: Path, label: str) -> Path:

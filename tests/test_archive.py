@@ -1,5 +1,6 @@
 """Archives and XML from elsewhere: unpacked whole and inside their folder, or refused in a line."""
 
+import hashlib
 import os
 import stat
 import zipfile
@@ -8,9 +9,15 @@ from pathlib import Path
 
 import pytest
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.reading import file_digest, read_xml, unpack
+from panda_cosim.fmus.reading import ANY_SIZE, MOST_TIMES, read_xml, unpack
 
 Write = Callable[[zipfile.ZipFile], object]
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "unpacked"
 
 
 def make(path: Path, write: Write, compression: int = zipfile.ZIP_DEFLATED) -> Path:
@@ -40,9 +47,9 @@ def link(file: zipfile.ZipFile) -> None:
 @pytest.mark.parametrize("name", ["../evil", "a/../../evil", "/evil"])
 def test_a_member_outside_the_archive_is_written_inside(tmp_path: Path, name: str) -> None:
     path = make(tmp_path / "bad.fmu", named("good", name))
-    folder = unpack(path, tmp_path / "deep" / "out")
+    folder, _ = unpack(path)
     assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == ["evil", "good"]
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "deep"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "cache"]
 
 
 def check_message(error: InputError, path: Path) -> None:
@@ -52,7 +59,7 @@ def check_message(error: InputError, path: Path) -> None:
 
 
 def test_a_link_in_an_archive_is_no_link_when_unpacked(tmp_path: Path) -> None:
-    folder = unpack(make(tmp_path / "x.fmu", link), tmp_path / "cache" / "out")
+    folder, _ = unpack(make(tmp_path / "x.fmu", link))
     assert not (folder / "out").is_symlink()
     assert (folder / "out").read_text() == "/etc"
 
@@ -82,23 +89,60 @@ DAMAGED: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("kind", DAMAGED)
-def test_a_damaged_archive_is_refused_and_nothing_is_written(tmp_path: Path, kind: str) -> None:
+def test_a_damaged_archive_is_refused_and_nothing_is_written(
+    tmp_path: Path, cache: Path, kind: str
+) -> None:
     path = tmp_path / "bad.fmu"
     DAMAGED[kind](path)
     with pytest.raises(InputError) as refused:
-        unpack(path, tmp_path / "cache" / "out")
+        unpack(path)
     check_message(refused.value, path)
-    assert list((tmp_path / "cache").iterdir()) == []
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.parametrize("members", [1, 20], ids=["one large member", "many"])
+def test_an_archive_that_grows_too_much_is_refused_before_anything_is_written(
+    tmp_path: Path, cache: Path, members: int
+) -> None:
+    zeros, path = bytes(ANY_SIZE // members + 1), tmp_path / "bomb.fmu"
+    make(path, lambda f: [f.writestr(f"{i}", zeros) for i in range(members)])
+    assert MOST_TIMES * path.stat().st_size < members * len(zeros)
+    with pytest.raises(InputError, match=r"would be 100 MB unpacked; must be at most 100 MB") as it:
+        unpack(path)
+    check_message(it.value, path)
+    assert list(cache.iterdir()) == []
+
+
+def test_the_hash_of_a_folder_is_that_of_what_is_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, archives = tmp_path / "x.fmu", {}
+    for word in (b"first", b"other"):
+        make(tmp_path / "made", lambda f, word=word: f.writestr("a", word))
+        archives[word] = (tmp_path / "made").read_bytes()
+    path.write_bytes(archives[b"first"])
+    opened = zipfile.ZipFile
+
+    def late(*arguments: object) -> zipfile.ZipFile:  # somebody writes the file at that moment
+        path.write_bytes(archives[b"other"])
+        return opened(*arguments)  # type: ignore[call-overload, no-any-return]
+
+    monkeypatch.setattr(zipfile, "ZipFile", late)
+    for _ in range(2):  # the other file, when it is read for itself, has a folder of its own
+        folder, sha256 = unpack(path)
+        content = archives[(folder / "a").read_bytes()]
+        assert sha256 == hashlib.sha256(content).hexdigest()
+    assert (folder / "a").read_bytes() == b"other"
 
 
 def test_what_is_not_a_plain_file_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.fmu")
     for path in (tmp_path / "pipe.fmu", Path("/dev/zero"), tmp_path, tmp_path / "missing.fmu"):
         with pytest.raises(InputError, match=r"not a regular file|no such file"):
-            file_digest(path)
+            unpack(path)
     for path in (Path("a\0b"), Path("a\nb"), tmp_path / ("n" * 300)):
         with pytest.raises(InputError, match=r"cannot be read|no such file") as refused:
-            file_digest(path)
+            unpack(path)
         assert str(refused.value).isprintable()
 
 
@@ -112,10 +156,10 @@ ORIGINAL = [
 
 def test_an_archive_is_unpacked_whole_and_once(tmp_path: Path) -> None:
     path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
-    folder = unpack(path, tmp_path / "cache" / "out")
+    folder, _ = unpack(path)
     assert {n: (folder / n).read_bytes() for n, _ in ORIGINAL} == dict(ORIGINAL)
     before = folder.stat().st_ino
-    assert unpack(path, folder) == folder
+    assert unpack(path)[0] == folder
     assert folder.stat().st_ino == before
 
 

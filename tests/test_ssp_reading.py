@@ -14,6 +14,7 @@ from lxml import etree
 from panda_cosim import Recording
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import Connection
+from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.master.ssp_reader import CoupledSystem, system_from_ssp
 from panda_cosim.fmus.master.system import open_system
 from toy_fmu import toy_fmu
@@ -185,6 +186,24 @@ def test_suppressed_conversions_leave_the_numbers(tmp_path: Path) -> None:
     (connection,) = coupled.system.connections
     # 3 x + 1, then kN to N, and 2 x
     assert (connection.factor, connection.offset) == (6000.0, 2000.0)
+
+
+@pytest.mark.parametrize("sizes", [["2000", "2000"], ["300000"], ["1000000000"] * 3])
+def test_arrays_of_too_many_elements_are_refused_before_they_are_made(
+    tmp_path: Path, sizes: list[str]
+) -> None:
+    lines = "".join(f'<Dimension start="{n}"/>' for n in sizes)
+    two = [f'<Float64 name="{n}" valueReference="5{i}" causality="output">{lines}</Float64>'
+           for i, n in enumerate(("r", "s"))]  # fmt: skip
+    path = toy_fmu(tmp_path / "x.fmu", 3, "".join(two))
+    with pytest.raises(InputError, match=r"x\.fmu: .*'[rs]': \d+ array elements up to here; must"):
+        read_fmu(path)
+    lines = "".join(f'<ssc:Dimension size="{n}"/>' for n in sizes)
+    two = [f'<ssd:Connector name="{n}" kind="output"><ssc:Float64/>{lines}</ssd:Connector>'
+           for n in ("r", "s")]  # fmt: skip
+    system = f"<ssd:Connectors>{''.join(two)}</ssd:Connectors>"
+    with pytest.raises(InputError, match=r"connector [rs]: \d+ array elements up to here; must"):
+        read(tmp_path, ssd(toy("a", fmi=3), "", system, version="2.0"))
 
 
 def test_arrays_are_connected_whole_or_by_element(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ Value = float | bool | str
 Numbers = float | tuple[float, ...]
 Unit = str | tuple[str, ...]
 Part = tuple[str, int, str]  # name, number of rows, and description of an array
+MOST_ELEMENTS: Final = 500_000  # of all arrays of an FMU or an SSP
 MULTIPLE_TOLERANCE: Final = 1e-6  # relative to the `multiple_of` of a variable
 # Bits of integers, and whether one is the sign's, by FMI type; FMI 2.0's one type is Integer.
 INTEGERS: Final = {
@@ -303,6 +304,14 @@ class Interface:
     @cached_property
     def _elements(self) -> dict[str, Scalar]:
         return {scalar.name: scalar for scalar in self._scalars if scalar.variable.shape}
+
+
+def check_elements(place: str, count: int) -> None:
+    """Refuse arrays before they are made, each element of which takes almost 1 kB of memory."""
+    if count > MOST_ELEMENTS:
+        raise InputError(
+            f"{place}: {count} array elements up to here; must be at most {MOST_ELEMENTS}"
+        )
 
 
 def by_array(scalars: Iterable[Scalar]) -> dict[str, list[Scalar]]:

@@ -13,12 +13,21 @@ from pathlib import Path
 from typing import Any, Final, cast
 from xml.etree import ElementTree as ET
 
-from ..atomic import cache_folder, cached
+from ..atomic import cached
 from ..build.libraries import digest, package_version
 from ..errors import InputError, did_you_mean, excerpt, one_line
 from ..interface.units import BASES, Unit, Units
-from ..interface.variables import INTEGERS, Interface, Kind, Scalar, Value, Variability, Variable
-from ..reading import file_digest, finite_number, read_xml, unpack
+from ..interface.variables import (
+    INTEGERS,
+    Interface,
+    Kind,
+    Scalar,
+    Value,
+    Variability,
+    Variable,
+    check_elements,
+)
+from ..reading import finite_number, read_xml, unpack
 
 VERSIONS: Final = {"2.0": 2, "3.0": 3}
 # FMI 3.0's types by the names of FMI 2.0, if the master treats them alike.
@@ -49,8 +58,7 @@ class Fmu:
 
     def __init__(self, path: Path, label: str = "") -> None:
         self.path, self.label = path, label or str(path)
-        self.sha256 = file_digest(path)
-        self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
+        self.folder, self.sha256 = unpack(path)
         kept = self.folder.with_name(f"{self.folder.name}-{_reader()[:16]}.pickle")
         # What the cache holds is code that is run, anyway.
         vars(self).update(pickle.loads(cached(kept, self._read).read_bytes()))  # noqa: S301
@@ -221,8 +229,11 @@ def read_units(place: str, elements: Iterable[ET.Element]) -> Units:
 
 def _scalars(place: str, described: Sequence[Any], sizes: Mapping[str, int]) -> Iterator[Scalar]:
     """Yield the scalars of FMPy's `ModelVariable`s."""
+    elements = 0
     for each in described:
         variable = _variable(f"{place}: {each.name!a}", each, sizes)
+        elements += variable.size if variable.shape else 0
+        check_elements(f"{place}: {each.name!a}", elements)
         yield from variable.scalars(each.valueReference, stride=0)
 
 

@@ -6,19 +6,19 @@ system become one from FMU to FMU.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
 from xml.etree import ElementTree as ET
 
-from ..atomic import cache_folder
 from ..build.ssp import PREFIXES, STRUCTURE_FILE
 from ..errors import InputError, did_you_mean
 from ..interface.tables import Connection
 from ..interface.units import PLAIN, Units, conversion
-from ..interface.variables import Variable
-from ..reading import file_digest, file_inside, finite_number, read_xml, unpack
+from ..interface.variables import Variable, check_elements
+from ..reading import file_inside, finite_number, read_xml, unpack
 from .fmu_file import Fmu, read_fmu, read_units
 
 FMU: Final = "application/x-fmu-sharedlibrary"
@@ -98,7 +98,8 @@ class Structure:
         # Elements <ParameterBinding>, and what they are for; later ones take precedence.
         self.bindings: list[tuple[ET.Element, str]] = []
         self.links: dict[End, Link] = {}  # by the end that is fed
-        folder = unpack(path, cache_folder() / "unpacked" / file_digest(path)[:24])
+        self._elements = 0  # of the systems' connectors
+        folder, _ = unpack(path)
         self.document = Document(folder / STRUCTURE_FILE, f"{path}: {STRUCTURE_FILE}")
         self._read_system(self.document.system, "")
         if not self.fmus:
@@ -112,6 +113,8 @@ class Structure:
             name, shape = connector.get("name", ""), _shape(connector)
             if shape is None:
                 self.document.refuse(f"connector {shown((path, name))}: a Dimension", "with a size")
+            self._elements += math.prod(shape) if shape else 0
+            check_elements(f"{self.path}: connector {shown((path, name))}", self._elements)
             self.items[path][name] = _items(name, shape)
             self._add(connector, path, shape)
         for element in system.iterfind("ssd:Elements/*", PREFIXES):
