@@ -20,6 +20,7 @@ from panda_cosim.scenarios.judging.criterion import (
     missed_text,
     quantity,
     smallest_margin,
+    verdict_of,
 )
 from panda_cosim.scenarios.judging.signals import REDUCE, check_signals, judge_signals
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
@@ -176,6 +177,17 @@ def test_a_value_that_is_not_finite_is_not_measured() -> None:
         result = Criterion.judge("x", value, 1.0, "m", "above")
         assert (result.word, result.reason) == ("not measured", f"is {value}")
     assert smallest_margin([Criterion.judge("x", 0.5, 1.0, "m", "below"), result]) is None
+
+
+@given(st.lists(st.sampled_from([0.5, 2.0, None]), max_size=4))
+def test_a_missed_criterion_is_a_verdict_and_then_one_that_was_not_measured_is_none(
+    values: list[float | None],
+) -> None:
+    criteria = [Criterion.judge("x", value, 1.0, "m", "below") for value in values]
+    expected = "missed" if 2.0 in values else "not measured" if None in values else "ok"
+    assert verdict_of(criteria) == expected
+    known = [] if expected == "not measured" else [1.0 - value for value in values if value]
+    assert smallest_margin(criteria) == min(known, default=None)
 
 
 SIGNAL = """

@@ -121,13 +121,17 @@ def test_rows_not_measured_and_expected_failures_are_what_they_are(tmp_path: Pat
     vary: Any = {FORCE: {"values": [0.0, 100.0]}}
     definition = over_mass(bare, expecting, vary=vary, keep="failures")
     out = sweep(definition, tmp_path / "out", jobs=1).folder
-    row, _, calm, pushed = rows_of(out)
+    row, missed, calm, pushed = rows_of(out)
     assert (row["status"], row["missed"], row["margin"]) == ("unmeasured", None, None)
     assert row["error"].startswith("max_slip is not measured: ")
     assert row["margin.max_slip"] is None
     assert row["margin.tracking_max"] is not None
     with pytest.raises(InputError, match=r"row 0: max_slip is not measured: .*must have a verdict"):
         promote_row(out, 0, tmp_path / "mine")
+    assert (missed["status"], missed["missed"]) == ("missed", "tracking_max")  # outranks max_slip
+    assert missed["margin"] == missed["margin.tracking_max"]
+    limit = tmp_path / "limit"
+    assert limit / "reference.parquet" in promote_row(out, 1, limit, known_limit=True)
     assert (calm["status"], calm["missed"]) == ("unexpected", None)
     assert calm["margin"] > 0.0
     assert (pushed["status"], pushed["missed"]) == ("success", "tracking_max")

@@ -172,6 +172,12 @@ def test_a_run_that_diverged_is_described() -> None:
         ({"criteria": [{"name": "a", "ok": False, "value": 1.0}]}, {}, "bad", "missed: a"),
         ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "not measured: a"),
         (
+            {"criteria": [{"name": "a", "ok": False}, {"name": "b", "ok": False, "value": 1.0}]},
+            {},
+            "bad",
+            "missed: b; not measured: a",
+        ),
+        (
             {"expect": "failure", "criteria": [{"name": "a", "ok": False, "value": 1.0}]},
             {},
             "good",

@@ -27,7 +27,7 @@ from ...fmus.master.system import conversions, notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.contacts import Touch
-from ..judging.criterion import miss_text
+from ..judging.criterion import miss_text, verdict_of
 from ..judging.holds import find_holds
 from ..judging.limits import Level, outcome
 from ..recording import Recording
@@ -193,9 +193,9 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     name = _name(scenario)
     real = [Diagnostic(level, text.replace("SCENARIO", name)) for level, text in lines]
     criteria = run.summary.criteria if run.summary.complete else ()
-    unmeasured = [miss_text(criterion) for criterion in criteria if not criterion.measured]
-    if unmeasured:  # what they wait for never happens
+    if verdict_of(criteria) == "not measured":  # what they wait for never happens
         file = f"{scenario.folder}/{SCENARIO_FILE}"
+        unmeasured = (miss_text(criterion) for criterion in criteria if not criterion.measured)
         wrong = _diagnostics("wrong", [f"{file}: [success] {text}" for text in unmeasured])
         return [*wrong, *trouble, *real]
     about = _about(scenario)
@@ -324,9 +324,10 @@ def findings(run: Run, prepared: Prepared) -> Iterator[Finding]:
     yield from _servos(recording, prepared)
     yield from _grip(recording, prepared)
     yield from _releases(recording)
+    criteria = run.summary.criteria
     if prepared.scenario.expect == "success":
-        for criterion in run.summary.criteria:
-            if criterion.measured and not criterion.ok:
+        for criterion in criteria if verdict_of(criteria) == "missed" else ():
+            if not criterion.ok:
                 yield None, f"[success] {miss_text(criterion)}"
     elif run.summary.success:
         yield None, f"[success] holds, but a failure is expected: {run.summary.expect_reason}"

@@ -23,7 +23,14 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.sources.targets import Kind, Target
 from ..judging.contacts import Touch
-from ..judging.criterion import bound_text, margin_text, missed_text, quantity, unmeasured_text
+from ..judging.criterion import (
+    bound_text,
+    margin_text,
+    missed_text,
+    quantity,
+    unmeasured_text,
+    verdict_of,
+)
 from ..judging.limits import exceeded, outcome
 from ..pictures.gl import RenderError
 from ..pictures.motion import refuse_without_model
@@ -233,16 +240,10 @@ def _fault(done: Run) -> Fault | None:
         return None
     if not summary.complete:
         return "error", "ended early", str(summary.reason)
-    if _has_no_verdict(summary):
+    if verdict_of(summary.criteria) == "not measured":
         return "error", "not measured", unmeasured_text(summary.criteria)
     message = missed_text(summary.criteria) or f"{NOT_FAILED}: {summary.expect_reason}"
     return "failure", "missed", message
-
-
-def _has_no_verdict(summary: Summary) -> bool:
-    """Whether a criterion was not measured, on which success or the expected failure depends."""
-    fails = any(criterion.measured and not criterion.ok for criterion in summary.criteria)
-    return bool(unmeasured_text(summary.criteria)) and (summary.expect == "failure" or not fails)
 
 
 def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | None) -> None:
@@ -297,7 +298,7 @@ def outcome_lines(
 
 def _verdict_line(summary: Summary) -> tuple[str, str]:
     missed = missed_text(summary.criteria)
-    if not summary.complete or _has_no_verdict(summary):
+    if not summary.complete or verdict_of(summary.criteria) == "not measured":
         early = f"No success, as the run ended early: {summary.reason}"
         return f"{NO_VERDICT}: {missed}" if summary.complete else early, "bold red"
     if summary.expect == "failure":

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
-from ..judging.criterion import Criterion, unmeasured_text
+from ..judging.criterion import Criterion, unmeasured_text, verdict_of
 from ..recording import Recording
 from ..run.folder import SUMMARY_FILE
 from ..run.options import Options
@@ -140,8 +140,8 @@ def _outcome(scenario: Scenario, *, run: Path, overrides: Overrides, exact: bool
     criteria = Criterion.read(summary)
     if signal:
         return _failed(scenario, run, began, f"was stopped by signal {signal}")
-    if summary["complete"] and (unmeasured := unmeasured_text(criteria)):  # the scenario's error
-        return _failed(scenario, run, began, unmeasured)
+    if summary["complete"] and verdict_of(criteria) == "not measured":  # the scenario's error
+        return _failed(scenario, run, began, unmeasured_text(criteria))
     verdict, problem, comparison = _judged(scenario, run, summary, exact)
     return Outcome(scenario, verdict, run, seconds, comparison, problem, criteria)
 

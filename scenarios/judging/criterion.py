@@ -8,13 +8,14 @@ Rankings put a margin of None below all others.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from ...fmus.errors import InputError, excerpt
 
 Direction = Literal["below", "above"]
+Word = Literal["ok", "missed", "not measured"]
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Criterion:
         return self.value is not None
 
     @property
-    def word(self) -> str:
-        """Its outcome: `ok`, `missed` or `not measured`."""
+    def word(self) -> Word:
+        """Its outcome."""
         return "ok" if self.ok else "missed" if self.measured else "not measured"
 
     @classmethod
@@ -84,11 +85,16 @@ def margin(value: float, bound: float, direction: Direction) -> float:
     return distance / (abs(bound) or 1.0)
 
 
-def smallest_margin(criteria: Iterable[Criterion]) -> float | None:
-    """Return the smallest margin; None: there are no criteria, or one was not measured."""
-    margins = [criterion.margin for criterion in criteria]
-    known = [share for share in margins if share is not None]
-    return min(known) if known and len(known) == len(margins) else None
+def verdict_of(criteria: Iterable[Criterion]) -> Word:
+    """Return the outcome of all: one that is missed decides, whatever was not measured."""
+    words = {criterion.word for criterion in criteria}
+    return "missed" if "missed" in words else "not measured" if "not measured" in words else "ok"
+
+
+def smallest_margin(criteria: Sequence[Criterion]) -> float | None:
+    """Return the smallest margin that was measured; None: there is no verdict or no criterion."""
+    known = [criterion.margin for criterion in criteria if criterion.margin is not None]
+    return None if verdict_of(criteria) == "not measured" else min(known, default=None)
 
 
 def quantity(value: float | None, unit: str, *, is_bound: bool = False) -> str:

@@ -18,7 +18,7 @@ from .. import rotations
 from ..fields import field_names
 from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
-from ..judging.criterion import Criterion, Direction, smallest_margin
+from ..judging.criterion import Criterion, Direction, smallest_margin, verdict_of
 from ..judging.holds import COMMAND, Events, events, find_holds, measure_block, moving_rows
 from ..judging.limits import all_lacking, first_limit, largest_share, limit_shares
 from ..judging.signals import judge_bodies, judge_signals
@@ -51,8 +51,8 @@ class Summary:
     success: bool  # whether it is complete and all criteria hold
     expect: str  # "success" or "failure"
     expect_reason: str  # why a failure
-    as_expected: bool  # complete, all criteria measured, and a success or a failure as expected
-    margin: float | None  # smallest of the criteria; None: one was not measured, or there are none
+    as_expected: bool  # complete, with a verdict, which is the expected one
+    margin: float | None  # smallest of the criteria; None: there is no verdict, or there are none
     criteria: tuple[Criterion, ...]
     row_ends: tuple[Metrics, ...]  # of rows with `until`: whether and when each has ended early
     events: Events  # instants of grasp, release and so on [s]; None: did not happen
@@ -103,16 +103,16 @@ def summarize(
         *judge_bodies(scenario.success.body, recording, happened),
         *judge_signals(scenario.success.signal, recording, happened),
     )
-    holds = all(criterion.ok for criterion in criteria)
-    judged = recording.complete and all(criterion.measured for criterion in criteria)
+    judged = verdict_of(criteria)
+    expected = "ok" if scenario.expect == "success" else "missed"
     return Summary(
         scenario=scenario.name,
         complete=recording.complete,
         reason=recording.reason,
-        success=recording.complete and holds,
+        success=recording.complete and judged == "ok",
         expect=scenario.expect,
         expect_reason=scenario.expect_reason,
-        as_expected=judged and holds == (scenario.expect == "success"),
+        as_expected=recording.complete and judged == expected,
         margin=smallest_margin(criteria),
         criteria=criteria,
         row_ends=tuple(recording.metadata.get("row_ends", ())),

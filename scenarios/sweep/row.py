@@ -21,6 +21,7 @@ from typing import Any, Final
 from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
 from ...fmus.interface.parameters import ParameterValue
+from ..judging.criterion import verdict_of
 from ..run.folder import with_files
 from ..run.options import Options, with_values
 from ..run.prepare import prepare
@@ -106,7 +107,8 @@ def identity(packed: Loaded) -> str:
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
 # As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is
-# expected (3), a criterion not measured (3), a failed simulation (1), or stopped by the time limit.
+# expected (3), none missed and one not measured (3), a failed simulation (1), or stopped by the
+# time limit.
 STATUSES: Final = ("success", "missed", "unexpected", "unmeasured", "failed", "timeout")
 UNJUDGED: Final = ("unmeasured", "failed", "timeout")  # of which there is no margin
 # These differ from run to run, like the wall clock.
@@ -243,15 +245,10 @@ def measured(run: Run) -> Row:
     if not summary.complete:
         return {**row, "error": summary.reason}
     unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if not c.measured]
-    if unknown:
-        status = "unmeasured"
-    elif summary.as_expected:
-        status = "success"
-    else:
-        status = "unexpected" if summary.success else "missed"
+    otherwise = {"ok": "unexpected", "missed": "missed", "not measured": "unmeasured"}
     return {
         **row,
-        "status": status,
+        "status": "success" if summary.as_expected else otherwise[verdict_of(criteria)],
         "missed": next((c.name for c in criteria if c.measured and not c.ok), None),
         "error": "; ".join(unknown) or None,
         MARGIN: summary.margin,

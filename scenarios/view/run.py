@@ -42,11 +42,11 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
     criteria = criteria_of(summary)
     unknown = [str(c["name"]) for c in criteria if c["value"] is None]
     missed = [str(c["name"]) for c in criteria if not c["ok"] and c["value"] is not None]
-    if summary.get("expect") == "failure" and not unknown:
+    if summary.get("expect") == "failure" and (missed or not unknown):
         words = f"failure, as expected: {', '.join(missed)}" if missed else "unexpected success"
         return {"state": "good" if missed else "bad", "words": words}
     if unknown or missed:
-        groups = {"not measured": unknown, "missed": missed}
+        groups = {"missed": missed, "not measured": unknown}
         words = "; ".join(f"{word}: {', '.join(names)}" for word, names in groups.items() if names)
         return {"state": "bad", "words": words}
     if criteria:
