@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
 from forked import command
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.sweep import backend
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.report import promote_row
+from panda_cosim.scenarios.sweep.report import promote_row, show_row
 from sweep_support import TABLE, rows_of
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
@@ -60,6 +62,13 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path: Path) 
     definition = law_sweep(tmp_path / "law", "plant.block_mass", [0.2])
     out = sweep(definition, tmp_path / "out").folder
     shutil.rmtree(tmp_path / "law")  # the sweep has kept it
+    kept = next(out.glob("scenarios/*/*/hold.py"))
+    kept.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n{LAW}", encoding="utf-8")
+    for act in (partial(show_row, out, 0), partial(promote_row, out, 0, tmp_path / "mine")):
+        with pytest.raises(InputError, match=r"scenarios/0/law: has changed; must be as it was sw"):
+            act()
+    assert not (tmp_path / "ran").exists()
+    kept.write_text(LAW, encoding="utf-8")
     files = promote_row(out, 0, tmp_path / "mine" / "held", known_limit=True)
     assert tmp_path / "mine" / "held" / "hold.py" in files
     done = command("regress", "--scenarios", tmp_path / "mine", "--exact")

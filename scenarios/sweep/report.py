@@ -31,11 +31,11 @@ from ..judging.definitions import DEFINITIONS, Definition
 from ..run.folder import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
 from ..run.options import with_values
 from ..run.run import run_scenario
-from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.scenario import Scenario
 from ..view.page import VIEW_FILE, json_text, shown_run, write_view
 from .definition import SAMPLED
 from .results import Results, failure_tree, heat_map, influences, marginal, missing, share_bounds
-from .row import MARGIN, UNJUDGED, margin_column
+from .row import MARGIN, UNJUDGED, command, margin_column
 from .store import Store
 
 REPORT_FILE: Final = "report.html"
@@ -120,7 +120,8 @@ def _rows(
     store: Store, chosen: NDArray[np.int64], worst: Sequence[int], beside: Path
 ) -> dict[str, Any]:
     """Return how the drawn rows ended, what repeats them, and links to them in 3D."""
-    rows = store.rows(chosen.tolist(), ["status", "missed", "error", "command"])
+    keys, names = store.content["keys"], store.names()
+    rows = store.rows(chosen.tolist(), ["status", "missed", "error", "scenario", *keys])
     views = {}
     for index in chosen.tolist():
         run = store.run_folder(index)
@@ -135,8 +136,12 @@ def _rows(
     return {
         "results": [row["missed"] or row["status"] for row in rows],
         "errors": [row["error"] for row in rows],
-        # What is pasted into a shell must be one line that does what it says.
-        "commands": [printable(row["command"] or "") for row in rows],
+        # What is pasted into a shell must be one line that does what it says. So it is made here,
+        # and not taken from the table, which others may have written.
+        "commands": [
+            printable(command(names[row["scenario"]], {key: row[key] for key in keys}))
+            for row in rows
+        ],
         "show": printable(f"panda-cosim sweep show {quote(str(store.folder))}"),
         "views": views,
     }
@@ -226,8 +231,7 @@ def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
     content = store.content
     row = store.row(index)
     number = list(content["nominal"]).index(row["scenario"])
-    name = list(content["origin"]["scenarios"])[number]
-    nominal = load_scenario(store.kept_scenario(number, name))
+    nominal = store.kept(number)
     return number, nominal, with_values(nominal, {key: row[key] for key in content["keys"]})
 
 

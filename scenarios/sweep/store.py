@@ -33,7 +33,7 @@ from ...fmus.errors import InputError, one_line
 from ..files import read_text
 from ..recording.storage import lock
 from ..run.output import PACKAGES
-from ..scenario.scenario import load_scenario
+from ..scenario.scenario import Scenario, load_scenario, shipped_scenarios
 from ..scenario.writer import write_scenario
 from .definition import Sweep
 from .row import Done, Loaded, Row, identity, pack, scenario_names
@@ -153,6 +153,25 @@ class Store:
         """Return the folder of a scenario as it was swept."""
         return self.folder / KEPT / str(number) / Path(name).name
 
+    def kept(self, number: int) -> Scenario:
+        """Return a scenario as it was swept; what it would run must be what ran then."""
+        name, swept = list(self.content["origin"]["scenarios"].items())[number]
+        scenario = load_scenario(folder := self.kept_scenario(number, name))
+        if scenario.has_own_parts and identity(pack(Loaded(name, "", scenario))) != swept:
+            raise InputError(f"{folder}: has changed; must be as it was swept, for its FMUs to run")
+        return scenario
+
+    def names(self) -> dict[str, str]:
+        """Return what `run` takes for each scenario: shipped names, and absolute folders."""
+        names, shipped = self.content["origin"]["definition"]["scenario"], shipped_scenarios()
+        for name in names:
+            if name not in shipped and not Path(name).is_absolute():
+                raise InputError(
+                    f"{self.folder / SWEEP_FILE}: scenario {name!r}; must be a shipped one's name "
+                    "or an absolute path"
+                )
+        return dict(zip(self.content["nominal"], names, strict=True))
+
     def keep_scenarios(self, packed: Sequence[Loaded]) -> None:
         """Keep the scenarios, unless they are; a kill leaves all of them or none."""
         if (self.folder / KEPT).exists():
@@ -261,6 +280,8 @@ class Store:
         checked = pds.ParquetFileFormat(default_fragment_scan_options=options)
         try:
             dataset = pds.dataset([str(path) for path in self.parts()], format=checked)
+            if dataset.schema.field("index").type != pa.int64():
+                raise ValueError("column index has no whole numbers")
             return dataset.to_table(**selection)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise InputError(f"{self.results}: cannot be read: {one_line(error)}") from None

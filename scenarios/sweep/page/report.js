@@ -262,7 +262,7 @@
     if (!at) return;
     const [first, second] = at.keys, box = byId("map"), { metric } = state;
     const cells = metric === FAILURES || at.keys.every((key) => data.marginals[key].each);
-    const down = data.marginals[second].names.length;
+    const down = at.names[1].length; // its own parts: the bars of one key are finer
     const height = cells ? Math.min(Math.max(down * 58, 200), 440) + 80 : 460, top = 30, bottom = height - 48;
     const [plot, width] = canvas(box, height, `${title(metric)} over ${title(first)} and ${title(second)}`);
     const left = 14 + Math.min(wide([...(cells ? at.ticks[1] : keyAxis(second, 0, 300).ticks.map(([text]) => text)), "00"]), 0.3 * width), right = width - 10;
@@ -304,8 +304,8 @@
   }
 
   /** Means of a metric over the drawn rows of each cell; null where none has it, undefined without rows. */
-  function cellMeans({ keys: [first, second], rows }, metric) {
-    const down = data.marginals[second].names.length, x = keyAxis(first, 0, 1), y = keyAxis(second, 0, 1);
+  function cellMeans({ keys: [first, second], names, rows }, metric) {
+    const down = names[1].length, x = keyAxis(first, 0, 1), y = keyAxis(second, 0, 1);
     const groups = rows.map(() => []);
     data.points[metric].forEach((v, row) => groups[x.place(data.points[first][row]) * down + y.place(data.points[second][row])].push(v));
     return groups.map((group) => {
