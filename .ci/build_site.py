@@ -24,7 +24,6 @@ import html5lib
 import panda_cosim
 from gallery import gallery
 from panda_cosim.fmus.interface.tables import INTERFACES, SENSORS
-from panda_cosim.scenarios.benchmark import read
 from panda_cosim.scenarios.cli.app import load
 from panda_cosim.scenarios.cli.commands import COMMANDS, ELSEWHERE
 from panda_cosim.scenarios.cli.commands.info import variables_markdown
@@ -99,7 +98,8 @@ def python() -> str:
 
 def history() -> str:
     """Return the lines of the nightly `bench`, the newest first."""
-    lines = read(ROOT / "docs" / "bench.jsonl")[::-1]
+    texts = (ROOT / "docs" / "bench.jsonl").read_text(encoding="utf-8").splitlines()
+    lines = [json.loads(text) for text in texts[::-1]]
     ratios = list(lines[0]["ratios"])
     return table(
         ["date", "commit", "machine", *ratios],

@@ -1,4 +1,4 @@
-"""Costs that grow with rows, variables and length: `panda-cosim bench --all` calls `figures`.
+"""Costs that grow with rows, variables and length: `bench_history.py --all` calls `figures`.
 
 `python .ci/growth.py HOURS` prints the memory of a process that steps the task for so many
 simulated hours, without recording: a scenario lasts an hour at most.

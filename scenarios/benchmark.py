@@ -1,8 +1,7 @@
 """Measures the cost of a co-simulation step, compared with the physics alone and another loop.
 
 All ways take turns in chunks of some milliseconds over the same scenario, again and again, so
-that their ratios are also valid on a machine with other load. The history has a line of JSON a run;
-it tells whether a ratio has become worse.
+that their ratios are also valid on a machine with other load.
 """
 
 from __future__ import annotations
@@ -17,10 +16,7 @@ import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path
-from statistics import median
 from subprocess import DEVNULL, PIPE
 from typing import Any, Final
 
@@ -30,12 +26,11 @@ from fmpy.simulation import apply_start_values, instantiate_fmu
 from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE
-from ..fmus.errors import CosimError, InputError, excerpt
+from ..fmus.errors import CosimError
 from ..fmus.interface.controller import COMMANDS
 from ..fmus.interface.tables import CONNECTIONS, INTERFACES
 from ..fmus.master.fmu_file import Fmu
 from ..fmus.master.system import OpenSystem, System, open_system
-from ..fmus.processes import run
 from ..fmus.sources.targets import Kind
 from ..plant.plant import Plant, PlantParameters
 from ..plant.scene import load_scene
@@ -47,7 +42,7 @@ from .work import processor
 
 Array = NDArray[np.float64]
 
-FORMAT: Final = 3  # of the JSON file
+FORMAT: Final = 4  # of the JSON file
 MICRO: Final = 1e6  # [us/s]
 CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
 PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
@@ -62,16 +57,6 @@ RATIOS: Final = {
     "c/a'": ("master", "bare", "at most 1.25"),
     "b/c": ("lists", "master", "at least 2"),
     "cold run": ("run", "imports", "at most 2.2"),
-}
-FIGURES: Final = {  # what .ci/growth.py measures
-    "sweep_rows_per_s": ("rows of random_box a second, 2 processes", "at least 13"),
-    "sweep_row_by_ticks": ("processor time of a row by its ticks' mj_step", "less is better"),
-    "set_up_2000_s": ("two FMUs of 2,000 variables: set-up", "at most 1.5 s"),
-    "set_up_4000_by_2000": ("of 4,000, by that", "at most 2.2"),
-    "peak_run_MB": ("run of an hour: peak", "at most 500 MB"),
-    "peak_regress_MB": ("regress of an hour, also --update: peak", "at most 600 MB"),
-    "peak_compare_MB": ("compare of two runs of an hour: peak", "at most 600 MB"),
-    "long_run_growth_MB": ("memory that steps add, from ten minutes to an hour", "at most 4 MB"),
 }
 OURS: Final = (sys.executable, "-m", "panda_cosim")
 IMPORTS: Final = "import numpy, mujoco, fmpy, pyarrow"  # what a cold run is compared with
@@ -211,7 +196,6 @@ class BenchResult:
     ratios: dict[str, Spread]  # of two ways' costs in the same pass, see `RATIOS`
     real_time_factor: float  # simulated by wall time of stepping with our master
     start_up: dict[str, float]  # best times of whole commands, in new processes [s]
-    figures: dict[str, float]  # see `FIGURES`; only of `bench --all`
     machine: dict[str, str]  # where it was measured, and with what
 
     def to_json(self) -> str:
@@ -224,9 +208,8 @@ def bench(
     repeats: int = 7,
     chunk: int = CHUNK,
     kind: Kind = "native",
-    measure: Callable[[float], dict[str, float]] | None = None,
 ) -> BenchResult:
-    """Measure steps and whole commands; `measure` gives more, by the cost of an `mj_step` [s]."""
+    """Measure steps and whole commands."""
     prepared = prepare(load_scenario(scenario), Options(kind=kind))
     workload = _Workload(prepared.scenario, prepared.assembly.system)
     passes = [_one_pass(workload, chunk) for _ in range(repeats)]
@@ -240,7 +223,6 @@ def bench(
         {name: Spread.of(costs[over] / costs[by]) for name, (over, by, _) in RATIOS.items()},
         STEP_SIZE * MICRO / steps["master"].median,
         {command: min(taken) for command, taken in times.items()},
-        measure(steps["physics"].median / MICRO) if measure else {},
         _machine(),
     )
 
@@ -322,58 +304,3 @@ def _machine() -> dict[str, str]:
         "python": platform.python_version(),
         **{package: version(package) for package in PACKAGES},
     }
-
-
-LAST: Final = 10  # earlier lines whose median counts
-FEWEST: Final = 3  # fewer have no median
-SLACK: Final = 1.05  # a ratio of the median from which a ratio is worse
-HIGHER_IS_BETTER: Final = ("b/c",)
-Line = dict[str, Any]
-
-
-def append(path: Path, result: BenchResult, kind: str) -> list[Line]:
-    """Append a run to a history, and return all lines of its kind and machine, the new one last."""
-    machine = {key: result.machine[key] for key in ("processor", "cores", "system")}
-    same = {"kind": kind, "machine": machine}
-    ratios = {name: ratio.median for name, ratio in result.ratios.items()}
-    ratios |= {name: value for name, value in result.figures.items() if "_by_" in name}
-    date = datetime.now(UTC).isoformat(timespec="seconds")
-    new = {"date": date, "commit": _commit(), **same, "ratios": ratios}
-    earlier = [line for line in read(path) if same.items() <= line.items()]
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(new) + "\n")
-    return [*earlier, new]
-
-
-def read(path: Path) -> list[Line]:
-    """Return the lines of a history; a file that is not there has none."""
-    lines = []
-    for number, text in enumerate(path.read_text("utf-8").splitlines() if path.exists() else (), 1):
-        try:
-            lines.append(json.loads(text))
-            usable = min(lines[-1]["ratios"].values()) > 0.0
-        except (ValueError, TypeError, KeyError, AttributeError):
-            usable = False
-        if not usable:
-            place = f"{path}: line {number}"
-            raise InputError(f"{place}: {excerpt(text)}; must be a line of `bench --history`")
-    return lines
-
-
-def compared(lines: list[Line]) -> dict[str, tuple[float, float | None, bool]]:
-    """By ratio: the newest, the median of the last ones before it, and whether it is worse."""
-    result = {}
-    for name, now in lines[-1]["ratios"].items():
-        last = [line["ratios"][name] for line in lines[:-1] if name in line["ratios"]][-LAST:]
-        before = median(last) if len(last) >= FEWEST else None
-        change = 1.0 if before is None else now / before
-        result[name] = now, before, (1 / change if name in HIGHER_IS_BETTER else change) > SLACK
-    return result
-
-
-def _commit() -> str:
-    """Commit of the code, or "" if it is not a checkout."""
-    try:
-        return run(["git", "rev-parse", "--short", "HEAD"], Path(__file__).parent).stdout.strip()
-    except OSError:  # there is no git
-        return ""

@@ -40,11 +40,10 @@ def test_the_bench_compares_ways_that_do_the_same() -> None:
     """It raises where they end elsewhere; its numbers are no matter of a test's machine."""
     result = in_process(cosim_jobs.short_bench)
     numbers = result["json"]
-    assert numbers["format"] == 3
+    assert numbers["format"] == 4
     assert set(numbers["steps"]) == {"physics", "bare", "lists", "master"}
     assert set(numbers["ratios"]) == {"c/a", "c/a'", "b/c", "cold run"}
     assert numbers["ratios"]["cold run"]["median"] == pytest.approx(2.5)
-    assert numbers["figures"] == {}
     for spread in (*numbers["steps"].values(), *numbers["ratios"].values()):
         assert 0.0 < spread["low"] <= spread["median"] <= spread["high"]
     for text in ("(a) mj_step", "(a') mj_step", "c/a", "c/a'", "at most 1.1", "numpy"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from itertools import groupby
 from pathlib import Path
@@ -155,23 +155,5 @@ def plot_signals(recording: Recording, path: Path) -> Path:
         title = str(recording.metadata.get("scenario") or recording.metadata.get("system") or "")
         more = f" ({len(panels) - MOST} more signals are recorded)" if len(panels) > MOST else ""
         figure.suptitle(f"{title}{more}", fontweight="bold")
-        _save(figure, path)
-    return path
-
-
-def plot_history(lines: Sequence[Mapping[str, Any]], path: Path) -> Path:
-    """Write a PNG with the ratios of `bench` over its runs, oldest first."""
-    with own_style():
-        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
-        figure = Figure(figsize=(9.0, 5.0), layout="constrained")
-        axes = figure.subplots()
-        for name in dict.fromkeys(name for line in lines for name in line["ratios"]):
-            ratios = [line["ratios"].get(name, np.nan) for line in lines]
-            axes.plot(range(1, len(lines) + 1), ratios, marker="o", markersize=3, label=name)
-        axes.set(xlabel="run of bench on this machine", ylabel="ratio")
-        axes.set_ylim(bottom=0.0)
-        axes.locator_params(axis="x", integer=True)
-        axes.legend()
         _save(figure, path)
     return path
