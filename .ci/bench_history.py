@@ -1,9 +1,9 @@
 """What has become slower: `python .ci/bench_history.py FILE.jsonl [--all]`.
 
 Measures as `panda-cosim bench`, appends a line of JSON with the ratios to the file, plots it beside
-it, and compares each ratio with the median of the last ten on this kind of machine: one that is more
-than 5 % worse ends it with 3. `--all` measures sweeps, large systems and long runs, too (growth.py):
-half an hour, and 10 GB of temporary files.
+it, and compares each ratio with the median of the last ten on this kind of machine: one that is
+more than 5 % worse ends it with 3. `--all` measures sweeps, large systems and long runs, too
+(growth.py): half an hour, and 10 GB of temporary files.
 """
 
 from __future__ import annotations

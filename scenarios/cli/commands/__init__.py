@@ -46,7 +46,6 @@ ELSEWHERE = {
     "plot": "render:plot",
     "export": "render:export",
     "sweep report": "sweep:report",
-    "sweep sheet": "sweep:sheet",
     "sweep show": "sweep:show_one",
     "sweep promote": "sweep:promote",
 }

@@ -20,7 +20,6 @@ from ...run.folder import default_folder
 from ...sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...sweep.engine import SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
-from ...sweep.iso9283 import SHEET, write_sheet
 from ...sweep.report import REPORT_FILE, promote_row, show_row, write_report
 from ...sweep.results import missing, share_bounds
 from ...sweep.row import STATUSES, UNJUDGED
@@ -83,9 +82,8 @@ def command(  # noqa: PLR0913 - one for each option
     The results are a table, DIR/results/part-*.parquet, with one row per run; the row of a failed
     run holds the reason. The same command, with `--out DIR`, resumes a stopped sweep, unless the
     definition, the FMUs, the code or versions have changed. Further commands: `sweep report DIR`
-    writes a page about the results, `sweep sheet DIR` the data sheet of ISO 9283, `sweep show DIR
-    ROW` shows a row's run in 3D beside the unchanged scenario, and `sweep promote DIR ROW NEW`
-    makes a scenario of a row.
+    writes a page about the results, `sweep show DIR ROW` shows a row's run in 3D beside the
+    unchanged scenario, and `sweep promote DIR ROW NEW` makes a scenario of a row.
 
     ```
     panda-cosim sweep random_box --out box
@@ -179,19 +177,6 @@ def report(
     for line in missing(Store(folder)):
         warn(line)
     show_file(path, open_page=open_page)
-
-
-def sheet(folder: Path = SWEEP, open_page: bool = OPEN_PAGE, overwrite: bool = OVERWRITE) -> None:
-    """Write the sheet of ISO 9283, iso9283.html and .json, of a sweep of its cycles.
-
-    ```
-    panda-cosim sweep iso9283 --out iso
-    panda-cosim sweep sheet iso
-    ```
-    """
-    check_replaceable(folder / f"{SHEET}.html", overwrite=overwrite)
-    check_replaceable(folder / f"{SHEET}.json", overwrite=overwrite)
-    show_file(write_sheet(folder), open_page=open_page)
 
 
 def show_one(folder: Path = SWEEP, index: int = ROW, open_page: bool = OPEN_PAGE) -> None:
