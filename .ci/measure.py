@@ -254,8 +254,8 @@ def touch(folder: Path | None) -> str:
 
 
 def time_step(_: Path | None) -> str:
-    """Steps of the physics, with the controller at 1 ms: `python tests/time_step.py`."""
-    return _said([sys.executable, "tests/time_step.py"]).strip()
+    """Steps of the physics, with the controller at 1 ms: `python .ci/studies/time_step.py`."""
+    return _said([sys.executable, ".ci/studies/time_step.py"]).strip()
 
 
 def contact(folder: Path | None) -> str:
@@ -278,13 +278,15 @@ def contact(folder: Path | None) -> str:
 
 
 def moves(_: Path | None) -> str:
-    """Random straight moves, up to 120 deg, 0.5 m/s and 1 rad/s: `python tests/random_moves.py`.
+    """Random straight moves, up to 120 deg, 0.5 m/s and 1 rad/s.
 
-    500 from `home`, with `--touch`; with `--retimed`, where each gets the time that it needs; and
+    `python .ci/studies/random_moves.py`: 500 from `home`, with `--touch`; with `--retimed`, where each gets the time that it needs; and
     with `--starts --count 100`, from random joint positions.
     """
     ways = (["--touch"], ["--retimed"], ["--starts", "--count", "100"])
-    texts = [_said([sys.executable, "tests/random_moves.py", *option], (0, 1)) for option in ways]
+    texts = [
+        _said([sys.executable, ".ci/studies/random_moves.py", *option], (0, 1)) for option in ways
+    ]
     return "\n".join(
         f"- {line[0].upper()}{line[1:]}."
         for text in texts
@@ -331,9 +333,9 @@ def _plan_times(name: str) -> list[float]:
 def mink(_: Path | None) -> str:
     """Our law beside the inverse kinematics of mink, over the same random moves.
 
-    `python tests/mink_moves.py`, with the same servos and without FMUs.
+    `python .ci/studies/mink_moves.py`, with the same servos and without FMUs.
     """
-    return _said([sys.executable, "tests/mink_moves.py"]).strip()
+    return _said([sys.executable, ".ci/studies/mink_moves.py"]).strip()
 
 
 def cost(_: Path | None) -> str:

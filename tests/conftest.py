@@ -12,7 +12,9 @@ import pytest
 
 # Each test process has a core: NumPy's own threads would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
+# So that tests find the modules beside them, and the studies.
+sys.path.insert(0, str(Path(__file__).parents[1] / ".ci" / "studies"))
+sys.path.insert(0, str(Path(__file__).parent))
 
 import forked
 from browser import Page, browser, find_browser

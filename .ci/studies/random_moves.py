@@ -1,9 +1,9 @@
 """Random straight moves of the hand from `home`, without FMUs.
 
-`python tests/random_moves.py` tries 500 moves with the law in C, which has the bits of the law in
-Python, and prints how many end at their goal. A goal is the
-pose of a random joint configuration, so the arm reaches it; the straight way there may still lead
-past a singularity or a joint's end. `--retimed` gives each move the time that it needs, so that it
+`python .ci/studies/random_moves.py` tries 500 moves with the law in C, which has the bits of the
+law in Python, and prints how many end at their goal. A goal is the pose of a random joint
+configuration, so the arm reaches it; the straight way there may still lead past a singularity or a
+joint's end. `--retimed` gives each move the time that it needs, so that it
 keeps the torque rate, too. `--starts` lets each begin at a random joint configuration instead;
 `--touch` counts the moves in which the controller reports a collision, and those in which it is a
 false alarm: nothing touched the arm in the `RECENT` time before, and no joint was on its stop.
@@ -12,6 +12,7 @@ false alarm: nothing touched the arm in the `RECENT` time before, and no joint w
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -23,7 +24,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from law_support import LawInC, compile_law
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import (
@@ -44,6 +44,9 @@ from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.scenario.limits import shares, torque_rates
 from panda_cosim.scenarios.scenario.trajectory import Trajectory
 from panda_cosim.scenarios.timing.optimal import stretched
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+from law_support import LawInC, compile_law
 from random_tasks import connect
 
 Array = NDArray[np.float64]
@@ -274,7 +277,9 @@ def run_moves(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Try random straight moves, print what misses its goal; return how many did."""
-    parser = argparse.ArgumentParser(prog="python tests/random_moves.py", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python .ci/studies/random_moves.py", description=main.__doc__
+    )
     parser.add_argument("--count", type=int, default=500, help="number of moves")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
     parser.add_argument("--processes", type=int, help="how many at a time; default: one a core")

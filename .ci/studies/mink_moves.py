@@ -1,6 +1,6 @@
 """The random moves of `random_moves`, by our law and by mink's inverse kinematics.
 
-`python tests/mink_moves.py` runs both over the same 300 moves and prints a table. mink (a
+`python .ci/studies/mink_moves.py` runs both over the same 300 moves and prints a table. mink (a
 differential inverse kinematics by quadratic programming, Apache-2.0) integrates a joint reference
 from the commanded pose, within the joints' ranges and velocities, as its examples do; what makes
 servo targets of a reference (lag, gravity, inertia, PID) is the same for both.
@@ -106,7 +106,9 @@ def described(name: str, moves: Sequence[Move]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare our law with mink on the same random moves; prints a table in Markdown."""
-    parser = argparse.ArgumentParser(prog="python tests/mink_moves.py", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python .ci/studies/mink_moves.py", description=main.__doc__
+    )
     parser.add_argument("--count", type=int, default=COUNT, help="number of moves")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
     parser.add_argument("--processes", type=int, help="how many at a time; default: one a core")

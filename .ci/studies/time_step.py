@@ -1,4 +1,4 @@
-"""What the time step of the physics changes in `pick_and_place`: `python tests/time_step.py`.
+"""What the time step of the physics changes in `pick_and_place`: `python .ci/studies/time_step.py`.
 
 Plant and controller run in a plain loop. The controller is updated each ms, as in the FMUs; in
 between, the plant takes one step of MuJoCo, or several shorter ones.
@@ -6,14 +6,18 @@ between, the plant takes one step of MuJoCo, or several shorter ones.
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import random_tasks
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios.run.summary import Summary, summarize
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+import random_tasks
 
 PARTS = (1, 2, 4)  # steps of MuJoCo in a ms
 

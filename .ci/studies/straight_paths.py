@@ -1,4 +1,4 @@
-"""Which of the random moves from random starts exist: `python tests/straight_paths.py`.
+"""Which of the random moves from random starts exist: `python .ci/studies/straight_paths.py`.
 
 The hand's path is straight, and the arm's posture at its start is given; the arm may turn about the
 hand. At each place of the path, all postures are kept that the joints come to from those of the
@@ -112,7 +112,7 @@ def share_of_path(start: Start, goal: tuple[Array, Array]) -> float:
 
 def main() -> None:
     """Print which moves end before their goals, and how many do not."""
-    parser = argparse.ArgumentParser(prog="python tests/straight_paths.py")
+    parser = argparse.ArgumentParser(prog="python .ci/studies/straight_paths.py")
     parser.add_argument("--count", type=int, default=100, help="number of moves")
     with ProcessPoolExecutor() as pool:
         moves = random_starts(parser.parse_args().count)
