@@ -280,8 +280,8 @@ def contact(folder: Path | None) -> str:
 def moves(_: Path | None) -> str:
     """Random straight moves, up to 120 deg, 0.5 m/s and 1 rad/s.
 
-    `python .ci/studies/random_moves.py`: 500 from `home`, with `--touch`; with `--retimed`, where each gets the time that it needs; and
-    with `--starts --count 100`, from random joint positions.
+    `python .ci/studies/random_moves.py`: 500 from `home`, with `--touch`; with `--retimed`, where
+    each gets the time that it needs; and with `--starts --count 100`, from random joint positions.
     """
     ways = (["--touch"], ["--retimed"], ["--starts", "--count", "100"])
     texts = [
