@@ -9,11 +9,16 @@ import stat
 import time
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Final
 
 from .errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
 
 TEMPORARY: Final = ".panda-cosim-"  # an unusual name, since it may stand beside a user's files
 KEPT: Final = 7 * 24 * 3600.0  # [s] age at which what a killed process left is removed
@@ -80,10 +85,34 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Make a folder that is removed at the end."""
+    """Make a folder that is removed at the end, and held until then."""
     with _temporary(parent) as folder:
         folder.mkdir(mode=0o700)
-        yield folder
+        with held(folder):
+            yield folder
+
+
+@contextmanager
+def held(path: Path) -> Iterator[bool]:
+    """Hold a file or folder while the block runs; False: another process holds it."""
+    # systemd-tmpfiles also leaves what is held so.
+    file = os.open(path, os.O_RDONLY)
+    try:
+        yield _lock(file)
+    finally:
+        os.close(file)
+
+
+def _lock(file: int) -> bool:
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
 
 
 @contextmanager
@@ -92,8 +121,10 @@ def _temporary(parent: Path, suffix: str = "") -> Iterator[Path]:
     parent.mkdir(parents=True, exist_ok=True)
     for left in parent.glob(f"{TEMPORARY}*"):
         with suppress(OSError):
-            if abs(time.time() - left.lstat().st_mtime) > KEPT:  # or of a clock since set back
-                _remove(left)
+            is_old = abs(time.time() - left.lstat().st_mtime) > KEPT  # or of a clock since set back
+            with held(left) if is_old else nullcontext(False) as is_left:
+                if is_left:
+                    _remove(left)
     path = parent / f"{TEMPORARY}{secrets.token_hex(8)}{suffix}"
     try:
         yield path

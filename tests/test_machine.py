@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from bounded import limited
 from fault_support import write_scenario
-from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing
+from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing, temporary_folder
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.cli.app import report
 from panda_cosim.scenarios.cli.commands.build import build_all
@@ -118,6 +118,16 @@ def test_what_a_killed_process_left_goes_a_week_later(tmp_path: Path, age: float
     with replacing(tmp_path / "x.txt") as partial:
         partial.write_text("x")
     assert {path.name for path in tmp_path.iterdir()} == {"x.txt", new.name, ".mine"}
+
+
+@pytest.mark.parametrize("age", [2 * KEPT, -2 * KEPT], ids=["old", "of the future"])
+def test_what_is_in_use_stays_however_old_it_is(tmp_path: Path, age: float) -> None:
+    with temporary_folder(tmp_path) as folder:
+        os.utime(folder, (time.time() - age,) * 2)
+        with replacing(tmp_path / "x.txt") as partial:
+            partial.write_text("x")
+        assert folder.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["x.txt"]
 
 
 def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path: Path) -> None:

@@ -21,11 +21,6 @@ from numpy.typing import DTypeLike, NDArray
 from ...fmus.errors import InputError, excerpt, one_line
 from ..files import read_integer
 
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
-
 Array = NDArray[np.float64]
 Metadata = dict[str, Any]
 
@@ -149,19 +144,6 @@ def write_parquet(source: Source, parquet: Path) -> None:
         raise OSError(str(error)) from error
     finally:
         partial.unlink(missing_ok=True)
-
-
-def lock(file: int) -> bool:
-    """Mark a file or folder as being written while it is open here; False: another process is."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # a file system without locks
-        return True
-    return True
 
 
 def open_stream(path: Path) -> Source:

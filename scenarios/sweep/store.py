@@ -13,7 +13,7 @@ import os
 import platform
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from functools import reduce
 from importlib.metadata import version
@@ -28,10 +28,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from ...fmus.atomic import replacing
+from ...fmus.atomic import held, replacing
 from ...fmus.errors import InputError, one_line
 from ..files import read_text
-from ..recording.storage import lock
 from ..run.output import PACKAGES
 from ..scenario.scenario import Scenario, load_scenario, shipped_scenarios
 from ..scenario.writer import write_scenario
@@ -217,22 +216,24 @@ class Store:
     @contextmanager
     def claimed(self) -> Iterator[None]:
         """Keep other sweeps out of the folder: they would run and write the same rows again."""
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            folder = os.open(self.folder, os.O_RDONLY)
-        except OSError as error:
-            raise InputError(f"{self.folder}: cannot be written to: {error.strerror}") from error
-        try:
-            if not lock(folder):
+        with ExitStack() as stack:
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                is_ours = stack.enter_context(held(self.folder))
+            except OSError as error:
+                raise InputError(
+                    f"{self.folder}: cannot be written to: {error.strerror}"
+                ) from error
+            if not is_ours:
                 raise InputError(
                     f"{self.folder}: another sweep is running there; let it end, or choose "
                     "another folder with --out"
                 )
-            yield
-        finally:
-            os.close(folder)
-            with suppress(OSError):  # it holds the sweep
-                self.folder.rmdir()
+            try:
+                yield
+            finally:
+                with suppress(OSError):  # it holds the sweep
+                    self.folder.rmdir()
 
     def write(self, content: Mapping[str, Any]) -> None:
         """Write sweep.json."""
