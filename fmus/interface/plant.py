@@ -150,4 +150,5 @@ PLANT = Interface(
                    "unknown to the controller"),
     ),
     {"robot": ROBOT},
+    is_model=True,
 )  # fmt: skip

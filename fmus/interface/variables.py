@@ -254,6 +254,9 @@ class Interface:
     variables: tuple[Variable, ...]  # inputs, then outputs, then parameters
     terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # variables by name
     units: Units = field(default_factory=dict)  # that an FMU from elsewhere defines, by name
+    is_model: bool = False  # whether it is a MuJoCo model
+    # Outputs, as scalars, of which an FMU from elsewhere says that they depend on no input.
+    independent: frozenset[str] = frozenset()
 
     def scalars(self) -> list[Scalar]:
         """All scalar variables, in the order of their value references, which count from 0."""

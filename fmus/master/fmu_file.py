@@ -40,6 +40,7 @@ _NUMBERS: Final = ("Real", "Integer")  # an interface table's Real
 STRUCTURAL: Final = "structuralParameter"
 _SHOWN: Final = ("input", "output", "parameter")
 _NAMES_NOTE: Final = "org.panda-cosim.names"  # annotation with names as in FMI 2.0
+_MODEL_NOTE: Final = "org.panda-cosim.mujoco-model"  # annotation of a MuJoCo model of ours
 _IDENTIFIER: Final = re.compile(r"[\w-]+", re.A)  # containers have the name of their file
 _ATTRIBUTES: Final = {**dict.fromkeys(BASES, "0"), "factor": "1", "offset": "0"}  # of a BaseUnit
 _NUMBER: Final = Variable("", (), "", "parameter", "fixed", "")  # what a bound is read as
@@ -82,6 +83,8 @@ class Fmu:
         self.structural = {v.name for v in described if v.causality == STRUCTURAL}
         self.relative = {v.name for v in described if _is_relative(v)}
         self.sizes: dict[str, int] = {}  # values of structural parameters that are changed
+        notes = (*root.iterfind("VendorAnnotations/*"), *root.iterfind("Annotations/*"))
+        self.is_model = any(_MODEL_NOTE in note.attrib.values() for note in notes)
         self._noted = _noted_names(root)
         self.variables = self._scalars()
         self.units = read_units(place, root.iterfind("UnitDefinitions/Unit"))
@@ -94,6 +97,20 @@ class Fmu:
         renamed = [_renamed(scalar, self._noted) for scalar in described]
         self._described = {d.name: r for d, r in zip(described, renamed, strict=True)}
         return {scalar.name: scalar for scalar in renamed}
+
+    @property
+    def independent(self) -> frozenset[str]:
+        """Outputs, as scalars, that depend on no input, as ModelStructure says."""
+        if (self.description.generationTool or "").startswith("panda-cosim "):
+            return frozenset()  # all of ours say so, also a law that follows its inputs
+        free = {
+            unknown.variable.name
+            for unknown in self.description.outputs
+            if unknown.dependencies is not None
+            and all(v.causality != "input" for v in unknown.dependencies)
+        }
+        rows = ((name, scalar.variable) for name, scalar in self.variables.items())
+        return frozenset(name for name, variable in rows if variable.name in free)
 
     def restructured(self, values: Mapping[str, object]) -> Fmu:
         """Return the FMU with the arrays' shapes that values of structural parameters give."""
@@ -320,7 +337,14 @@ def described_interface(fmu: Fmu) -> Interface:
         variables += _joined(list(group))
     description = fmu.description.description or ""
     name = fmu.description.modelName or fmu.path.stem
-    return Interface(name, description, tuple(variables), units=fmu.units)
+    return Interface(
+        name,
+        description,
+        tuple(variables),
+        units=fmu.units,
+        is_model=fmu.is_model,
+        independent=fmu.independent,
+    )
 
 
 def _array(scalar: Scalar) -> tuple[str, ...]:

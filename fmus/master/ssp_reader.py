@@ -20,6 +20,7 @@ from ..interface.units import PLAIN, Units
 from ..interface.variables import Value
 from ..reading import finite_number, read_xml
 from .fmu_file import read_units, read_value
+from .order import stepping_order
 from .ssp_structure import Document, End, Link, Structure, choice, converts_units, local, shown
 from .system import System
 
@@ -183,18 +184,25 @@ class CoupledSystem:
 
 
 def system_from_ssp(path: Path) -> CoupledSystem:
-    """Read an .ssp file; components are stepped in the order in which it lists them."""
+    """Read an .ssp file; the order in which it lists things has no effect."""
     structure = Structure(path)
     parameters = Parameters(structure)
     connections = list(structure.connections())
     start, stop, step = _experiment(structure)
     master = structure.document.system.find(MASTER, PREFIXES)
+    stated = "" if master is None else master.get("order", "")
+    order = stated.split() or stepping_order(structure.fmus, connections)
+    if sorted(order) != sorted(structure.fmus):
+        structure.document.refuse(f"order {stated!r}", f"of {', '.join(sorted(structure.fmus))}")
+    names = ((name, variable) for name in order for variable in structure.fmus[name].variables)
+    places = {name: place for place, name in enumerate(names)}
+    connections.sort(key=lambda each: places[each.target])
     return CoupledSystem(
         structure.document.system.get("name", "system"),
         System(
-            {name: fmu.path for name, fmu in structure.fmus.items()},
+            {name: structure.fmus[name].path for name in order},
             connections,
-            outputs=_outputs(structure, connections),
+            outputs=_outputs(structure, connections, places),
             labels={name: fmu.label for name, fmu in structure.fmus.items()},
         ),
         parameters.values,
@@ -207,14 +215,20 @@ def system_from_ssp(path: Path) -> CoupledSystem:
     )
 
 
-def _outputs(structure: Structure, connections: Sequence[Connection]) -> dict[str, list[str]]:
+def _outputs(
+    structure: Structure, connections: Sequence[Connection], places: Mapping[End, int]
+) -> dict[str, list[str]]:
     """Outputs of each component, connected ones first, in the order of their targets."""
     ends = dict.fromkeys(connection.source for connection in connections)
-    for name in structure.fmus:
-        for connector, row in structure.connectors[name].items():
-            if row.kind == "output":
-                ends |= dict.fromkeys((name, item) for item in structure.items[name][connector])
-    outputs: dict[str, list[str]] = {name: [] for name in structure.fmus}
+    others = {
+        (name, item)
+        for name in structure.fmus
+        for connector, row in structure.connectors[name].items()
+        if row.kind == "output"
+        for item in structure.items[name][connector]
+    }
+    ends |= dict.fromkeys(sorted(others, key=places.__getitem__))
+    outputs: dict[str, list[str]] = {name: [] for name, _ in places}
     for name, variable in ends:
         outputs[name].append(variable)
     return outputs

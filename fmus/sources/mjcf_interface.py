@@ -187,7 +187,8 @@ def interface(description: Description, model: Any) -> Interface:
     if description.extends:
         base = EXTENDED[description.extends]
         variables, terminals = _extended(base, variables, sources), {**base.terminals}
-    return Interface(description.name, description.text, tuple(variables), terminals)
+    rows = tuple(variables)
+    return Interface(description.name, description.text, rows, terminals, is_model=True)
 
 
 def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:

@@ -130,6 +130,7 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
     hints = _diagnostics("hint", [*assembly.notes, *_suggestions(assembly), *seen])
     hints += _diagnostics("good", conversions(fmus, assembly.system))
+    hints += _order(prepared)
     models = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
@@ -147,6 +148,13 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
         text = f"{about}; it runs, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
     return [*hints, Diagnostic("good", f"{about}; it can run ({unseen})")]
+
+
+def _order(prepared: Prepared) -> list[Diagnostic]:
+    """Say in which order FMUs are stepped, if they are connected."""
+    if not prepared.assembly.connections:
+        return []
+    return [Diagnostic("good", prepared.assembly.course(prepared.scenario.coupling))]
 
 
 def _suggestions(assembly: Assembly) -> Iterator[str]:
@@ -192,6 +200,7 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     lines = outcome(run.summary.preflight, complete=run.summary.complete)
     name = _name(scenario)
     real = [Diagnostic(level, text.replace("SCENARIO", name)) for level, text in lines]
+    real += _order(prepared)
     criteria = run.summary.criteria if run.summary.complete else ()
     if verdict_of(criteria) == "not measured":  # what they wait for never happens
         file = f"{scenario.folder}/{SCENARIO_FILE}"

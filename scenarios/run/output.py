@@ -105,6 +105,8 @@ def _metadata(prepared: Prepared) -> dict[str, Any]:
         "purpose": scenario.purpose,
         **ours,
         "coupling": scenario.coupling,
+        "order": [*assembly.interfaces],
+        "late": assembly.late(scenario.coupling),
         "step_size": scenario.step,
         "duration": scenario.duration,
         "parameters": values,

@@ -53,6 +53,8 @@ class Summary:
     expect_reason: str  # why a failure
     as_expected: bool  # complete, with a verdict, which is the expected one
     margin: float | None  # smallest of the criteria; None: there is no verdict, or there are none
+    order: tuple[str, ...]  # of stepping
+    late: tuple[str, ...]  # connections whose target gets values of the step before
     criteria: tuple[Criterion, ...]
     row_ends: tuple[Metrics, ...]  # of rows with `until`: whether and when each has ended early
     events: Events  # instants of grasp, release and so on [s]; None: did not happen
@@ -114,6 +116,8 @@ def summarize(
         expect_reason=scenario.expect_reason,
         as_expected=recording.complete and judged == expected,
         margin=smallest_margin(criteria),
+        order=tuple(recording.metadata.get("order", ())),
+        late=tuple(recording.metadata.get("late", ())),
         criteria=criteria,
         row_ends=tuple(recording.metadata.get("row_ends", ())),
         events=happened,

@@ -156,6 +156,7 @@ class Scenario:
     # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
+    order: tuple[Annotated[str, Line()], ...] = ()  # of stepping; empty: by the connections
     # Steps of an FMU as multiples of the system's.
     steps: Mapping[str, Annotated[int, Whole(1, MAX_MULTIPLE)]] = field(default_factory=dict)
     # Values of unconnected inputs; `file`: a table of inputs over time.

@@ -19,6 +19,7 @@ from ...fmus.interface.tables import INTERFACES, MEASURED, SEEN, Connection, mea
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
+from ...fmus.master.order import late, shown, stepping_order
 from ...fmus.master.step import ITERATIONS
 from ...fmus.master.system import System
 from ...fmus.master.wiring import Array, Name
@@ -71,6 +72,14 @@ class Assembly:
                    for n in v.names()]
             for name in order
         }  # fmt: skip
+
+    def late(self, coupling: str) -> list[str]:
+        """Connections whose target gets values of the step before."""
+        return late([*self.interfaces], self.connections, coupling)
+
+    def course(self, coupling: str) -> str:
+        """Say in which order FMUs are stepped, and what is late."""
+        return shown([*self.interfaces], self.late(coupling))
 
     def _is_recorded(self, name: str, variable: Variable) -> bool:
         if not variable.on_request or f"{name}.{variable.name}" in self.asked:
@@ -179,7 +188,6 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     interfaces = {part.name: part.interface for part in parts}
     driven = driven_inputs(scenario, interfaces)
     connector.drive(driven)
-    external += driven
     if scenario.mismatch.has_sensors:  # they feed the controller, unless [connect] does
         inputs = {v.name for v in connector.parts["controller"].interface.of("input")}
         for name in (*MEASURED, *SEEN):
@@ -198,10 +206,31 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
         else c
         for c in connector.connections
     ]
+    interfaces = _ordered(interfaces, connections, scenario.order)
+    places = _places(interfaces)
+    connections.sort(key=lambda each: places[each.target])
+    external += sorted(driven, key=places.__getitem__)
     if from_outside:
         external, notes = [*_unfed(interfaces, connections, external), *external], []
+    ordered = [connector.parts[name] for name in interfaces]
     asked, steps = scenario.asked, scenario.steps
-    return Assembly(interfaces, connections, external, parts, notes, asked, driven, steps)
+    return Assembly(interfaces, connections, external, ordered, notes, asked, driven, steps)
+
+
+def _ordered(
+    interfaces: Mapping[str, Interface], connections: Sequence[Connection], stated: Sequence[str]
+) -> dict[str, Interface]:
+    """Return the FMUs in the order of stepping, which a scenario may state."""
+    if stated and sorted(stated) != sorted(interfaces):
+        valid = ", ".join(sorted(interfaces))
+        raise InputError(f"order: value {[*stated]!r}; must name each FMU once: {valid}")
+    return {name: interfaces[name] for name in stated or stepping_order(interfaces, connections)}
+
+
+def _places(interfaces: Mapping[str, Interface]) -> dict[Name, int]:
+    """Each scalar's place among those of all FMUs, so that no order of lines is seen."""
+    names = ((name, s.name) for name, each in interfaces.items() for s in each.scalars())
+    return {name: place for place, name in enumerate(names)}
 
 
 def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> None:
@@ -277,7 +306,13 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     connector.drive(driven)
     unfed = _unfed(interfaces, system.connections, [*driven]) if from_outside else []
     _check_names(scenario, interfaces)
-    system = replace(system, external=[*unfed, *driven], steps=scenario.steps)
+    interfaces = _ordered(interfaces, system.connections, scenario.order or [*system.fmus])
+    system = replace(
+        system,
+        fmus={name: system.fmus[name] for name in interfaces},
+        external=[*unfed, *sorted(driven, key=_places(interfaces).__getitem__)],
+        steps=scenario.steps,
+    )
     return Assembly(
         interfaces,
         system.connections,

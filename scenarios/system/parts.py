@@ -43,7 +43,12 @@ class Part:
     file: Path | None  # where it comes from; None: the project's own
     interface: Interface
     make: Callable[..., Path]  # builds the FMU, if need be, for a Target if given; returns its path
-    is_model: bool = False  # whether it is made of a MuJoCo model
+
+    @property
+    def is_model(self) -> bool:
+        """Whether it is made of a MuJoCo model here."""
+        is_file = self.file is not None and self.file.suffix == ".fmu"
+        return self.interface.is_model and not is_file
 
     @property
     def place(self) -> str:
@@ -66,7 +71,7 @@ def read_parts(
     *,
     run_code: bool = True,
 ) -> list[Part]:
-    """Read all FMUs that a scenario names, in the order of stepping: the plant is last."""
+    """Read all FMUs that a scenario names, by name."""
     # With a trajectory, `plant` and `controller` default to the project's own.
     for name in scenario.fmus:
         if not _NAME.fullmatch(name):
@@ -74,13 +79,11 @@ def read_parts(
     ours: tuple[str, ...] = () if scenario.is_system else OURS
     if scenario.mismatch.has_sensors and ours:
         ours = ("sensors", *ours)
-    order = sorted({**dict.fromkeys(ours), **scenario.fmus},
-                   key=lambda n: (n == "plant", n == "controller"))  # fmt: skip
     read = {
         name: _read(scenario, name, scenario.fmus[name], run_code)
         if name in scenario.fmus
         else _own(name, Target(kind, mujoco=scenario.mujoco), files or {})
-        for name in order
+        for name in sorted({*ours, *scenario.fmus})
     }
     parts = {name: part for name, part in read.items() if isinstance(part, Part)}
     for name, law in read.items():
@@ -92,7 +95,7 @@ def read_parts(
         raise InputError("mujoco: no FMU here is made from a MuJoCo model; must be left out")
     if scenario.input_scale != 1.0 and "plant" not in parts:
         raise InputError("input_scale: there is no FMU named plant; must be left out")
-    return [parts[name] for name in order]
+    return [parts[name] for name in read]
 
 
 def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
@@ -102,7 +105,7 @@ def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
         chosen = replace(target, mujoco=own.mujoco) if target else own
         return files[name] if name in files else build([name], target=chosen)[name]
 
-    return Part(name, None, interface, make, name == "plant")
+    return Part(name, None, interface, make)
 
 
 def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | LawFile:
@@ -138,7 +141,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         def make(target: Target | None = None) -> Path:
             return build_fmu(model, target=replace(target or Target(), mujoco=scenario.mujoco))
 
-        return Part(name, path, model.interface, make, is_model=True)
+        return Part(name, path, model.interface, make)
     values = {"plant": scenario.plant, "controller": scenario.controller, **scenario.parameters}
     fmu = read_fmu(path).restructured(values.get(name, {}))
     return Part(name, path, described_interface(fmu), lambda _target=None: path)

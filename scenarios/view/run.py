@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ...fmus.errors import InputError
+from ...fmus.master.order import shown
 from .. import rotations
 from ..files import model_file
 from ..judging.definitions import DEFINITIONS
@@ -216,7 +217,9 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     is_ours = model_file(source) is None
     bounds = column_bounds(robot_of(source.metadata)) if is_ours else {}
     forces = FORCES if run.masses else ""
-    notes = (*refusals_of(run.summary), thinning.words(), ROUNDING, forces, *run.notes)
+    order = metadata.get("order", ())
+    steps = shown(order, metadata["late"]) if len(order) > 1 else ""
+    notes = (*refusals_of(run.summary), thinning.words(), ROUNDING, forces, steps, *run.notes)
     return {
         "name": run.name,
         "title": title,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import compress, groupby
 from operator import attrgetter
@@ -15,6 +14,7 @@ from ....fmus.errors import InputError, did_you_mean, excerpt
 from ....fmus.interface.tables import CONNECTIONS, INTERFACES, SENSORS, Connection
 from ....fmus.interface.variables import Interface, Variable
 from ....fmus.master.fmu_file import Fmu, described_interface
+from ....fmus.master.order import by_variable, late, shown, stepping_order
 from ...scenario.scenario import SCENARIO_FILE, Scenario
 from ...system.assembly import assemble, system_scenario
 from ...system.parts import UnreadSlaveError
@@ -22,6 +22,7 @@ from ..console import as_cell, show, show_json, table
 from ..options import JSON, argument, option
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
+LATE = "a step late"
 _MANY = 3  # different bounds; more are shown as one range
 
 
@@ -45,12 +46,13 @@ def command(
     panda-cosim info ./my-scenario
     ```
     """
-    interfaces, connections = _read(fmu)
+    interfaces, connections, order, held = _read(fmu)
     if json:
-        show_json(_described(interfaces, connections))
+        show_json({**_described(interfaces, connections), "order": order, "late": held})
         return
     if markdown:
-        show("\n\n".join(map(variables_markdown, interfaces.values())))
+        drawing = [_drawing(order, connections, held)] if len(order) > 1 else []
+        show("\n\n".join([*map(variables_markdown, interfaces.values()), *drawing]))
         return
     for name, interface in interfaces.items():
         show(f"{interface.model} (instance {name}): {interface.description}", "bold")
@@ -59,21 +61,26 @@ def command(
         show("")
     if connections:
         show("Connections\n", "bold")
-        rows = (map(as_cell, row) for row in _connected(connections))
-        show(table(("from", "to"), rows))
+        rows = [(s, t, LATE * (f"{s} -> {t}" in held)) for s, t, _ in by_variable(connections)]
+        show(table(("from", "to", ""), (map(as_cell, row) for row in rows)))
+    if len(order) > 1:
+        show(shown(order, []))
 
 
-def _read(name: str | None) -> tuple[Mapping[str, Interface], Sequence[Connection]]:
-    """Return FMUs and connections; files are read, and no code in them is run."""
+def _read(
+    name: str | None,
+) -> tuple[Mapping[str, Interface], Sequence[Connection], list[str], list[str]]:
+    """Return FMUs, connections, order and what is late; files are read, and no code is run."""
     if name is None:
-        return INTERFACES, CONNECTIONS
+        order = stepping_order(INTERFACES, CONNECTIONS)
+        return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling)
     if name in INTERFACES:
-        return {name: INTERFACES[name]}, CONNECTIONS
+        return {name: INTERFACES[name]}, CONNECTIONS, [name], []
     if name == "sensors":
-        return {name: SENSORS}, ()
+        return {name: SENSORS}, (), [name], []
     path = Path(name)
     if path.suffix == ".fmu":
-        return {path.stem: described_interface(Fmu(path))}, ()
+        return {path.stem: described_interface(Fmu(path))}, (), [path.stem], []
     if path.suffix == ".ssp":
         scenario = system_scenario(path)
     elif (path / SCENARIO_FILE).is_file():
@@ -89,7 +96,24 @@ def _read(name: str | None) -> tuple[Mapping[str, Interface], Sequence[Connectio
         raise InputError(
             f"{error}; `panda-cosim build --slave FILE.py:CLASS` makes an FMU that can be shown"
         ) from None
-    return assembly.interfaces, assembly.connections
+    order, held = [*assembly.interfaces], assembly.late(scenario.coupling)
+    return assembly.interfaces, assembly.connections, order, held
+
+
+def _drawing(order: Sequence[str], connections: Iterable[Connection], held: Sequence[str]) -> str:
+    """Draw FMUs in the order of stepping, and connections, dashed if late, as Mermaid does."""
+    lines = [f'  {i}["{i} {_quoted(name)}"]' for i, name in enumerate(order, 1)]
+    ways: dict[tuple[int, str, int], list[str]] = {}
+    for source, target, ((feeder, _), (fed, _)) in by_variable(connections):
+        line = "-.->" if f"{source} -> {target}" in held else "-->"
+        way = (order.index(feeder) + 1, line, order.index(fed) + 1)
+        ways.setdefault(way, []).append(_quoted(target.removeprefix(f"{fed}.")))
+    lines += [f'  {a} {line}|"{", ".join(names)}"| {b}' for (a, line, b), names in ways.items()]
+    return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
+
+
+def _quoted(text: str) -> str:
+    return text.replace('"', "#quot;")
 
 
 def _described(
@@ -172,28 +196,3 @@ def _range(variable: Variable) -> str:
 
 def _items(value: Any) -> tuple[Any, ...]:
     return () if value is None else value if isinstance(value, tuple) else (value,)
-
-
-def _connected(connections: Iterable[Connection]) -> list[tuple[str, str]]:
-    """Group connections by variable."""
-
-    def key(connection: Connection) -> tuple[str, ...]:
-        ends = (connection.source, connection.target)
-        return tuple(f"{instance}.{name.partition('[')[0]}" for instance, name in ends)
-
-    rows = []
-    for (source, target), group in groupby(connections, key):
-        wires = list(group)
-        sources, targets = ([getattr(w, end)[1] for w in wires] for end in ("source", "target"))
-        rows.append((source + _span(sources), target + _span(targets)))
-    return rows
-
-
-def _span(names: list[str]) -> str:
-    """Return the ranges of scalar variables' indices, such as [1..7]."""
-    indices = [[int(i) for i in re.findall(r"\d+(?=[,\]])", name)] for name in names]
-    axes = [(min(axis), max(axis)) for axis in zip(*indices, strict=True)]
-    ranges = [
-        str(low) if low == high and len(names) == 1 else f"{low}..{high}" for low, high in axes
-    ]
-    return f"[{','.join(ranges)}]" if ranges else ""
