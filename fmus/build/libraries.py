@@ -176,9 +176,9 @@ NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's lib
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
 # The package that holds MuJoCo's library and headers.
 MUJOCO: Final = "mujoco-core" if int(package_version("mujoco").split(".")[0]) >= 4 else "mujoco"
-# Folders whose code FMUs contain or are described by.
-_CODE: Final = ("assets", "controller", "plant", "fmus/interface", "fmus/native", "fmus/build",
-                "fmus/inside")  # fmt: skip
+# What no FMU depends on, as the contracts on imports have it above: all else is hashed.
+ABOVE: Final = ("scenarios", "fmus/master")
+_MADE: Final = (".pyc", ".bin")  # made from what is hashed
 
 
 def digest(*parts: str | bytes | Mapping[str, bytes]) -> str:
@@ -192,12 +192,21 @@ def digest(*parts: str | bytes | Mapping[str, bytes]) -> str:
 
 
 @cache
-def code_digest() -> str:
-    """Hash of all code that FMUs depend on, and of the versions of the packages used."""
+def code_digest(above: tuple[str, ...] = ABOVE) -> str:
+    """Hash of all code and data of the package, but of folders above, and of versions."""
     root = SOURCES.parents[1]
-    paths = [path for folder in _CODE for path in (root / folder).rglob("*.*")]
-    kinds = (".py", ".c", ".h", ".j2", ".png", ".toml", ".xml")
-    code = {p.relative_to(root).as_posix(): p.read_bytes() for p in paths if p.suffix in kinds}
+    code = {}
+    for package in root.glob("*/__init__.py"):
+        left = [package.parent.name]
+        while left:
+            place = left.pop()
+            if place in above:
+                continue
+            for entry in os.scandir(root / place):
+                if entry.is_dir():
+                    left += [f"{place}/{entry.name}"] * (entry.name != "__pycache__")
+                elif not entry.name.endswith(_MADE):
+                    code[f"{place}/{entry.name}"] = Path(entry.path).read_bytes()
     return digest(code, package_version("panda-cosim"), mujoco_version())
 
 

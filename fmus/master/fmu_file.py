@@ -14,7 +14,7 @@ from typing import Any, Final, cast
 from xml.etree import ElementTree as ET
 
 from ..atomic import cached
-from ..build.libraries import digest, package_version
+from ..build.libraries import code_digest, digest, package_version
 from ..errors import InputError, did_you_mean, excerpt, one_line
 from ..interface.units import BASES, Unit, Units
 from ..interface.variables import (
@@ -223,8 +223,7 @@ def _check_library(path: Path, folder: Path, description: Any) -> None:
 @cache
 def _reader() -> str:
     """Hash of the code that reads a description."""
-    code = [Path(__file__).parents[1] / "interface" / name for name in ("units.py", "variables.py")]
-    return digest(package_version("fmpy"), *(file.read_bytes() for file in (Path(__file__), *code)))
+    return digest(package_version("fmpy"), code_digest(), Path(__file__).read_bytes())
 
 
 def read_units(place: str, elements: Iterable[ET.Element]) -> Units:

@@ -11,12 +11,13 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from functools import reduce
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, requires
 from operator import or_
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -29,9 +30,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from ...fmus.atomic import held, replacing
+from ...fmus.build.libraries import code_digest, package_version
 from ...fmus.errors import InputError, one_line
 from ..files import read_text
-from ..run.output import PACKAGES
 from ..scenario.scenario import Scenario, load_scenario, shipped_scenarios
 from ..scenario.writer import write_scenario
 from .definition import Sweep
@@ -42,16 +43,11 @@ FORMAT: Final = 2
 KEPT: Final = "scenarios"
 _TEXT: Final = ("scenario", "status", "missed", "error", "processor", "command",
                 "recording_sha256")  # fmt: skip
-_PACKAGES: Final = (*PACKAGES, "scipy")
-# What simulates and judges a row; what only shows it may change meanwhile.
-_CODE: Final = (
-    *("assets", "plant", "controller", "fmus", "scenarios/judging", "scenarios/recording"),
-    *("scenarios/run", "scenarios/scenario", "scenarios/system", "scenarios/timing"),
-    *("scenarios/fields.py", "scenarios/files.py", "scenarios/rotations.py"),
-    *(f"scenarios/sweep/{name}.py" for name in ("definition", "design", "row")),
-)
-_PACKAGE: Final = Path(__file__).parents[2]
-_CODE_SUFFIXES: Final = (".py", ".toml", ".xml", ".c", ".h", ".j2")
+# What rows do not depend on: what stands above sweeps, and the shipped scenarios, each of which has
+# a hash of its own. All other code and data of the package counts.
+ABOVE: Final = (*(f"scenarios/{name}" for name in ("api", "cli", "check")),
+                "scenarios/library", "scenarios/examples")  # fmt: skip
+_TOOLS: Final = re.compile(r'extra == "(test|docs|importers)"')  # extras that no row depends on
 _MAX_BYTES: Final = 64 * 1024 * 1024
 
 
@@ -84,22 +80,20 @@ def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) ->
         "vary": vary,
         "scenarios": {each.name: identity(each) for each in packed},
         "fmus": {name: _sha256(content) for name, content in fmus.items()},
-        "code": {"panda-cosim": _code_digest()},
-        "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
+        "code": {"panda-cosim": code_digest(ABOVE)[:16]},
+        "versions": dict(_versions()),
     }))  # fmt: skip
     return plain
 
 
-def _code_digest() -> str:
-    """Return a hash of the code that simulates and judges, and of its data."""
-    content = hashlib.sha256()
-    for place in _CODE:
-        root = _PACKAGE / place
-        paths = root.rglob("*") if root.is_dir() else [root]
-        for path in sorted(p for p in paths if p.suffix in _CODE_SUFFIXES):
-            data = path.read_bytes()
-            content.update(f"{path.relative_to(_PACKAGE)} {len(data)} ".encode() + data)
-    return content.hexdigest()[:16]
+def _versions() -> Iterator[tuple[str, str]]:
+    """Yield the versions of Python and of all packages that rows can use, as far as they exist."""
+    yield "python", platform.python_version()
+    for requirement in ("panda-cosim", *(requires("panda-cosim") or ())):
+        name = re.split(r"[^\w.-]", requirement)[0]
+        with suppress(PackageNotFoundError):
+            if not _TOOLS.search(requirement):
+                yield name, package_version(name)
 
 
 def _sha256(content: bytes) -> str:

@@ -1,0 +1,104 @@
+"""The digests of FMUs and sweeps change with everything that FMUs and rows depend on."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from panda_cosim.fmus.build import libraries
+from panda_cosim.scenarios.sweep import store
+
+ROOT = Path(__file__).parent.parent
+ROOMS = ("assets", "plant", "controller", "fmus", "scenarios")
+# Says of each module what it imports, and by file which of the two digests change with it.
+TOUCH = """
+import grimp, json, sys
+from pathlib import Path
+from panda_cosim.fmus.build.libraries import code_digest
+from panda_cosim.scenarios.sweep.store import ABOVE
+def digests():
+    code_digest.cache_clear()
+    return code_digest(), code_digest(ABOVE)
+root, before, changed = Path(sys.argv[1]), digests(), {}
+for name in json.load(sys.stdin):
+    content = (root / name).read_bytes()
+    (root / name).write_bytes(content + b"#")
+    changed[name] = [a != b for a, b in zip(before, digests())]
+    (root / name).write_bytes(content)
+graph = grimp.build_graph("panda_cosim", cache_dir=None, exclude_type_checking_imports=True)
+print(json.dumps([changed, {n: [n, *graph.find_upstream_modules(n)] for n in graph.modules}]))
+"""
+Changed = dict[str, list[bool]]  # whether the digests of FMUs and sweeps change, by file
+
+
+def layers(container: str) -> list[str]:
+    """The layers within a package, from the top."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    (found,) = (c["layers"] for c in settings["contracts"] if c.get("containers") == [container])
+    return list(found)
+
+
+def above(container: str, layer: str) -> set[str]:
+    names = layers(container)
+    return {name for each in names[: names.index(layer)] for name in each.split(" | ")}
+
+
+def test_only_what_the_contracts_have_above_is_left_out() -> None:
+    of_fmus = above("panda_cosim", "fmus")
+    of_fmus |= {f"fmus/{name}" for name in above("panda_cosim.fmus", "sources")}
+    assert set(libraries.ABOVE) == of_fmus
+    of_sweeps = {f"scenarios/{name}" for name in above("panda_cosim.scenarios", "sweep")}
+    data = {"scenarios/library", "scenarios/examples"}
+    assert set(store.ABOVE) == of_sweeps | data
+    assert not [folder for folder in data if (ROOT / folder / "__init__.py").exists()]
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Changed, dict[str, list[str]]]:
+    """What the digests change with, in a copy of the package, and what its modules import."""
+    package = tmp_path_factory.mktemp("copy") / "panda_cosim"
+    ignored = shutil.ignore_patterns("__pycache__", "*.parquet", "lib")
+    shutil.copytree(ROOT / "scenarios" / "api", package, ignore=ignored)
+    for room in ROOMS:
+        shutil.copytree(ROOT / room, package / room, ignore=ignored)
+    files = [p.relative_to(package).as_posix() for p in package.rglob("*") if p.is_file()]
+    done = subprocess.run(
+        [sys.executable, "-c", TOUCH, package], input=json.dumps(files), text=True, check=True,
+        capture_output=True, env=os.environ | {"PYTHONPATH": str(package.parent)}, timeout=300,
+    )  # fmt: skip
+    changed, imported = json.loads(done.stdout)
+    return changed, imported
+
+
+@pytest.mark.parametrize(
+    ("digest", "module"),
+    [(0, "fmus.sources.targets"), (0, "fmus.inside.plant"), (0, "fmus.inside.controller"),
+     (1, "scenarios.sweep.row"), (1, "scenarios.sweep.design"), (1, "controller.controller")],
+)  # fmt: skip
+def test_a_digest_changes_with_each_module_that_is_imported(
+    found: tuple[Changed, dict[str, list[str]]], digest: int, module: str
+) -> None:
+    changed, imported = found
+    for name in (needed := {*imported[f"panda_cosim.{module}"]} - {"panda_cosim"}):
+        place = name.removeprefix("panda_cosim.").replace(".", "/")
+        file = f"{place}.py" if f"{place}.py" in changed else f"{place}/__init__.py"
+        assert changed[file][digest], file
+    assert len(needed) > 5
+
+
+def test_a_digest_changes_with_data_and_c_but_not_with_what_is_above(
+    found: tuple[Changed, dict[str, list[str]]],
+) -> None:
+    changed, _ = found
+    for name in ("fmus/native/step.c", "fmus/native/instance.h", "assets/arm.xml",
+                 "scenarios/judging/definitions.toml"):  # fmt: skip
+        assert changed[name] == [not name.startswith("scenarios"), True], name
+    assert changed["fmus/master/master.py"] == [False, True]
+    assert changed["scenarios/cli/app.py"] == [False, False]
+    assert changed["scenarios/library/pick_and_place/scenario.toml"] == [False, False]
