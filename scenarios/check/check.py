@@ -225,7 +225,7 @@ def _name(scenario: Scenario) -> str:
 
 def _about(scenario: Scenario) -> str:
     """Return in one line what was checked."""
-    rows, pushes = len(scenario.table.rows), len(scenario.push)
+    rows, pushes = len(scenario.rows), len(scenario.push)
     parts = [f"{scenario.name}: {rows} rows", f"{scenario.duration:g} s"]
     if pushes:
         parts.append(f"{pushes} push{'es' if pushes > 1 else ''}")
@@ -258,7 +258,7 @@ def _remarks(scenario: Scenario) -> Iterator[str]:
         yield f'{SCENARIO_FILE}: timing_share has no effect on a run with timing = "table"'
     if scenario.mismatch.seed and not scenario.mismatch.values:
         yield f"{SCENARIO_FILE}: [mismatch] seed has no effect, as nothing is drawn"
-    last = 0.0 if scenario.is_system else scenario.table.rows[-1].time
+    last = 0.0 if scenario.is_system else scenario.rows[-1].time
     if last > scenario.duration:
         yield (
             f"{TABLE_FILE}: the last row is at {last:g} s, after the duration of "

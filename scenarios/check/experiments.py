@@ -35,7 +35,7 @@ from ..run.prepare import prepare
 from ..run.run import Execution
 from ..run.stopping import StopRequest
 from ..scenario.criteria import SignalCriterion, Success
-from ..scenario.scenario import NO_TABLE, Scenario
+from ..scenario.scenario import Scenario
 from ..scenario.table import MAX_BYTES, InputTable
 from ..scenario.writer import check_name, write_scenario
 from .check import rehearse
@@ -151,7 +151,7 @@ def _scenario(fmu: Fmu, experiment: Experiment) -> Scenario:
                  for n, values in driven.items()}  # fmt: skip
         table = InputTable(times, texts, fmu.label)
     return Scenario(
-        name=_IT, table=NO_TABLE, duration=experiment.steps * experiment.step,
+        name=_IT, table=None, duration=experiment.steps * experiment.step,
         step=experiment.step, fmus={_IT: str(fmu.path.absolute())},
         inputs={f"{_IT}.{name}": given[name] for name in inputs},
         input_table=table,

@@ -203,7 +203,7 @@ class Adjustments:
         self.coupling = coupling
 
     def _move_waypoint(self, action: Action, /, row: int, **changes: Any) -> None:
-        if self._scenario.is_system:
+        if self.inputs.table is None:
             raise InputError("move_waypoint: the scenario is a system without a trajectory")
         rows, ahead = list(self.inputs.table.rows), self.inputs.guarded.ahead(action.tick)
         now = (action.tick + ahead) * self._scenario.step

@@ -249,8 +249,11 @@ class Session(Execution):
 
     @property
     def table(self) -> TrajectoryTable:
-        """The current trajectory table."""
-        return self._adjustments.inputs.table
+        """The current trajectory table; raises InputError if the scenario is a system."""
+        table = self._adjustments.inputs.table
+        if table is None:
+            raise InputError(f"{self.scenario.name}: a system has no trajectory table")
+        return table
 
     @property
     def is_panda(self) -> bool:

@@ -45,7 +45,7 @@ def start_values(
             gains = replace(
                 PRESETS[scenario.gains],
                 reading_delay=scenario.mismatch.known_delay,
-                follow_posture=scenario.table.has_posture,
+                follow_posture=scenario.has_posture,
                 observer=not TOUCH.isdisjoint(scenario.asked),
                 robot=scenario.robot,
             )
@@ -90,6 +90,7 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
     if scenario.timing != "table":
         return new_timing(scenario, values).trajectory
     start = start_pose(values["plant"], values.get("sensors"))
+    assert scenario.table is not None
     return _resolved(scenario.table, start, scenario.interpolation, scenario.align)
 
 
@@ -102,8 +103,9 @@ def _resolved(
 
 def new_timing(scenario: Scenario, values: StartValues) -> Timing:
     """Make the new times of the scenario's table that its `timing` asks for."""
+    assert scenario.table is not None
     if scenario.timing == "feasible":
-        _check_duration(scenario, scenario.table.rows[-1].time)  # new times are never earlier
+        _check_duration(scenario, scenario.rows[-1].time)  # new times are never earlier
     timing = _timed(
         scenario.table,
         start_pose(values["plant"], values.get("sensors")),
@@ -121,9 +123,9 @@ def new_timing(scenario: Scenario, values: StartValues) -> Timing:
 def played_rows(scenario: Scenario, values: StartValues) -> tuple[list[float], list[str]]:
     """Return times and names of the rows that are played, with the new times of `timing`."""
     if scenario.timing == "table":
-        return [row.time for row in scenario.table.rows], [row.name for row in scenario.table.rows]
+        return [row.time for row in scenario.rows], [row.name for row in scenario.rows]
     timing = new_timing(scenario, values)
-    rows = (timing.table or scenario.table).rows
+    rows = timing.table.rows if timing.table else scenario.rows
     return timing.trajectory.times.tolist(), [row.name for row in rows]
 
 
@@ -193,7 +195,7 @@ def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:
 
 def carried_mass(scenario: Scenario, values: StartValues) -> float:
     """Mass of the block [kg] if the fingers ever close, else 0."""
-    grips = [row.opening for row in scenario.table.rows]
+    grips = [row.opening for row in scenario.rows]
     mass = float(values["plant"].get("block_mass", 0.0))
     return mass if min(grips) < max(grips) else 0.0
 

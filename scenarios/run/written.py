@@ -85,7 +85,7 @@ def _build_player(
     """Build the FMU that plays external inputs, one row for each step."""
     assembly, scenario = prepared.assembly, prepared.scenario
     columns = [assembly.external.index(name) for name in played]
-    felt, last = _felt(prepared), scenario.table.rows[-1].time
+    felt, last = _felt(prepared), scenario.rows[-1].time
     if felt:  # rows after the end are played once others have ended early
         ticks = max(scenario.ticks, math.ceil(last / scenario.step))
         scenario = replace(scenario, duration=round(ticks * scenario.step, 9))

@@ -1,8 +1,10 @@
 """A scenario: a folder with `scenario.toml` and `trajectory.csv`, or the same made in Python."""
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
@@ -47,10 +49,6 @@ TABLE_FILE = "trajectory.csv"
 SHIPPED_FOLDER = Path(__file__).parents[1] / "library"
 MAX_STEPS = 3_600_000  # an hour at 1 ms
 MAX_MULTIPLE = 1_000_000  # steps of the system in one of an FMU
-# The table of a system without a commanded hand.
-NO_TABLE = TrajectoryTable(
-    tuple(TableRow(time, "world", (0.0, 0.0, 9.87654321), 0.01234) for time in (0.0, 1.0))
-)
 _MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 
 DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
@@ -58,11 +56,6 @@ SYSTEM_DURATION = Quantity(0.0, 1e12, "s")
 # Outputs of PandaController that are computed only if one of them is asked for.
 TOUCH = frozenset(f"controller.{name}" for name in OBSERVED)
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
-# Keys that a system, which has no table, cannot use.
-_WITH_TABLE = ("scene", "robot", "gains", "interpolation", "timing", "timing_share", "align",
-               "push")  # fmt: skip
-# Keys of the scenario, not start values.
-_TOP_LEVEL = {"plant": ("scene", "robot"), "controller": ("gains", "robot")}
 
 
 def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
@@ -115,7 +108,7 @@ class Scenario:
     """
 
     name: Annotated[str, Line()]
-    table: TrajectoryTable  # NO_TABLE: a system without a commanded hand
+    table: TrajectoryTable | None  # None: a system without a commanded hand
     duration: Annotated[float, SkipValidation]  # see `_check_time`: a whole number of steps
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
@@ -168,12 +161,9 @@ class Scenario:
 
     def __post_init__(self) -> None:
         self._check_time()
-        self._check_parts()
-        self._check_scene()
-        if (self.expect == "failure") != bool(self.expect_reason):
-            raise ValueError(
-                'expect_reason: must say why expect is "failure", and only then be set'
-            )
+        for rule in RULES:
+            if rule.is_broken(self):
+                raise ValueError(rule.message.format(scenario=self, table=TABLE_FILE))
         if not self.system:  # whose start time is in its file
             self.success.check_windows(0.0, self.duration)
 
@@ -190,74 +180,6 @@ class Scenario:
         if not self.is_system and self.step != STEP_SIZE:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
 
-    def _check_parts(self) -> None:
-        """Refuse keys and sections that act on parts which the scenario does not have."""
-        if self.system and (self.fmus or self.connect):
-            raise ValueError(
-                "system: cannot be combined with [fmus] and [connect]; must be one of them"
-            )
-        for key in _WITH_TABLE if self.is_system else ():
-            if getattr(self, key) != getattr(Scenario, key):
-                raise ValueError(
-                    f"{key}: acts only on a scenario with a {TABLE_FILE}; must be left out here, "
-                    "as a system has none"
-                )
-        for key in ("mujoco", "input_scale") if self.system else ():
-            if getattr(self, key) != getattr(Scenario, key):
-                raise ValueError(f"{key}: must be left out with system, which has its own FMUs")
-        if self.coupling == "iterated" and (self.steps or not self.is_system):
-            raise ValueError(
-                'coupling: value "iterated"; must be another one with [steps], or with a '
-                f"{TABLE_FILE}"
-            )
-        if (self.interpolation == "spline" or self.timing != "table") and self.untils:
-            raise ValueError(
-                'until: is in the table; must have interpolation "quintic" or "linear", and timing '
-                '"table"'
-            )
-        if self.mismatch.values and self.is_system:
-            raise ValueError("mismatch: only valid with the project's own plant")
-        for section, key in ((s, key) for s, keys in _TOP_LEVEL.items() for key in keys):
-            if key in getattr(self, section):
-                raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")
-
-    def _check_scene(self) -> None:
-        """Check what the scene's arm and gripper can do."""
-        impedance = self.controller.get("impedance", self.gains == "impedance")
-        ours = not self.is_system and "controller" not in self.fmus
-        if self.is_torque_driven and ours and not impedance:
-            raise ValueError(
-                f"scene: value {self.scene!r}; must come with a controller that gives torques, "
-                'such as gains = "impedance", or [fmus] controller = "my_law.py:MyLaw"'
-            )
-        if impedance and ours and not self.is_torque_driven:
-            raise ValueError(
-                f'gains: value {self.gains!r}; must come with scene = "{TORQUE_DRIVEN}"'
-            )
-        driven = any(name.partition("[")[0] == "plant.torque" for name in self.inputs)
-        if driven and "plant" not in self.fmus and not (self.is_system or self.is_torque_driven):
-            raise ValueError(f'[inputs] plant.torque: acts only with scene = "{TORQUE_DRIVEN}"')
-        reaction = self.controller.get("reaction", "none")
-        if impedance and reaction != "none":
-            raise ValueError(f"[controller] reaction: value {reaction!r} moves servos; with "
-                             'impedance, it must be "none"')  # fmt: skip
-        if self.scene == "tutorial" and any(row.grip_force for row in self.table.rows):
-            raise ValueError(
-                'grip_force: the gripper of scene "tutorial" is too weak for it; must be left '
-                "out of the table"
-            )
-        is_followed = not self.system and "controller" not in self.fmus
-        if self.route and not (is_followed and self.success.block_position):
-            raise ValueError(
-                f"route: value {self.route!r}; must come with [success] block_position, and with "
-                "the project's own controller"
-            )
-        if self.table.has_posture and (self.gains == "tutorial" or self.timing == "optimal"):
-            raise ValueError(
-                'q1 to q7: must be left out of the table with gains = "tutorial" or '
-                'timing = "optimal"'
-            )
-
     @property
     def ticks(self) -> int:
         """Number of steps from t = 0 to the end."""
@@ -266,7 +188,7 @@ class Scenario:
     @property
     def is_system(self) -> bool:
         """Whether it is a system of FMUs without a commanded hand."""
-        return bool(self.system or self.fmus) and self.table == NO_TABLE and not self.route
+        return self.table is None and not self.route
 
     @property
     def pushed(self) -> tuple[str, ...]:
@@ -276,12 +198,22 @@ class Scenario:
     @property
     def commands(self) -> tuple[str, ...]:
         """The controller's inputs that the table commands."""
-        return (*COMMANDS, *POSTURE_COMMANDS) if self.table.has_posture else COMMANDS
+        return (*COMMANDS, *POSTURE_COMMANDS) if self.has_posture else COMMANDS
 
     @property
     def untils(self) -> tuple[str, ...]:
         """What ends rows of the table early."""
-        return tuple(row.until for row in self.table.rows if row.until)
+        return tuple(row.until for row in self.rows if row.until)
+
+    @property
+    def rows(self) -> tuple[TableRow, ...]:
+        """Rows of the table, if there is one."""
+        return self.table.rows if self.table else ()
+
+    @property
+    def has_posture(self) -> bool:
+        """Whether the table commands joint positions, too."""
+        return self.table is not None and self.table.has_posture
 
     @property
     def has_own_parts(self) -> bool:
@@ -316,7 +248,7 @@ class Scenario:
         has_table, driven = not needs_none or (folder / TABLE_FILE).exists(), InputTable()
         if has_table:
             driven, has_table = InputTable.of_trajectory(folder / TABLE_FILE)
-        table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else NO_TABLE
+        table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else None
         try:
             check_keys("", keys, KEYS)
             inputs = keys.get("inputs", {})
@@ -340,9 +272,132 @@ class Scenario:
 
     def trajectory(self, start: StartPose) -> Trajectory:
         """Resolve the table from the poses at the start."""
+        assert self.table is not None
         return Trajectory.from_table(
             self.table, start, interpolation=self.interpolation, align=self.align
         )
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a scenario must not combine; the message is formatted with `scenario` and `table`."""
+
+    is_broken: Callable[[Scenario], object]
+    message: str
+
+
+def _is_changed(key: str, scenario: Scenario) -> bool:
+    return bool(getattr(scenario, key) != getattr(Scenario, key))
+
+
+def _is_ours(scenario: Scenario) -> bool:
+    return not scenario.is_system and "controller" not in scenario.fmus
+
+
+def _has_impedance(scenario: Scenario) -> bool:
+    return bool(scenario.controller.get("impedance", scenario.gains == "impedance"))
+
+
+def _is_torque_set(scenario: Scenario) -> bool:
+    names = (name.partition("[")[0] for name in scenario.inputs)
+    return "plant.torque" in names and "plant" not in scenario.fmus
+
+
+# Sections, and keys of the scenario that are no start values in them.
+_TOP_LEVEL = {"plant": ("scene", "robot"), "controller": ("gains", "robot")}
+RULES: tuple[Rule, ...] = (
+    Rule(
+        lambda it: it.table is None and not (it.system or it.fmus or it.route),
+        "{table}: must be there, unless there is system, [fmus] or route",
+    ),
+    Rule(
+        lambda it: it.system and (it.fmus or it.connect),
+        "system: cannot be combined with [fmus] and [connect]; must be one of them",
+    ),
+    *(
+        Rule(
+            lambda it, key=key: it.is_system and _is_changed(key, it),  # type: ignore[misc]
+            f"{key}: acts only on a scenario with a {{table}}; must be left out here, as a system "
+            "has none",
+        )
+        for key in (
+            "scene",
+            "robot",
+            "gains",
+            "interpolation",
+            "timing",
+            "timing_share",
+            "align",
+            "push",
+        )
+    ),
+    *(
+        Rule(
+            lambda it, key=key: it.system and _is_changed(key, it),  # type: ignore[misc]
+            f"{key}: must be left out with system, which has its own FMUs",
+        )
+        for key in ("mujoco", "input_scale")
+    ),
+    Rule(
+        lambda it: it.coupling == "iterated" and (it.steps or not it.is_system),
+        'coupling: value "iterated"; must be another one with [steps], or with a {table}',
+    ),
+    Rule(
+        lambda it: (it.interpolation == "spline" or it.timing != "table") and it.untils,
+        'until: is in the table; must have interpolation "quintic" or "linear", and timing "table"',
+    ),
+    Rule(
+        lambda it: it.mismatch.values and it.is_system,
+        "mismatch: only valid with the project's own plant",
+    ),
+    *(
+        Rule(
+            lambda it, section=section, key=key: key in getattr(it, section),  # type: ignore[misc]
+            f"[{section}] {key}: must stand at the top, before all sections",
+        )
+        for section, keys in _TOP_LEVEL.items()
+        for key in keys
+    ),
+    Rule(
+        lambda it: it.is_torque_driven and _is_ours(it) and not _has_impedance(it),
+        "scene: value {scenario.scene!r}; must come with a controller that gives torques, such as "
+        'gains = "impedance", or [fmus] controller = "my_law.py:MyLaw"',
+    ),
+    Rule(
+        lambda it: _has_impedance(it) and _is_ours(it) and not it.is_torque_driven,
+        f'gains: value {{scenario.gains!r}}; must come with scene = "{TORQUE_DRIVEN}"',
+    ),
+    Rule(
+        lambda it: _is_torque_set(it) and not (it.is_system or it.is_torque_driven),
+        f'[inputs] plant.torque: acts only with scene = "{TORQUE_DRIVEN}"',
+    ),
+    Rule(
+        lambda it: _has_impedance(it) and it.controller.get("reaction", "none") != "none",
+        "[controller] reaction: value {scenario.controller[reaction]!r} moves servos; with "
+        'impedance, it must be "none"',
+    ),
+    Rule(
+        lambda it: it.scene == "tutorial" and any(row.grip_force for row in it.rows),
+        'grip_force: the gripper of scene "tutorial" is too weak for it; must be left out of the '
+        "table",
+    ),
+    Rule(
+        lambda it: (
+            it.route
+            and not (it.success.block_position and not it.system and "controller" not in it.fmus)
+        ),
+        "route: value {scenario.route!r}; must come with [success] block_position, and with the "
+        "project's own controller",
+    ),
+    Rule(
+        lambda it: it.has_posture and (it.gains == "tutorial" or it.timing == "optimal"),
+        'q1 to q7: must be left out of the table with gains = "tutorial" or timing = "optimal"',
+    ),
+    Rule(
+        lambda it: (it.expect == "failure") != bool(it.expect_reason),
+        'expect_reason: must say why expect is "failure", and only then be set',
+    ),
+)
 
 
 # Keys of scenario.toml; the other fields come from the folder.

@@ -98,7 +98,7 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
     """Write a scenario's folder."""
     # Files that it was read from are copied, with their comments, if they still describe it.
     written = {folder / SCENARIO_FILE: settings_text(scenario)}
-    if not scenario.is_system:
+    if scenario.table is not None:
         written[folder / TABLE_FILE] = table_text(scenario.table)
     if scenario.input_table.columns:
         written[folder / INPUTS_FILE] = scenario.input_table.text

@@ -99,7 +99,8 @@ def unpack(loaded: Loaded, folder: Path) -> Loaded:
 def identity(packed: Loaded) -> str:
     """Return the SHA-256 of all that a packed scenario consists of, but its name."""
     content = hashlib.sha256(settings_text(packed.scenario).encode())
-    content.update(table_text(packed.scenario.table).encode())
+    if packed.scenario.table is not None:
+        content.update(table_text(packed.scenario.table).encode())
     for name, data in sorted(packed.files.items()):
         content.update(f"{name} {len(data)} ".encode() + data)
     return content.hexdigest()

@@ -25,7 +25,7 @@ from ...fmus.master.system import System
 from ...fmus.master.wiring import Array, Name
 from ...fmus.sources.targets import Kind
 from ..recording import Column
-from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Coupling, Scenario
+from ..scenario.scenario import MAX_STEPS, SCENARIO_FILE, Coupling, Scenario
 from .connector import Connector, DrivenInput, driven_inputs
 from .parts import Part, measures_a_panda, read_parts
 
@@ -342,7 +342,7 @@ def system_scenario(path: Path, duration: float | None = None) -> Scenario:
     name = "".join(c if c.isprintable() else "_" for c in coupled.name) or "system"
     return Scenario(
         name=name[:80],
-        table=NO_TABLE,
+        table=None,
         duration=duration,
         step=step,
         coupling=cast("Coupling", coupled.coupling),

@@ -59,7 +59,7 @@ def command(  # noqa: PLR0913 - one for each option
     tell(f"Timing {chosen.name} ...")
     retimed, shares = retime(chosen, share, keep_times=keep_times)
     write_scenario(retimed, folder)
-    before, rows = chosen.table.rows[-1].time, retimed.table.rows
+    before, rows = chosen.rows[-1].time, retimed.rows
     used = [(name, f"{value:.1%}") for name, value in shares.items()]
     show(table(("limit*", "largest share"), used, right=("largest share",)))
     show(f"{chosen.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
@@ -83,7 +83,7 @@ def retime(
         raise InputError(f"{scenario.name}: {error}") from None
     table, interpolation, duration = timing.table, "spline", timing.cycle
     if table is None:  # the rows at new times, and as much time after the last one as before
-        rows, times = scenario.table.rows, timing.trajectory.times.tolist()
+        rows, times = scenario.rows, timing.trajectory.times.tolist()
         moved = (replace(row, time=time) for row, time in zip(rows, times, strict=True))
         table, interpolation = TrajectoryTable(tuple(moved)), scenario.interpolation
         duration = scenario.duration + timing.cycle - rows[-1].time
@@ -120,6 +120,6 @@ def route(
     tell(f"Planning {chosen.name} ...")
     prepared = prepare(replace(chosen, route="auto"))
     keep_scenario(prepared.scenario, prepared.assembly, folder)
-    rows = prepared.scenario.table.rows
+    rows = prepared.scenario.rows
     show(f"{chosen.name}: {rows[-1].time:.2f} s, {len(rows)} rows")
     show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")
