@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from bounded import limited
@@ -59,12 +60,14 @@ def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path: Path, duratio
 
 
 @pytest.mark.fmu
-def test_a_system_that_cannot_be_written_to_its_end_leaves_the_old_one(tmp_path: Path) -> None:
-    """Nor does one whose `build` is killed meanwhile."""
+def test_a_build_that_does_not_come_to_its_end_leaves_all_the_old_files(tmp_path: Path) -> None:
+    """Whole, with their reference experiments; nor does one that is killed meanwhile."""
     build_all(load_scenario("pick_and_place"), tmp_path)
     system = tmp_path / "Panda.ssp"
-    limit, old = system.stat().st_size - 1, system.read_bytes()
-    before = sorted(tmp_path.iterdir())
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for path in tmp_path.glob("*.fmu"):
+        assert "extra/org.fmi-standard.fmi-ls-ref/references.csv" in ZipFile(path).namelist()
+    limit = len(before[system.name]) - 1
     done = subprocess.run(
         [*limited(FSIZE=limit), *COMMAND, "build", "--out", tmp_path],
         env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
@@ -75,8 +78,7 @@ def test_a_system_that_cannot_be_written_to_its_end_leaves_the_old_one(tmp_path:
     )
     assert done.returncode == 2
     assert f"{system}: cannot be written: File too large" in " ".join(done.stderr.split())
-    assert system.read_bytes() == old
-    assert sorted(tmp_path.iterdir()) == before
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("number", ["EMFILE", "ENOSPC", "ENOMEM"])

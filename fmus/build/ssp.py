@@ -17,7 +17,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 from xml.etree import ElementTree as ET
 
-from ..atomic import replacing
 from ..errors import InputError
 from ..inside.base import TICK
 from ..interface.tables import Connection
@@ -101,9 +100,7 @@ def write_ssp(path: Path, system: WrittenSystem) -> Path:
         members[f"resources/{component.file_name}"] = component.file.read_bytes()
         if component.start_values:
             members[f"resources/{name}.ssv"] = parameter_set(name, component)
-    content = archive(members)
-    with replacing(path) as partial:  # whoever is killed meanwhile leaves the old file
-        partial.write_bytes(content)
+    path.write_bytes(archive(members))
     return path
 
 
@@ -200,6 +197,7 @@ def _parameters(component: Component) -> Iterator[tuple[Variable, str, str]]:
 
 
 DESCRIPTION: Final = "modelDescription.xml"
+CONTAINER_FILE: Final = "Panda.fmu"
 SEQUENTIAL: Final = {"gauss-seidel": True, "jacobi": False}  # whether FMUs are stepped in turn
 
 
@@ -218,16 +216,15 @@ def write_container(path: Path, system: WrittenSystem, fmi: int) -> Path:
     logging.getLogger("fmu_manipulation_toolbox").setLevel(logging.CRITICAL)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        container = FMUContainer(path.stem, folder, fmi_version=fmi)
+        container = FMUContainer(Path(CONTAINER_FILE).stem, folder, fmi_version=fmi)
         try:
             _fill(container, system, folder)
             container.start_time, container.stop_time = 0.0, system.stop_time
             is_sequential = SEQUENTIAL[system.coupling]
-            container.make_fmu(path.name, system.step_size, sequential=is_sequential)
+            container.make_fmu(CONTAINER_FILE, system.step_size, sequential=is_sequential)
         except FMUContainerError as error:
             raise InputError(f"--container: {error.reason}") from error
-        with replacing(path) as partial:
-            partial.write_bytes(_signed(folder / path.name))
+        path.write_bytes(_signed(folder / CONTAINER_FILE))
     return path
 
 

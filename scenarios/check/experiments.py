@@ -323,7 +323,7 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
 
 
 def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
-    """Put an experiment into an FMU's file, with what the FMU answers now as references."""
+    """Put an experiment into a new FMU's file, with what the FMU answers now as references."""
     # Without one, it is the FMU's default experiment. An FMU that holds some keeps these.
     fmu = read_fmu(path)
     if (fmu.folder / FOLDER / MANIFEST).is_file():
@@ -345,10 +345,8 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
         files["parameters.ssv"] = parameter_set(whole.name, component)
     if whole.stimuli:
         files["stimuli.csv"] = csv_text(fmu, whole.stimuli)
-    with replacing(path) as partial:
-        partial.write_bytes(path.read_bytes())
-        with partial.open("r+b") as file:
-            add_members(file, {f"{FOLDER}/{name}": content for name, content in files.items()})
+    with path.open("r+b") as file:
+        add_members(file, {f"{FOLDER}/{name}": content for name, content in files.items()})
     return whole
 
 

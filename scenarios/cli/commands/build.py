@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -11,11 +14,12 @@ import typer
 
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.build.libraries import check_engine
-from ....fmus.build.ssp import write_ssp
+from ....fmus.build.native import NativeFmu
+from ....fmus.build.ssp import CONTAINER_FILE, write_ssp
 from ....fmus.errors import CosimError, InputError
 from ....fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from ....fmus.sources.python_fmu import slave_fmu
-from ....fmus.sources.targets import Kind, Target, build_fmu
+from ....fmus.sources.targets import Kind, Target
 from ...check.experiments import Experiment, add_experiment, experiments_of, write_compatibility
 from ...run.options import with_values
 from ...run.written import written_system
@@ -40,7 +44,6 @@ from ..options import (
 )
 
 SYSTEM_FILE: Final = "Panda.ssp"
-CONTAINER_FILE: Final = "Panda.fmu"
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -97,44 +100,57 @@ def command(  # noqa: PLR0913 - one for each option
                   "--container": container, "--mujoco": mujoco != ""}  # fmt: skip
         for name in (name for name, is_used in others.items() if is_used):
             raise InputError(f"{name}: cannot be combined with --slave")
-        built = {_build_slave(slave, out, target, overwrite=overwrite): ""}
-        experiments: dict[str, Experiment] = {}
+        fmu = _slave(slave)
+        path = out / f"{fmu.model}.fmu"
+        check_replaceable(path, overwrite=overwrite)
+        write_files({path: _made(fmu, target)}, {}, compatibility=compatibility)
     else:
         chosen = find_scenario(scenario)
         if mujoco:
             chosen = with_values(chosen, {"mujoco": mujoco})
         if not chosen.is_system:
             announce_build(target)
-        built = build_all(chosen, out, target, container=container, overwrite=overwrite)
-        experiments = {} if container else experiments_of(chosen)
-    for path, instance in built.items():
-        if path.suffix == ".fmu":
-            put_reference(path, experiments.get(instance), compatibility=compatibility)
+        build = _build_container if container else build_all
+        build(chosen, out, target, compatibility=compatibility, overwrite=overwrite)
+
+
+Make = Callable[[Path], object]  # writes a file
+
+
+def write_files(
+    files: Mapping[Path, Make],
+    experiments: Mapping[Path, Experiment],
+    *,
+    compatibility: bool = False,
+) -> None:
+    """Write files, FMUs with an experiment each; they replace older ones when all are whole."""
+    whole: dict[Path, Experiment] = {}
+    with ExitStack() as stack:
+        for path, make in files.items():
+            make(new := stack.enter_context(replacing(path)))
+            if path.suffix == ".fmu":
+                try:
+                    whole[path] = add_experiment(new, experiments.get(path))
+                except CosimError as error:
+                    reason = str(error).replace(str(new), str(path))
+                    warn(f"{path}: holds no reference experiment, as it cannot be run here: "
+                         f"{reason}")  # fmt: skip
+    for path in files:
+        if compatibility and path in whole:
+            write_compatibility(path, whole[path])
         show_file(path)
 
 
-def put_reference(
-    path: Path, experiment: Experiment | None = None, *, compatibility: bool = False
-) -> None:
-    """Put an experiment into an FMU that was built; warns if it does not run here."""
-    try:
-        whole = add_experiment(path, experiment)
-    except CosimError as error:
-        warn(f"{path}: holds no reference experiment, as it cannot be run here: {error}")
-        return
-    if compatibility:
-        write_compatibility(path, whole)
+def _made(fmu: NativeFmu, target: Target) -> Make:
+    return lambda path: path.write_bytes(target.make(fmu))
 
 
-def _build_slave(slave: str, out: Path, target: Target, *, overwrite: bool) -> Path:
-    """Build the FMU of a class for PythonFMU, FILE.py or FILE.py:CLASS."""
+def _slave(slave: str) -> NativeFmu:
+    """Describe the FMU of a class for PythonFMU, FILE.py or FILE.py:CLASS."""
     file, suffix, name = slave.rpartition(".py")  # a folder may be .pyenv
     if not suffix or (name and not name.startswith(":")):
         raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
-    fmu = slave_fmu(Path(f"{file}.py"), name[1:])
-    path = out / f"{fmu.model}.fmu"
-    check_replaceable(path, overwrite=overwrite)
-    return build_fmu(fmu, path, target)
+    return slave_fmu(Path(f"{file}.py"), name[1:])
 
 
 def build_all(
@@ -142,28 +158,32 @@ def build_all(
     out: Path,
     target: Target | None = None,
     *,
-    container: bool = False,
+    compatibility: bool = False,
     overwrite: bool = True,
-) -> dict[Path, str]:
-    """Build a scenario as FMUs, one of which plays its inputs, and Panda.ssp; or as one FMU.
+) -> None:
+    """Build a scenario as FMUs, one of which plays its inputs, and Panda.ssp."""
+    system = written_system(scenario, target or Target())
+    paths = {out / each.file_name: name for name, each in system.components.items()}
+    check_replaceable(*paths, out / SYSTEM_FILE, overwrite=overwrite)
+    files: dict[Path, Make] = {
+        path: partial(shutil.copyfile, system.components[name].file) for path, name in paths.items()
+    }
+    files[out / SYSTEM_FILE] = lambda path: write_ssp(path, system)
+    found = experiments_of(scenario)
+    experiments = {path: found[name] for path, name in paths.items() if name in found}
+    write_files(files, experiments, compatibility=compatibility)
 
-    Returns the instance of each file, or "".
-    """
-    target = target or Target()
-    if container:
-        from ....fmus.build.ssp import write_container  # noqa: PLC0415 - an extra
 
-        check_replaceable(out / CONTAINER_FILE, overwrite=overwrite)
-        system = written_system(scenario, replace(target, fmi=2))
-        return {write_container(out / CONTAINER_FILE, system, target.fmi): ""}
-    system = written_system(scenario, target)
-    files = {out / each.file_name: (each.file, name) for name, each in system.components.items()}
-    check_replaceable(*files, out / SYSTEM_FILE, overwrite=overwrite)
-    for path, (file, _) in files.items():
-        with replacing(path) as partial:
-            partial.write_bytes(file.read_bytes())
-    instances = {path: name for path, (_, name) in files.items()}
-    return {**instances, write_ssp(out / SYSTEM_FILE, system): ""}
+def _build_container(
+    scenario: Scenario, out: Path, target: Target, *, compatibility: bool, overwrite: bool
+) -> None:
+    """Build a scenario as one FMU."""
+    from ....fmus.build.ssp import write_container  # noqa: PLC0415 - an extra
+
+    check_replaceable(out / CONTAINER_FILE, overwrite=overwrite)
+    system = written_system(scenario, replace(target, fmi=2))
+    make = partial(write_container, system=system, fmi=target.fmi)
+    write_files({out / CONTAINER_FILE: make}, {}, compatibility=compatibility)
 
 
 def mjcf2fmu(  # noqa: PLR0913 - one for each option
@@ -232,10 +252,7 @@ def mjcf2fmu(  # noqa: PLR0913 - one for each option
     paths = _paths(models, out)
     check_replaceable(*paths.values(), overwrite=overwrite)
     fmus = {path: model_fmu(model, options, path.stem, warn) for model, path in paths.items()}
-    for path, fmu in fmus.items():
-        build_fmu(fmu, path, target)
-        put_reference(path)
-        show_file(path)
+    write_files({path: _made(fmu, target) for path, fmu in fmus.items()}, {})
 
 
 def _paths(models: Sequence[Path], out: Path | None) -> dict[Path, Path]:
