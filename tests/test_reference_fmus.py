@@ -297,8 +297,8 @@ def test_all_types_are_connected(tmp_path: Path, *, wider: bool, isolate: Sequen
     [
         ("Float32_discrete", "Float64_discrete", True), ("Int8", "UInt8", True),
         ("Float64_discrete", "Int64", True), ("Int32", "Boolean", True),
-        ("Boolean", "Int32", True), ("Enumeration", "Int32", True), ("String", "Int32", False),
-        ("Binary", "String", False), ("Int64", "UInt64", True),
+        ("Boolean", "Int32", True), ("Enumeration", "Float32_discrete", True),
+        ("String", "Int32", False), ("Binary", "String", False), ("Int64", "UInt64", True),
     ],
 )  # fmt: skip
 def test_a_type_that_loses_values_must_be_asked_for(

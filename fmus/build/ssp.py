@@ -20,7 +20,7 @@ from xml.etree import ElementTree as ET
 from ..errors import InputError
 from ..inside.base import TICK
 from ..interface.tables import Connection
-from ..interface.units import BASES, PLAIN, Units
+from ..interface.units import BASES, PLAIN, Units, conversion
 from ..interface.variables import Scalar, Value, Variable, by_array
 from .description import ABOUT, literal, render
 from .native import archive
@@ -235,8 +235,9 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
     for connection in system.connections:
         source, target = connection.source, connection.target
         one, other = (system.scalar(end) for end in (source, target))
-        units = {one.unit, other.unit} - {""}
-        if (connection.factor, connection.offset) != PLAIN or len(units) > 1:
+        known = (system.components[end[0]].units for end in (source, target))
+        scale = conversion(one.unit, next(known), other.unit, next(known))
+        if (connection.factor, connection.offset) != PLAIN or scale != PLAIN:
             raise InputError(
                 f"--container: connection from {'.'.join(source)} to {'.'.join(target)} converts "
                 "values; must be a plain one"

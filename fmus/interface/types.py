@@ -42,14 +42,23 @@ def in_row(scalar: Scalar, value: Value | None) -> Any:
 def is_lossless(source: Variable, target: Variable) -> bool:
     """Whether the target's type holds every value of the source's."""
     one, other = type_of(source), type_of(target)
+    if other == "Enumeration":  # that an integer is one of its numbers is checked at run time
+        return one in INTEGERS or (one == other and _numbered_alike(source, target))
     if one == other:
-        return set(source.choices) <= set(target.choices or source.choices)
+        return True
     if one == "Float32":
         return other == "Float64"
-    if one == "Float64" or other == "Enumeration" or not {one, other} <= _WHOLE.keys():
+    if one == "Float64" or not {one, other} <= _WHOLE.keys():
         return False
     (bits, signed), (room, can_be_negative) = _WHOLE[one], _WHOLE[other]
     return room - can_be_negative >= bits - signed and can_be_negative >= signed
+
+
+def _numbered_alike(source: Variable, target: Variable) -> bool:
+    """Whether an enumeration has another's numbers, and the same number for the same name."""
+    ours, theirs = ({n: each.number_of(n) for n in each.choices} for each in (source, target))
+    is_same = all(theirs.get(name, number) == number for name, number in ours.items())
+    return not theirs or (is_same and {*ours.values()} <= {*theirs.values()})
 
 
 def can_convert(source: Variable, target: Variable) -> bool:

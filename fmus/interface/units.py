@@ -25,11 +25,23 @@ Units = Mapping[str, Unit]
 def conversion(
     source: str, sources: Units, target: str, targets: Units
 ) -> tuple[float, float] | None:
-    """Factor and offset from one unit to another by both sides' definitions, or None."""
-    # Equal names need no definition, and values without a unit are taken as they are.
-    if source == target or not (source and target):
-        return PLAIN
+    """Factor and offset from one unit to another by both sides' definitions; None: there are none.
+
+    Without both definitions, values are taken as they are; `doubt` says why that may be wrong.
+    """
     one, other = sources.get(source), targets.get(target)
-    if one is None or other is None or one.exponents != other.exponents:
+    if one is None or other is None:
+        return PLAIN
+    if one.exponents != other.exponents:
         return None
     return one.factor / other.factor, (one.offset - other.offset) / other.factor
+
+
+def doubt(source: str, sources: Units, target: str, targets: Units) -> str:
+    """Say what is not known about a conversion; "" if nothing is, or it makes no difference."""
+    if source == target or {source, target} <= {"", "1"}:
+        return ""
+    if not (source and target):
+        return "only one side has a unit"
+    undefined = [s for s, units in ((source, sources), (target, targets)) if s not in units]
+    return f"no definition of {' and '.join(undefined)}" if undefined else ""

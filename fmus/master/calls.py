@@ -166,19 +166,24 @@ class Typed:
         self._slave.set_lists(self._arrays, self._values)
 
     def _in_type(self, scalar: Scalar, value: Any) -> Any:
-        """Return a value in the FMU's type; a whole number is rounded, and must be in its range."""
-        kind = type_of(scalar.variable)
+        """Return a value in the FMU's type: rounded, and in its range, unless it is a Float32."""
+        kind, variable = type_of(scalar.variable), scalar.variable
         if kind in ("String", "Binary"):
             return value
-        if kind in ("Boolean", "Float32"):
-            return value != 0 if kind == "Boolean" else float(value)
+        if kind == "Float32":
+            return float(value)
+        number, why = round(value) if abs(value) < 2**64 else 2**64, ""
+        if kind == "Boolean":
+            return number != 0
         bits, signed = INTEGERS.get(kind, INTEGERS["Int32"])  # of an enumeration
-        number = round(value) if abs(value) < 2**64 else 2**64
         if not -(2 ** (bits - 1)) * signed <= number < 2 ** (bits - signed):
+            why = f" is out of the range of {kind}"
+        elif variable.choices and number not in map(variable.number_of, variable.choices):
+            valid = (f"{variable.number_of(name)} ({name})" for name in variable.choices)
+            why = f"; must be {', '.join(valid)}"
+        if why:
             raise SimulationError(
-                f"value {value} is out of the range of {kind}",
-                instance=self._slave.name,
-                variable=scalar.name,
+                f"value {value}{why}", instance=self._slave.name, variable=scalar.name
             )
         return number
 

@@ -16,7 +16,7 @@ from ..build.ssp import PREFIXES
 from ..errors import InputError, did_you_mean
 from ..inside.base import TICK
 from ..interface.tables import Connection
-from ..interface.units import PLAIN, Units
+from ..interface.units import PLAIN, Units, doubt
 from ..interface.variables import Value
 from ..reading import finite_number, read_xml
 from .fmu_file import read_units, read_value
@@ -106,6 +106,14 @@ class Parameters:
         first = Link(("", ""), linear, converts_units(given.entry))
         links = [(chain[0], first), *((end, structure.links[end]) for end in chain[1:])]
         factor, offset = structure.linear(given.place, given.unit, links)
+        reason = doubt(*given.unit, scalar.unit, structure.fmus[instance].units)
+        if (
+            reason
+            and given.unit[0]
+            and scalar.unit
+            and all(link.converts_units for _, link in links)
+        ):
+            self.warnings.append(f"{given.place}: {reason}, so the value is taken as it is")
         if (factor, offset) != PLAIN:
             if kind != "Real":
                 raise InputError(f"{given.place}: a transformation of a {kind}; must be of a Real")

@@ -227,13 +227,14 @@ class Structure:
         for target in self.links:
             source, *ends = self.chain(target)
             if source[0] in self.fmus and target[0] in self.fmus:
-                units = {self.units[end][0] for end in (source, target)} - {""}
                 links = [(end, self.links[end]) for end in ends]
                 place = f"{self.document.label}: connection from {shown(source)} to {shown(target)}"
                 linear = self.linear(place, self.units[source], links)
-                # Units that differ are converted here already.
                 is_asked = any(link.converts_types for _, link in links)
-                yield Connection(source, target, *linear, len(units) < 2, is_asked)
+                # What is converted here already is not once more.
+                is_plain = conversion(*self.units[source], *self.units[target]) == PLAIN
+                converts = is_plain and all(link.converts_units for _, link in links)
+                yield Connection(source, target, *linear, converts, is_asked)
 
     def linear(
         self, place: str, unit: tuple[str, Units], links: Sequence[tuple[End, Link]]
@@ -248,8 +249,8 @@ class Structure:
             scale = conversion(*unit, *other) if link.converts_units else PLAIN
             if scale is None:
                 raise InputError(
-                    f"{place}: unit {unit[0]!r} feeds unit {other[0]!r}; must be the same, or of "
-                    "the same SI base units"
+                    f"{place}: unit {unit[0]!r} feeds unit {other[0]!r}; must be the same, of the "
+                    "same SI base units, or have suppressUnitConversion"
                 )
             for by, plus in ((scale[0], 0.0 if is_difference else scale[1]), link.linear):
                 factor, offset = by * factor, by * offset + plus

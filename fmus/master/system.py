@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from ...assets import STEP_SIZE
 from ..errors import InputError, SimulationError
 from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
-from ..interface.units import PLAIN, conversion
+from ..interface.units import PLAIN, conversion, doubt
 from ..interface.variables import Value
 from .calls import OnMessage
 from .fmu import FmuSlave, return_to, working_directory
@@ -33,6 +33,7 @@ from .wiring import Array, Name, bind
 if TYPE_CHECKING:
     from .remote_slave import RemoteSlave
 
+SHOWN: Final = 4  # connections of an FMU that a warning names
 Instance: TypeAlias = "FmuSlave | RemoteSlave"
 
 
@@ -116,21 +117,41 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
 
 def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
     """Formulas of the connections that convert numbers, one for all elements of an array."""
-
-    def shown(end: Name) -> str:
-        unit = fmus[end[0]].variable(end[1]).unit
-        return f"{'.'.join(end).partition('[')[0]} [{unit}]"
-
     converting = (
         each
         for each in (in_units(fmus, connection) for connection in system.connections)
         if (each.factor, each.offset) != PLAIN
     )
     formulas = (
-        f"{shown(each.target)} = {each.factor:g} * {shown(each.source)} + {each.offset:g}"
+        f"{_shown(fmus, each.target)} = {each.factor:g} * {_shown(fmus, each.source)} "
+        f"+ {each.offset:g}"
         for each in converting
     )
     return list(dict.fromkeys(formulas))
+
+
+def _shown(fmus: Mapping[str, Fmu], end: Name) -> str:
+    """Variable with its unit, without the indices of an element."""
+    return f"{'.'.join(end).partition('[')[0]} [{fmus[end[0]].variable(end[1]).unit}]"
+
+
+def _doubts(fmus: Mapping[str, Fmu], system: System) -> Iterator[tuple[str, str, str]]:
+    """Yield warnings about connections whose units or names of values may not be meant so."""
+    found: dict[tuple[str, str], dict[str, None]] = {}
+    for each in system.connections:
+        (one, source), (other, target) = ((fmus[i], fmus[i].variable(n))
+                                          for i, n in (each.source, each.target))  # fmt: skip
+        reason = doubt(source.unit, one.units, target.unit, other.units)
+        names = [v.variable.choices for v in (source, target)]
+        if all(names) and not {*names[0]} <= {*names[1]}:
+            reason = "other names for the same numbers"
+        is_asked = each.converts_types or not each.converts_units
+        if reason and not is_asked and source.variable.kind == target.variable.kind:
+            text = f"{_shown(fmus, each.target)} from {_shown(fmus, each.source)}"
+            found.setdefault((each.target[0], reason), {})[text] = None
+    for (instance, reason), texts in found.items():
+        some = ", ".join([*texts][:SHOWN]) + ", ..." * (len(texts) > SHOWN)
+        yield instance, "Warning", f"{reason}, so values are taken as they are: {some}"
 
 
 def _objects(fmus: Mapping[str, Fmu], system: System) -> set[Name]:
@@ -150,13 +171,13 @@ def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
     ends = [(fmus[i], fmus[i].variable(name)) for i, name in (connection.source, connection.target)]
     (source, one), (target, other) = ends
     scale = conversion(one.unit, source.units, other.unit, target.units)
-    if scale is None:
+    if scale is None and not connection.converts_types:
         raise InputError(
             f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}: unit "
             f"{one.unit!r} feeds unit {other.unit!r}; must be the same, or both defined by the "
             "same SI base units"
         )
-    if scale == PLAIN:  # no copy of each of the many
+    if scale in (None, PLAIN):  # no copy of each of the many
         return connection
     is_difference = any(scalar.variable.name in fmu.relative for fmu, scalar in ends)
     factor, offset = scale[0], 0.0 if is_difference else scale[1]
@@ -197,6 +218,7 @@ def notes(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield warnings about steps [s] of a size that an FMU does not name, and algebraic loops."""
     multiples = multiples_of(fmus, system, step_size)
+    yield from _doubts(fmus, system)
     for instance, fmu in fmus.items():
         interface, experiment = fmu.description.coSimulation, fmu.description.defaultExperiment
         named = interface.fixedInternalStepSize or (experiment and experiment.stepSize)

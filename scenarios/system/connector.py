@@ -149,21 +149,20 @@ class Connector:
                 hint = ", or [connect] must name elements, such as "
                 hint += f'"{target}{item}" = "{source}{source_item}"'
             raise InputError(f"{ends}; must have the same shape{hint}")
+        can_ask = can_convert(giving, fed) and source.partition(".")[0] in self.parts
+        hint = f', or be asked for in [connect]: "{target}" = "convert({source})"' * can_ask
         if not (can_convert if converts else is_lossless)(giving, fed):
-            hint = ""
-            if can_convert(giving, fed):
-                hint = f', or be asked for in [connect]: "{target}" = "convert({source})"'
             raise InputError(
                 f"{ends}; type {type_of(giving)} feeds type {type_of(fed)}, which must be able to "
                 f"hold all its values{hint}"
             )
         known = self._units(source), self._units(target)
         for one, other in zip(giving.units, fed.units, strict=True):
-            if conversion(one, known[0], other, known[1]) is None:
+            if conversion(one, known[0], other, known[1]) is None and not converts:
                 fitting = FITTING.get(one, "") if other in FITTING else ""
                 raise InputError(
                     f"{ends}; must have the same unit, or both be defined by the same SI base "
-                    f"units{fitting}"
+                    f"units{fitting}{hint}"
                 )
 
     def _units(self, end: str) -> Units:
