@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import Final
+from typing import Any, Final
 from unicodedata import category
 
 EXCERPT_LENGTH: Final = 60  # [character] a longer value would bury the message
@@ -116,3 +116,11 @@ class SimulationError(CosimError):
         self.time = time
         self.instance = instance
         self.variable = variable
+
+
+class SimulationEndedError(SimulationError):
+    """An FMU has ended the simulation, as FMI allows it to; `reached` is its last instant [s]."""
+
+    def __init__(self, message: str, *, reached: float = 0.0, **where: Any) -> None:
+        super().__init__(message, **where)
+        self.reached = reached

@@ -16,7 +16,7 @@ from forked import command
 from linear_loop import linear_loop
 from panda_cosim import InputError, Options, analyze, load_scenario, run_scenario
 from panda_cosim.controller.gains import preset
-from panda_cosim.fmus.master import step
+from panda_cosim.fmus.master import kernel
 from panda_cosim.scenarios.analysis.analysis import disk_margin, frequencies, sensitivity
 from panda_cosim.scenarios.run.prepare import prepare
 
@@ -189,7 +189,7 @@ def test_our_law_has_the_loops_of_its_linearisation(
 def pulses(stepper: str, scenario: str) -> str:
     """In Python, there is no library for the kernel."""
     if stepper == "Python":
-        step.load_stepper = lambda: None
+        kernel.load_stepper = lambda: None
     responses = analyze(scenario, 0.05, Options(coupling="jacobi")).responses
     return responses.pulses.tobytes().hex()
 

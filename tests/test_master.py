@@ -32,7 +32,7 @@ class FakeSlave:
         outputs: Mapping[str, float],
         log: list[str] | None = None,
     ) -> None:
-        self.name = name
+        self.name, self.stop = name, math.inf
         self.inputs: dict[str, float] = {}
         self.outputs = dict(outputs)
         self.times: list[float] = []

@@ -1,13 +1,13 @@
-"""Calls of an FMU's functions with arguments that are converted once, and its log messages.
+"""Calls of FMPy's methods with arguments that are converted once, and an FMU's log messages.
 
-They are called by `Step`, or read by `Kernel`, which makes the same calls from C.
+`Step` calls them. `Kernel` reads them, and makes the same calls from C.
 """
 
 from __future__ import annotations
 
 import ctypes
-import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import PurePath
@@ -17,7 +17,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SimulationError
+from ..errors import SimulationEndedError, SimulationError
 from ..interface.types import type_of
 from ..interface.variables import INTEGERS, Scalar
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .fmu import FmuSlave
 
 OnMessage = Callable[[str, str, str], None]  # with instance, status and text
-OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
+OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
 MOST_MESSAGES: Final = 100  # per instance; some FMUs warn at every step
@@ -98,40 +98,27 @@ class MessageLog:
 
 
 class Access:
-    """A getter or setter of FMI, called with the index of a row of a block (n, values)."""
+    """A getter or setter of FMPy, called with the index of a row of a block (n, values)."""
 
     def __init__(
-        self,
-        slave: FmuSlave,
-        function: Any,
-        references: Sequence[int],
-        block: NDArray[Any],
-        *more: object,
+        self, slave: FmuSlave, label: str, references: Sequence[int], block: NDArray[np.float64]
     ) -> None:
-        self.slave, self.function, self.block = slave, function, block
-        self.references = np.array(references, np.uint32)
-        pointer = ctypes.c_void_p.from_param
-        first, stride = block.ctypes.data, block.strides[0]
-        self._rows = [pointer(first + i * stride) for i in range(len(block))]
-        self._before = (
-            pointer(slave.component),
-            pointer(self.references.ctypes.data),
-            ctypes.c_size_t.from_param(len(self.references)),
-        )
-        self._more = more
+        self.slave, self.name, self.block = slave, f"{slave.prefix}{label}", block
+        self.references = (ctypes.c_uint * len(references))(*references)
+        size = block.shape[1]
+        first, stride, view = block.ctypes.data, block.strides[0], ctypes.c_double * size
+        self._rows = [view.from_address(first + i * stride) for i in range(len(block))]
+        self._method = getattr(slave.instance, self.name)
+        self._before = (slave.component, self.references, len(references))
+        self._more = (size,) if slave.fmu.fmi == 3 else ()
 
     def __call__(self, row: int) -> None:
-        """Call the function with a row of the block."""
-        try:
-            status = self.function(*self._before, self._rows[row], *self._more)
-        except Exception as error:  # raised by Python code of the FMU
-            self.slave.fail_badly(self.function.__name__, error)
-        if status > WARNING:
-            self.fail(status)
+        """Call the method with a row of the block, in place."""
+        self.slave.call(self.name, self._method, *self._before, self._rows[row], *self._more)
 
-    def fail(self, status: int, time: float | None = None) -> None:
+    def fail(self, status: int, time: float) -> None:
         """Raise the error of a status."""
-        self.slave.fail(self.function.__name__, status, time)
+        self.slave.fail(self.name, status, time)
 
 
 class Typed:
@@ -188,33 +175,25 @@ class Typed:
         return number
 
 
-class StepCall:
-    """`doStep` of an FMU, by a time and a step size [s]; `more` are arguments after these."""
+class StepCall(ABC):
+    """FMPy's `doStep` of an FMU, by a time and a step size [s]."""
 
-    def __init__(self, slave: FmuSlave, function: Any, *more: object) -> None:
-        self.slave, self.function, self._more = slave, function, more
-        self._component = ctypes.c_void_p.from_param(slave.component)
-        self._start, self._size = ctypes.c_double(), math.nan
+    reached = 0.0  # [s] by the last step of FMI 3.0
 
+    def __init__(self, slave: FmuSlave) -> None:
+        self.slave, self.name = slave, f"{slave.prefix}DoStep"
+        self._method = getattr(slave.instance, self.name)
+
+    @abstractmethod
     def __call__(self, time: float, step_size: float) -> None:
-        """Take a step."""
-        if step_size != self._size:
-            self._size, self._length = step_size, ctypes.c_double.from_param(step_size)
-        self._start.value = time
-        try:
-            status = self.function(self._component, self._start, self._length, *self._more)
-        except Exception as error:  # see `Access`
-            self.slave.fail_badly(self.function.__name__, error, time)
-        if status > WARNING:
-            self.fail(status, time)
+        """Take a step to its end; raises SimulationEndedError if the FMU ends the simulation."""
 
+    @abstractmethod
     def fail(self, status: int, time: float) -> None:
         """Raise the error of a status."""
-        self.slave.fail(self.function.__name__, status, time)
 
-    def refuse_early(self, time: float, reached: float, *, ended: bool) -> None:
-        """Raise the error of a step that was not taken to its end (FMI 3.0)."""
-        what = "asks to end the simulation" if ended else "returned early"
-        raise SimulationError(
-            f"the FMU {what}, at {reached:g} s", time=time, instance=self.slave.name
-        )
+    def ending(self, time: float, reached: float) -> SimulationEndedError:
+        """What says that the FMU has ended the simulation."""
+        word = f": {self.slave.log.cause}" if self.slave.log.cause else ""
+        text = f"the FMU asks to end the simulation, at {reached:g} s{word}"
+        return SimulationEndedError(text, reached=reached, time=time, instance=self.slave.name)

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
-from functools import cache
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import cache, partial
+from typing import Any, Final, NoReturn
 
 from fmpy import calloc, fmi2, fmi3, free
-from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Slave, fmi2LastSuccessfulTime, fmi2Terminated
 from fmpy.fmi3 import FMU3Slave
 from fmpy.logging import addLoggerProxy
 
+from ..errors import SimulationError
 from ..interface.variables import Value
-from .calls import StepCall, receive
+from .calls import DISCARD, OK, WARNING, StepCall, receive
 from .fmu import FmuSlave
+from .wiring import Array, Exchange
+
+MOST_UPDATES: Final = 1000  # of discrete states at one event
 
 
 @cache
@@ -43,13 +49,34 @@ class Fmi2Slave(FmuSlave):
         instance.instantiate(callbacks=callbacks, loggingOn=True)
 
     def _make_step(self) -> StepCall:
-        return StepCall(self, self.function("DoStep"), self.no_going_back)
+        return _Fmi2Step(self)
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        instance = self._instance
-        self._call("set up", lambda: instance.setupExperiment(startTime=start, stopTime=stop))
+        self.call("set up", self.instance.setupExperiment, None, start, stop)
         self._set_arrays(start_values)
-        self._call("enter initialization", instance.enterInitializationMode)
+        self.call("enter initialization", self.instance.enterInitializationMode)
+
+
+class _Fmi2Step(StepCall):
+    """fmi2DoStep; an FMU that cannot go on discards the step, and says that it has terminated."""
+
+    def __call__(self, time: float, step_size: float) -> None:
+        """Take a step."""
+        slave = self.slave
+        try:
+            status = self._method(slave.component, time, step_size, slave.no_going_back)
+        except FMICallException as error:
+            status = error.status
+        if not OK <= status <= WARNING:
+            self.fail(status, time)
+
+    def fail(self, status: int, time: float) -> NoReturn:
+        """Raise the error of a status, or the end of the simulation."""
+        instance = self.slave.instance
+        with suppress(FMICallException):
+            if status == DISCARD and instance.getBooleanStatus(fmi2Terminated):
+                raise self.ending(time, instance.getRealStatus(fmi2LastSuccessfulTime))
+        self.slave.fail(self.name, status, time)
 
 
 @cache
@@ -61,11 +88,16 @@ def _logger3() -> Any:
 
 
 class Fmi3Slave(FmuSlave):
-    """An instance of an FMI 3.0 FMU: a value reference is a whole array."""
+    """An instance of an FMI 3.0 FMU: a value reference is a whole array.
+
+    An FMU that has event mode is run with it.
+    """
 
     fmpy_class, prefix, state_name, enumeration = FMU3Slave, "fmi3", "FMUState", "Int64"
 
     def _instantiate(self, instance: Any) -> None:
+        self.has_events = bool(self.fmu.description.coSimulation.hasEventMode)
+        self._steps = False  # whether initialization is over
         # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.
         instance.component = instance.fmi3InstantiateCoSimulation(
             self.name.encode(),
@@ -73,8 +105,8 @@ class Fmi3Slave(FmuSlave):
             f"{self.fmu.folder / 'resources'}/".encode(),
             False,  # visible
             True,  # logging
-            False,  # event mode
-            bool(self.fmu.description.coSimulation.mightReturnEarlyFromDoStep),  # early return
+            self.has_events,
+            self.has_events,  # early return, at an event
             (fmi3.fmi3ValueReference * 0)(),
             0,
             self.log.number,
@@ -90,30 +122,104 @@ class Fmi3Slave(FmuSlave):
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         structural = {n: v for n, v in start_values.items() if n in self.fmu.structural}
         if structural:
-            self._call("enter configuration", self._instance.enterConfigurationMode)
+            self.call("enter configuration", self.instance.enterConfigurationMode)
             self._set_arrays(structural)
-            self._call("exit configuration", self._instance.exitConfigurationMode)
+            self.call("exit configuration", self.instance.exitConfigurationMode)
         self._set_arrays({n: v for n, v in start_values.items() if n not in structural})
-        enter = self._instance.enterInitializationMode
-        self._call("enter initialization", lambda: enter(startTime=start, stopTime=stop))
+        self.call("enter initialization", self.instance.enterInitializationMode, None, start, stop)
+
+    def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
+        """Go through initialization; it ends in event mode, if the FMU has it."""
+        super().initialize(start_values, start, stop)
+        self._steps = True
+        if self.has_events:
+            self._settle(start)
+
+    def handle_event(self, time: float, act: Callable[[], None] = lambda: None) -> None:
+        """Go through event mode: act, then update discrete states until they settle."""
+        self.call("fmi3EnterEventMode", self.instance.enterEventMode)
+        act()
+        self._settle(time)
+
+    def _settle(self, time: float) -> None:
+        for _ in range(MOST_UPDATES):
+            answer = self.call("fmi3UpdateDiscreteStates", self.instance.updateDiscreteStates)
+            if answer[1]:
+                raise self.step.ending(time, time)
+            if not answer[0]:
+                self.call("fmi3EnterStepMode", self.instance.enterStepMode)
+                return
+        text = f"its discrete states do not settle in {MOST_UPDATES} updates"
+        raise SimulationError(text, time=time, instance=self.name)
+
+    def set_values(self, values: Mapping[str, Value]) -> None:
+        """Set scalars once; with event mode, in it."""
+        if not self.has_events:
+            return super().set_values(values)
+        return self.handle_event(self.step.reached, partial(super().set_values, values))
+
+    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that writes variables; discrete ones that change are an event."""
+        put = super().bind_set(names, block)
+        variables = [self.fmu.variable(name).variable for name in names]
+        discrete = [i for i, v in enumerate(variables) if v.variability != "continuous"]
+        if not (self.has_events and discrete):
+            return put
+        last: list[Any] = []
+
+        def exchange(row: int) -> None:
+            values = block[row, discrete].tolist()
+            if self._steps and values != last:
+                self.handle_event(self.step.reached, partial(put, row))
+            else:
+                put(row)
+            last[:] = values
+
+        return exchange
 
 
 class _Fmi3Step(StepCall):
     """fmi3DoStep, which may return early; it is then called again for the rest of the step."""
 
-    def __init__(self, slave: FmuSlave) -> None:
+    slave: Fmi3Slave
+
+    def __init__(self, slave: Fmi3Slave) -> None:
+        super().__init__(slave)
         self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
         self._reached = ctypes.c_double()
         answers = (self._event, self._ended, self._early, self._reached)
-        pointers = (ctypes.byref(answer) for answer in answers)
-        super().__init__(slave, slave.function("DoStep"), slave.no_going_back, *pointers)
+        self._answers = [ctypes.byref(answer) for answer in answers]
 
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step; one that was not taken to its end is an error."""
-        end = time + step_size
-        super().__call__(time, step_size)
-        while not self._ended.value and self._early.value and time < self._reached.value < end:
-            time = self._reached.value
-            super().__call__(time, end - time)
-        if self._ended.value or (self._early.value and self._reached.value < end):
-            self.refuse_early(time, self._reached.value, ended=self._ended.value)
+        slave, end, size = self.slave, time + step_size, step_size
+        while True:
+            self._reached.value = end
+            before = (slave.component, time, size, slave.no_going_back)
+            slave.call(self.name, self._method, *before, *self._answers, time=time)
+            self.reached = reached = self._reached.value if self._early.value else end
+            if self._ended.value:
+                raise self.ending(time, self._reached.value)
+            if self._event.value:
+                self.meet_event(time)
+            if reached >= end:
+                return
+            if reached <= time:
+                self.refuse_early(time, reached)
+            time, size = reached, end - reached
+
+    def fail(self, status: int, time: float) -> NoReturn:
+        """Raise the error of a status."""
+        self.slave.fail(self.name, status, time)
+
+    def meet_event(self, time: float) -> None:
+        """Handle an event that ended a step; without event mode, it is an error."""
+        if not self.slave.has_events:
+            text = "the FMU needs an event handled, but its description has no event mode"
+            raise SimulationError(text, time=time, instance=self.slave.name)
+        self.slave.handle_event(self.reached)
+
+    def refuse_early(self, time: float, reached: float) -> NoReturn:
+        """Raise the error of a step that made no headway."""
+        text = f"the FMU returned early, at {reached:g} s"
+        raise SimulationError(text, time=time, instance=self.slave.name)

@@ -1,23 +1,23 @@
-"""One instance of an FMU, loaded by FMPy and called through raw pointers.
+"""One instance of an FMU, loaded by FMPy and called through its methods.
 
-`FmuSlave` holds what FMI 2.0 and FMI 3.0 have in common; `fmi2` and `fmi3` hold the calls.
+`FmuSlave` holds what FMI 2.0 and FMI 3.0 have in common; fmi.py holds what differs.
 """
 
 from __future__ import annotations
 
 import ctypes
 import inspect
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from threading import Lock
 from typing import Any, ClassVar, Final, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
@@ -60,20 +60,16 @@ class FmuSlave(ABC):
         self._keep: list[object] = []
         self._worst = OK
         self._state = ctypes.c_void_p()  # that was kept, if one was
+        self.stop = math.inf  # [s] up to which it can be stepped
+        self.no_going_back = True  # argument of fmiDoStep: whether no earlier state is restored
         with _loading:
-            self._instance = self._open()
-        self.component: int = self._instance.component
-        # FMPy's own methods build ctypes arrays from lists at each call, which takes twice the
-        # time. Calls to an FMU that runs in this Python keep the interpreter's lock, since its
-        # wrapper needs it at once; calls to other FMUs release it, so that other threads run.
-        kind = ctypes.PyDLL if fmu.in_python else ctypes.CDLL
-        self._library: Any = kind("", handle=self._instance.dll._handle)
-        # Argument of fmiDoStep: whether no earlier state is returned to. It is read at each call.
-        self.no_going_back = ctypes.c_int(True)
+            self.instance = self._open()
+        self.component: int = self.instance.component
         self.step = self._make_step()
 
     # Different in FMI 2.0 and 3.0.
 
+    has_events = False  # whether it is run with event mode
     fmpy_class: ClassVar[Any]  # of FMPy, which loads the library
     enumeration: ClassVar[str]  # in the names of functions
     prefix: ClassVar[str]  # of FMI's functions
@@ -133,9 +129,9 @@ class FmuSlave(ABC):
         kind = arrays[0].variable.fmi_type
         label = f"{verb}{self.enumeration if kind == 'Enumeration' else kind}"
         references = [array.value_reference for array in arrays]
-        call = partial(getattr(self._instance, label), references, *arguments)
         names = [array.variable.name for array in arrays]
-        return self._call(label, call, names[0] if len(names) == 1 else "")
+        one = names[0] if len(names) == 1 else ""
+        return self.call(label, getattr(self.instance, label), references, *arguments, variable=one)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function of a row's index that reads variables into that row of a block."""
@@ -175,9 +171,9 @@ class FmuSlave(ABC):
         )
         if is_in_order and block.dtype == np.float64:
             part = block[:, columns[0] : columns[-1] + 1]
-            return self._bind_rows(f"{verb}{kind}", references, part)
+            return Access(self, f"{verb}{kind}", references, part)
         values = np.zeros((1, size))
-        call, get = (self._bind_rows(f"{each}{kind}", references, values) for each in (verb, "Get"))
+        call, get = (Access(self, f"{each}{kind}", references, values) for each in (verb, "Get"))
         if verb == "Set" and len(names) < size:
             get(0)
         return Moved(call, values, places, block, columns, reads=verb == "Get")
@@ -221,9 +217,10 @@ class FmuSlave(ABC):
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values, by scalar variable, and go through initialization."""
+        self.stop = stop
         try:
             self._set_up(start_values, start, stop)
-            self._call("exit initialization", self._instance.exitInitializationMode)
+            self.call("exit initialization", self.instance.exitInitializationMode)
         except SimulationError as error:
             if self._worst != ERROR or not self.log.messages:
                 raise
@@ -235,60 +232,46 @@ class FmuSlave(ABC):
         cause = self.log.cause.removeprefix("initialization: ")
         return InputError(f"{self.name}: the FMU refuses its start values: {cause}")
 
-    def _call(self, what: str, call: Callable[[], object], variable: str = "") -> Any:
+    def call(
+        self,
+        what: str,
+        method: Callable[..., Any],
+        *arguments: Any,
+        variable: str = "",
+        time: float | None = None,
+    ) -> Any:
+        """Call a method of FMPy; a status worse than a warning is an error."""
         try:
-            returned = call()
+            returned = method(*arguments)
         except Exception as error:  # FMPy's FMICallException or a ctypes error
             status = getattr(error, "status", ERROR)
-            self.fail(what, status if isinstance(status, int) else ERROR, None, variable)
+            self.fail(what, status if isinstance(status, int) else ERROR, time, variable)
         if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
-            self.fail(what, returned, None, variable)
+            self.fail(what, returned, time, variable)
         return returned
 
-    def _bind_rows(
-        self, label: str, references: Sequence[int], block: NDArray[np.float64]
-    ) -> Access:
-        """Make a function that calls a getter or setter of FMI with a row of a block."""
-        more = (ctypes.c_size_t.from_param(block.shape[1]),) if self.fmu.fmi == 3 else ()
-        return Access(self, self.function(label), references, block, *more)
-
-    def function(self, label: str) -> Any:
-        """A function of the library, such as "DoStep"."""
-        function = getattr(self._library, f"{self.prefix}{label}")
-        function.restype = ctypes.c_uint  # so that a negative status counts as an error
-        return function
-
-    def fail_badly(self, what: str, error: Exception, time: float | None = None) -> NoReturn:
-        """Report a call that ended with a Python error; the FMU is then in an unknown state."""
-        self._worst = FATAL
-        raise SimulationError(
-            f"{what} failed: {type(error).__name__}: {one_line(error)}",
-            time=time,
-            instance=self.name,
-        ) from error
-
-    def fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
+    def fail(
+        self, what: str, status: int, time: float | None = None, variable: str = ""
+    ) -> NoReturn:
         """Raise the error of a call that returned a status."""
         known = OK <= status < len(STATUS)
         self._worst = max(self._worst, status if known else ERROR)
         cause = self.log.cause.removeprefix(f"{what}: ")
-        name = STATUS[status] if known else f"{ctypes.c_int(status).value}, which is not a status"
+        name = STATUS[status] if known else f"{status}, which is not a status"
         text = f"{what} returned {name}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
 
-    def save(self) -> Callable[[], None]:
-        """Save the state; returns a function that goes back to it, as often as it is called."""
+    def check_restorable(self) -> None:
+        """Refuse an FMU whose state cannot be saved and restored."""
         if not self.fmu.description.coSimulation.canGetAndSetFMUstate:
             raise InputError(
                 f"{self.fmu.label}: {self.name} cannot restore its state; its FMU must have "
                 f"canGetAndSetFMU{'s' if self.fmu.fmi == 2 else 'S'}tate"
             )
-        self.save_state()
-        return self.restore_state
 
     def save_state(self) -> None:
         """Keep the present state in the one place for it."""
-        self.no_going_back.value = False
+        self.no_going_back = False
         self._use_state("Get", ctypes.byref(self._state))
 
     def restore_state(self) -> None:
@@ -296,14 +279,12 @@ class FmuSlave(ABC):
         self._use_state("Set", self._state)
 
     def _use_state(self, verb: str, state: object) -> None:
-        function = self.function(f"{verb}{self.state_name}")
-        status = function(ctypes.c_void_p(self.component), state)
-        if status > WARNING:
-            self.fail(function.__name__, status)
+        name = f"{self.prefix}{verb}{self.state_name}"
+        self.call(name, getattr(self.instance, name), self.component, state)
 
     def close(self) -> None:
         """Terminate and free the instance, as far as FMI allows. May be called twice."""
-        instance, self._instance = self._instance, None
+        instance, self.instance = self.instance, None
         if instance is None or self._worst == FATAL:
             return  # after a fatal error any call may crash the process
         if self._worst < ERROR:

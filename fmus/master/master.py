@@ -7,7 +7,11 @@ A run does the following, in this order:
 2. `step`: tick k takes the system from t_k = t_0 + k * step_size to t_k+1. External inputs of t_k
    are written to row k first; the rest is the master's step, `Step.take` in step.py.
 3. `end`: leaders take one step more, from the last instant, so that their outputs in its row belong
-   to it as in every other; the row is recorded.
+   to it as in every other; those that would go beyond their stop are only read. It is recorded.
+
+An FMU may end the simulation, as FMI allows. If it ends it together with a step, the others finish
+that step. If it ends it within a step, the row at the step's begin is the last; an FMU that is
+alone adds that of its end.
 """
 
 from __future__ import annotations
@@ -20,10 +24,20 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from ...assets import STEP_SIZE
-from ..errors import SimulationError
+from ..errors import SimulationEndedError, SimulationError
 from ..interface.tables import Connection
-from .step import ITERATIONS, Coupling, IteratedStep, Step, make_kernel
-from .wiring import BLOCK_ROWS, Array, ExternalInputs, Name, RowBuffer, Slave, bind
+from .kernel import make_kernel
+from .step import ITERATIONS, Coupling, IteratedStep, Step
+from .wiring import (
+    BLOCK_ROWS,
+    Array,
+    ExternalInputs,
+    Name,
+    RowBuffer,
+    Slave,
+    SlowSlave,
+    bind,
+)
 
 Sink = Callable[[Array], None]
 Progress = Callable[[int], None]
@@ -40,6 +54,7 @@ class RunStatistics:
     wall_time: float = 0.0  # [s] of all steps
     overruns: int = 0  # ticks that ended too late for real time
     worst_lateness: float = 0.0  # [s] largest delay of a tick
+    in_c: int = 0  # steps that the kernel took; FMPy's methods took the others
 
 
 class RealtimePacer:
@@ -79,6 +94,7 @@ class Master:
         late_check: bool = False,
         objects: Collection[Name] = (),  # columns of values that a float64 cannot hold
         multiples: Mapping[str, int] = MappingProxyType({}),  # ticks of a slave's step, if not one
+        in_c: bool = True,  # whether the kernel takes the steps, if it can
     ) -> None:
         self.step_size, self.start = step_size, start
         self._late_check = late_check
@@ -87,8 +103,12 @@ class Master:
         self.columns = [*external, *read, *([ITERATIONS] if coupling == "iterated" else [])]
         self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects)
         rows = self._buffer.rows
-        self.connections, self.multiples = connections, multiples
-        self._slaves = bind(slaves, self.columns, self.external, connections, rows, multiples)
+        self.connections, self._in_c = connections, in_c
+        self.slaves = [
+            SlowSlave(slave, multiple) if (multiple := multiples.get(slave.name, 1)) > 1 else slave
+            for slave in slaves
+        ]
+        self._bound = bind(self.slaves, self.columns, self.external, connections, rows)
         self._stop = ctypes.c_int32()
         self._set_coupling(coupling)
         self.statistics = RunStatistics()
@@ -101,7 +121,7 @@ class Master:
         self.statistics, self._flush_at = RunStatistics(), 0.0
         self._buffer.begin(sink)
         with self._rows_kept():
-            for slave in self._slaves:
+            for slave in self._bound:
                 slave.get_outputs(0)
 
     def step(
@@ -142,21 +162,42 @@ class Master:
 
     def _advance(self, count: int) -> None:
         """Take one step in Python, or as many as can be taken in C in a few milliseconds."""
-        statistics, buffer = self.statistics, self._buffer
-        if self._kernel is None:
-            self._step.take(self._row, self.time)
-            statistics.steps += 1
-            return
-        taken, buffer.filled = self._kernel.take(self.steps, self._row, count)
-        statistics.steps += taken
-        if self._kernel.met_non_finite:
-            raise buffer.error_at(self._row)
-        self._kernel.check(self.time)
+        statistics, row = self.statistics, self._row
+        try:
+            if self._kernel is None:
+                self._step.take(row, self.time)
+                statistics.steps += 1
+                return
+            taken, self._buffer.filled = self._kernel.take(self.steps, row, count)
+            statistics.steps += taken
+            statistics.in_c += taken
+            if self._kernel.met_non_finite:
+                raise self._buffer.error_at(self._row)
+            self._kernel.check(self.time)
+        except SimulationEndedError as ended:
+            self._end_within(ended)
+
+    def _end_within(self, ended: SimulationEndedError) -> None:
+        """Make the row at the begin of the present step the last, see above."""
+        self._step.ended, row, rows = ended, self._row, self._buffer.rows
+        for leader in self._step.leaders:
+            leader.get_outputs(row)
+        self._buffer.complete(row)
+        if len(self._bound) == 1 and ended.reached > self.time:
+            rows[row + 1] = rows[row]
+            rows[row + 1, 0] = ended.reached
+            self._bound[0].get_outputs(row + 1)
+            self._buffer.complete(row + 1)
+
+    @property
+    def ended(self) -> SimulationEndedError | None:
+        """What an FMU said that has ended the simulation; None: none has."""
+        return self._step.ended
 
     @property
     def stop_requested(self) -> bool:
         """Set it, from a signal handler for example, to return after the present step."""
-        return bool(self._stop.value)
+        return bool(self._stop.value) or self.ended is not None
 
     @stop_requested.setter
     def stop_requested(self, value: bool) -> None:
@@ -165,9 +206,10 @@ class Master:
     def end(self, external: Array) -> None:
         """Step the leaders a last time and record the last instant's row; `external` is (1, n)."""
         with self._rows_kept():
-            self._buffer.set_external(self._row, external)
-            self._step.lead(self._row, self.time)
-            self._buffer.filled = self._row + 1
+            if self._buffer.filled <= self._row:  # else an FMU ended within the step
+                self._buffer.set_external(self._row, external)
+                self._step.finish(self._row, self.time)
+                self._buffer.filled = self._row + 1
             self.flush()
 
     def run(
@@ -193,7 +235,9 @@ class Master:
     def couple(self, coupling: Coupling) -> None:
         """Change the coupling from the next step on; leaders' outputs keep their last values."""
         self._buffer.hold(self._row)
+        ended = self.ended
         self._set_coupling(coupling)
+        self._step.ended = ended
 
     def latest(self) -> Array:
         """Copy of the present row; inputs and leaders' outputs are those of the last tick."""
@@ -226,11 +270,13 @@ class Master:
         buffer = self._buffer
         complete = buffer.complete_unchecked if self._late_check else buffer.complete
         kind = IteratedStep if coupling == "iterated" else Step
-        self._step = kind(self._slaves, coupling, self.step_size, buffer.rows, complete)
+        self._step = kind(self._bound, coupling, self.step_size, buffer.rows, complete)
         self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
-        self._kernel = make_kernel(
-            self._step, buffer.rows, self.start, self._stop, check=not self._late_check
+        self._kernel = (
+            make_kernel(self._step, buffer.rows, self.start, self._stop, check=not self._late_check)
+            if self._in_c
+            else None
         )
 
     @contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import math
 import os
 import signal
 import subprocess
@@ -53,6 +54,7 @@ class RemoteSlave:
         if sys.platform == "win32":
             raise InputError("--isolate: not on this platform; must be Linux or another Unix")
         self.name, self.fmu = name, fmu
+        self.stop = math.inf  # [s] up to which it can be stepped
         self._on_message, self._step_timeout = on_message, step_timeout
         self._time: float | None = None  # of the present step [s]
         self._inputs: dict[int, Array] = {}  # put since the last request, by block
@@ -77,6 +79,7 @@ class RemoteSlave:
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Open the FMU, set start values and go through initialization."""
+        self.stop = stop
         self._call("open", self.name, str(self.fmu.path.absolute()), self.fmu.sizes)
         self._call("initialize", dict(start_values), start, stop)
 

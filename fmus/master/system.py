@@ -26,9 +26,10 @@ from ..interface.variables import Value
 from .calls import OnMessage
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
+from .kernel import make_kernel
 from .master import Master
-from .step import Coupling, Step, make_kernel
-from .wiring import Array, Name, bind
+from .step import Coupling, Step
+from .wiring import Array, Name, Slave, SlowSlave, bind
 
 if TYPE_CHECKING:
     from .remote_slave import RemoteSlave
@@ -332,16 +333,14 @@ class PerturbedSystem:
         master = opened.master
         self.columns = [("", "time"), *master.columns]  # of a row
         self._rows = np.zeros((len(external) + 1, len(self.columns)))
-        slaves = list(opened.slaves.values())
-        self._back = [_save(slave) for slave in slaves]  # before `step` is bound
+        self._back = [_save(slave) for slave in master.slaves]  # before the kernel is made
         fed = {each.target: each for each in master.connections}
         self._fed = [fed[target] for target in targets]
         self.fed_by = [self.columns.index(each.source) for each in self._fed]
         # Values are added as offsets of the connections, which `run` changes in place.
         varied = fed | {each.target: replace(each, offset=math.nan) for each in self._fed}
         bound = bind(
-            slaves, master.columns, master.external, list(varied.values()), self._rows,
-            master.multiples,
+            master.slaves, master.columns, master.external, list(varied.values()), self._rows
         )  # fmt: skip
         linear = {(b.slave.name, name): pair for b in bound for name, pair in b.linear.items()}
         self._linear = [linear[target] for target in targets]
@@ -381,7 +380,11 @@ class PerturbedSystem:
                 self._kernel.check(float(self._rows[row, 0]))
 
 
-def _save(slave: Instance) -> Callable[[], None]:
-    if not isinstance(slave, FmuSlave):
+def _save(slave: Slave) -> Callable[[], None]:
+    """Save the state; returns a function that goes back to it, as often as it is called."""
+    fmu = slave.slave if isinstance(slave, SlowSlave) else slave
+    if not isinstance(fmu, FmuSlave):
         raise InputError("isolate: states of an isolated FMU cannot be restored; must be False")
-    return slave.save()
+    fmu.check_restorable()
+    slave.save_state()
+    return slave.restore_state

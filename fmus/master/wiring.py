@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,14 @@ from ..interface.units import PLAIN
 Array = NDArray[np.float64]
 Exchange = Callable[[int], None]  # of one row, by its index
 Name = tuple[str, str]  # instance and scalar variable
+ROUNDING: Final = 1e-9  # relative, of a time
 
 
 class Slave(Protocol):
     """The methods that the master calls."""
 
     name: str
+    stop: float  # [s] up to which it can be stepped
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that reads variables into a row of a block (n, len(names))."""
@@ -47,14 +49,13 @@ class BoundSlave:
     has those of all inputs, as arrays that may be changed.
     """
 
-    def __init__(  # noqa: PLR0913 - a slave's side of `bind`
+    def __init__(
         self,
         slave: Slave,
         inputs: Mapping[str, int],
         outputs: Mapping[str, int],
         rows: Array,
         conversions: Mapping[str, tuple[float, float]],
-        multiple: int = 1,
     ) -> None:
         self.slave = slave
         self.inputs, self.outputs = set(inputs.values()), list(outputs.values())
@@ -70,55 +71,74 @@ class BoundSlave:
             self.set_inputs = _bind_inputs(slave, inputs, rows, conversions)
             if isinstance(self.set_inputs, Moved) and self.set_inputs.linear is not None:
                 self.linear = dict(zip(inputs, self.set_inputs.linear, strict=True))
-        self.leads = False  # its outputs act within the step, see step.py
-        if multiple > 1:
-            slow = _Slow(self, multiple, rows)
-            self.step, self.set_inputs = slow.step, slow.set_inputs
-            self.get_outputs = slow.get_outputs
 
     def feeds(self, other: BoundSlave) -> bool:
         """Whether an output of this slave is an input of another."""
         return not other.inputs.isdisjoint(self.outputs)
 
 
-class _Slow:
-    """Steps a slave once in some ticks: a leader in the first of them, a follower in the last."""
+class SlowSlave:
+    """A slave that is stepped once in some ticks: a leader in the first, others in the last."""
 
-    def __init__(self, bound: BoundSlave, multiple: int, rows: Array) -> None:
-        self._bound, self._multiple, self._rows = bound, multiple, rows
-        self._put, self._step, self._get = bound.set_inputs, bound.step, bound.get_outputs
-        self._tick, self._begin = 0, 0.0  # of the present step, [s]
+    def __init__(self, slave: Slave, multiple: int) -> None:
+        self.slave, self.name, self.stop = slave, slave.name, slave.stop
+        self.leads = False  # its outputs act within the step, see step.py
+        self._multiple = multiple
+        self._tick = 0  # of the present step
+        self._begin, self._is_taken = 0.0, False  # where it begins [s], and whether it was taken
 
-    def set_inputs(self, row: int) -> None:
-        """Set the inputs in the first tick."""
-        if self._tick == 0:
-            self._put(row)
+    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that sets the inputs in the first tick."""
+        put = self.slave.bind_set(names, block)
+        return lambda row: None if self._tick else put(row)
+
+    def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that reads the outputs, which are held between two steps."""
+        get = self.slave.bind_get(names, block)
+
+        def exchange(row: int) -> None:
+            if self._tick == 0 or self.leads:
+                get(row)
+            else:
+                block[row] = block[row - 1]
+
+        return exchange
 
     def step(self, time: float, step_size: float) -> None:
-        """Take the step in one of the ticks."""
+        """Take the step in one of the ticks, unless it would end beyond the stop."""
         if self._tick == 0:
-            self._begin = time
-        if self._tick == (0 if self._bound.leads else self._multiple - 1):
-            self._step(self._begin, self._multiple * step_size)
+            self._begin, self._is_taken = time, False
+        size = self._multiple * step_size
+        is_due = self.leads or self._tick == self._multiple - 1
+        if is_due and not self._is_taken and can_step(self, self._begin, size):
+            self.slave.step(self._begin, size)
+            self._is_taken = True
         self._tick = (self._tick + 1) % self._multiple
 
-    def get_outputs(self, row: int) -> None:
-        """Read the outputs; those of a follower between two steps are held, as its inputs are."""
-        if self._tick == 0 or self._bound.leads:
-            self._get(row)
-        else:
-            self._rows[row, self._bound.outputs] = self._rows[row - 1, self._bound.outputs]
+    def save_state(self) -> None:
+        """Keep the present state, and the place in the step."""
+        self.slave.save_state()
+        self._saved = (self._tick, self._begin, self._is_taken)
+
+    def restore_state(self) -> None:
+        """Go back to the state that was kept."""
+        self.slave.restore_state()
+        self._tick, self._begin, self._is_taken = self._saved
 
 
-def bind(  # noqa: PLR0913 - what the master is given, and the rows
+def can_step(slave: Slave, time: float, size: float) -> bool:
+    """Whether a step does not end beyond the slave's stop; times are rounded."""
+    return time + size <= slave.stop + ROUNDING * max(size, abs(slave.stop))
+
+
+def bind(
     slaves: Sequence[Slave],
     columns: Sequence[Name],
     external: Sequence[Name],
     connections: Sequence[Connection],
     rows: Array,
-    multiples: Mapping[str, int],
 ) -> list[BoundSlave]:
-    """Bind slaves to the rows of a recording; `multiples` are ticks of a step, if more than one."""
+    """Bind slaves to the rows of a recording."""
     index = {name: i for i, name in enumerate(columns, start=1)}
     # Column that feeds each input, in the order of the connections.
     sources: dict[str, dict[str, int]] = defaultdict(dict)
@@ -134,10 +154,7 @@ def bind(  # noqa: PLR0913 - what the master is given, and the rows
     for instance, variable in columns[len(external) :]:
         outputs[instance][variable] = index[(instance, variable)]
     return [
-        BoundSlave(
-            s, sources[s.name], outputs[s.name], rows, conversions[s.name], multiples.get(s.name, 1)
-        )
-        for s in slaves
+        BoundSlave(s, sources[s.name], outputs[s.name], rows, conversions[s.name]) for s in slaves
     ]
 
 

@@ -1,6 +1,6 @@
 /* The master's step, fmus/master/step.py, in C: a list of calls, gone through once a tick.
  *
- * This is a library of its own, for our master; no FMU contains it. fmus/master/step.py makes the list from
+ * This is a library of its own, for our master; no FMU contains it. fmus/master/kernel.py makes the list from
  * what `Step` would call in Python, so that both do the same and give the same bits. Values are in the rows of
  * the recording, which FMUs read and write in place; those that an FMU wants in another order go through
  * `values`. Python's lock is released meanwhile, as in each single call.
@@ -21,7 +21,7 @@
 typedef enum { SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK } action;
 
 /* Statuses beyond those of FMI. */
-enum { WARNING = 1, ENDED = 100, EARLY = 101, NOT_FINITE = 102 };
+enum { WARNING = 1, ENDED = 100, EARLY, NOT_FINITE, EVENT };
 
 /* Getters and setters differ in `const` only. */
 typedef unsigned access2(void *instance, const uint32_t *references, size_t count, double *values);
@@ -62,6 +62,7 @@ typedef struct {
     int64_t failed;             /* index of the call that failed, */
     uint32_t status;            /* its status, */
     double reached;             /* and where it ended a step early [s] */
+    int64_t ended;              /* number of the call that ended the simulation at its step's end, from 1 on; or 0 */
 } course;
 
 static double now(void) /* [s] */
@@ -109,10 +110,14 @@ static unsigned step(course *r, const call *c, double time)
     bool event = false, ended = false, early = false;
     const double end = time + r->step_size;
     for (double size = r->step_size;; time = r->reached, size = end - time) {
+        r->reached = end;
         const unsigned status =
             c->function.step3(c->instance, time, size, !c->later, &event, &ended, &early, &r->reached);
-        if (status > WARNING || ended) return status > WARNING ? status : ENDED;
-        if (!early || r->reached >= end) return status;
+        if (status > WARNING) return status;
+        if (ended && r->reached < end) return ENDED;
+        if (ended) r->ended = r->failed + 1;
+        else if (event) return EVENT;
+        if (ended || !early || r->reached >= end) return status;
         if (!(r->reached > time)) return EARLY; /* else the rest of the step follows */
     }
 }
@@ -144,7 +149,7 @@ EXPORT int64_t panda_take_steps(course *r, int64_t tick, int64_t k, int64_t coun
             r->status = carry_out(r, &r->calls[r->failed], k + taken, time);
             if (r->status > WARNING) return taken;
         }
-        if (*r->stop || now() >= until) return taken + 1;
+        if (*r->stop || r->ended || now() >= until) return taken + 1;
     }
     return count;
 }

@@ -124,7 +124,7 @@ def _fmu_libraries() -> str:
 
 
 def _stepper() -> str:
-    from ....fmus.master.step import load_stepper  # noqa: PLC0415 - numpy may be missing
+    from ....fmus.master.kernel import load_stepper  # noqa: PLC0415 - numpy may be missing
 
     if load_stepper() is None:
         raise CosimError("its library cannot be loaded, so steps are taken in Python")

@@ -1,0 +1,196 @@
+"""The master's step in C, many ticks in one call: the fast twin of `Step.take`.
+
+The library (fmus/native/stepper.c) goes through a list of calls, which is read from what `Step`
+would call, in its order, so that both give the same bits. It is for systems whose FMUs are called
+in this process, without event mode, and exchange Real variables alone; for others, and where the
+library is missing, `Step.take` is called.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable
+from functools import cache
+from itertools import chain
+from typing import Any, Final
+
+import numpy as np
+
+from ..build.libraries import STEPPER, library, this_platform
+from ..errors import CosimError, InputError
+from .calls import OK, WARNING, Access, StepCall
+from .step import Step
+from .wiring import Array, Moved, nothing
+
+SLICE: Final = 0.005  # [s] wall time after which C returns, so that Python sees signals
+SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK = range(5)
+ENDED, EARLY, NOT_FINITE, EVENT = range(100, 104)
+
+
+class _Call(ctypes.Structure):
+    _fields_ = [
+        ("action", ctypes.c_int32), ("fmi", ctypes.c_int32), ("later", ctypes.c_int64),
+        ("function", ctypes.c_void_p), ("instance", ctypes.c_void_p),
+        ("references", ctypes.c_void_p), ("count", ctypes.c_size_t), ("column", ctypes.c_size_t),
+        ("values", ctypes.c_void_p), ("size", ctypes.c_size_t),
+        ("columns", ctypes.c_void_p), ("places", ctypes.c_void_p), ("moved", ctypes.c_size_t),
+        ("linear", ctypes.c_void_p),
+    ]  # fmt: skip
+
+
+class _Course(ctypes.Structure):
+    _fields_ = [
+        ("calls", ctypes.c_void_p), ("call_count", ctypes.c_int64),
+        ("rows", ctypes.c_void_p), ("width", ctypes.c_size_t),
+        ("start", ctypes.c_double), ("step_size", ctypes.c_double), ("stop", ctypes.c_void_p),
+        ("filled", ctypes.c_int64), ("failed", ctypes.c_int64), ("status", ctypes.c_int32),
+        ("reached", ctypes.c_double), ("ended", ctypes.c_int64),
+    ]  # fmt: skip
+
+
+class _NotInCError(Exception):
+    """A call can only be made from Python."""
+
+
+@cache
+def load_stepper() -> Any:
+    """Load the library; None: it is missing, and there is no compiler."""
+    try:
+        stepper = ctypes.CDLL(str(library(STEPPER, this_platform())))
+    except (CosimError, InputError, OSError):
+        return None
+    stepper.panda_take_steps.restype = ctypes.c_int64
+    return stepper.panda_take_steps
+
+
+def make_kernel(
+    step: Step, rows: Array, start: float, stop: ctypes.c_int32, *, check: bool
+) -> Kernel | None:
+    """Make the kernel of a step, if all of it can be called from C; `check`: each row's values."""
+    if rows.dtype != np.float64 or type(step) is not Step or load_stepper() is None:
+        return None
+    try:
+        return Kernel(step, rows, start, stop, check=check)
+    except _NotInCError:
+        return None
+
+
+class Kernel:
+    """Takes steps in C; for the arguments see `make_kernel`."""
+
+    def __init__(
+        self, step: Step, rows: Array, start: float, stop: ctypes.c_int32, *, check: bool
+    ) -> None:
+        self._step, self._rows = step, rows
+        self._keep: list[object] = [stop]
+        self._made_by: list[Access | StepCall | None] = []
+        leaders, followers = step.leaders, step.followers
+        calls = [
+            *chain.from_iterable(
+                [
+                    *self._access(SET_INPUTS, [leader.set_inputs]),
+                    self._stepping(leader.step),
+                    *self._access(GET_OUTPUTS, [leader.get_outputs]),
+                ]
+                for leader in leaders
+            ),
+            self._add(None, action=COMPLETE, count=int(check)),
+            *self._access(SET_INPUTS, [follower.set_inputs for follower in followers]),
+            *[self._stepping(follower.step) for follower in followers],
+            *self._access(GET_OUTPUTS, [f.get_outputs for f in followers], later=1),
+        ]
+        if step.fed_back:
+            calls.append(self._add(None, action=FEED_BACK, **self._columns(step.fed_back)))
+        self._calls = (_Call * len(calls))(*calls)
+        self._course = _Course(
+            ctypes.addressof(self._calls), len(calls), rows.ctypes.data, rows.shape[1],
+            start, step.size, ctypes.addressof(stop),
+        )  # fmt: skip
+
+    def take(self, tick: int, row: int, count: int) -> tuple[int, int]:
+        """Take up to `count` steps; returns how many were, and the number of complete rows."""
+        self._course.filled = row
+        taken = load_stepper()(
+            ctypes.byref(self._course), *map(ctypes.c_int64, (tick, row, count)),
+            ctypes.c_double(SLICE),
+        )  # fmt: skip
+        return taken, self._course.filled
+
+    @property
+    def met_non_finite(self) -> bool:
+        """Whether the last call of `take` ended at a row with a value that is not finite."""
+        return bool(self._course.status == NOT_FINITE)
+
+    def check(self, time: float) -> None:
+        """Raise the error of the call that ended `take`, in the tick of a time, if one did."""
+        course = self._course
+        status, reached = course.status, course.reached
+        if course.ended:
+            ender: Any = self._made_by[course.ended - 1]
+            self._step.ended = ender.ending(time - self._step.size, reached)
+        if OK <= status <= WARNING:
+            return
+        caller: Any = self._made_by[course.failed]
+        if status == ENDED:
+            raise caller.ending(time, reached)
+        if status == EARLY:
+            caller.refuse_early(time, reached)
+        elif status == EVENT:
+            caller.meet_event(time)
+        elif caller is not None:
+            caller.fail(status, time)
+
+    def _add(self, caller: Access | StepCall | None, **fields: int | None) -> _Call:
+        self._made_by.append(caller)
+        return _Call(**fields)
+
+    def _stepping(self, call: object) -> _Call:
+        if not isinstance(call, StepCall) or call.slave.fmu.in_python or call.slave.has_events:
+            raise _NotInCError
+        is_returned_to = not call.slave.no_going_back
+        return self._add(call, action=STEP, later=int(is_returned_to), **_callee(call))
+
+    def _access(self, action: int, exchanges: Iterable[object], later: int = 0) -> list[_Call]:
+        return [
+            self._exchange(exchange, action=action, later=later)
+            for exchange in exchanges
+            if exchange is not nothing
+        ]
+
+    def _exchange(self, exchange: object, **fields: int) -> _Call:
+        columns = places = None
+        moves: dict[str, int | None] = {}
+        while isinstance(exchange, Moved):  # to a slave's own order, perhaps, after the first
+            if exchange.linear is not None:
+                moves["linear"] = exchange.linear.ctypes.data
+            if columns is None:
+                columns = self._place(exchange.rows)[exchange.columns]
+            places, exchange = exchange.places, exchange.call
+        if not isinstance(exchange, Access) or exchange.block.dtype != np.float64:
+            raise _NotInCError
+        if columns is None:
+            moves["column"] = int(self._place(exchange.block)[0])
+        else:
+            moves |= {"values": exchange.block.ctypes.data, **self._columns(columns, places)}
+        references = exchange.references
+        return self._add(
+            exchange, **fields, **_callee(exchange), **moves, size=exchange.block.shape[1],
+            references=ctypes.addressof(references), count=len(references),
+        )  # fmt: skip
+
+    def _place(self, block: Array) -> Any:
+        """Columns of the rows that a block of theirs shows."""
+        first = (block.ctypes.data - self._rows.ctypes.data) // self._rows.itemsize
+        return np.arange(first, first + block.shape[1])
+
+    def _columns(self, columns: Any, places: Any = ()) -> dict[str, int | None]:
+        arrays = [np.array(values, np.uint32) for values in (columns, places)]
+        self._keep += arrays
+        where, places = (array.ctypes.data for array in arrays)
+        return {"columns": where, "places": places, "moved": len(arrays[0])}
+
+
+def _callee(call: Access | StepCall) -> dict[str, int | None]:
+    method = getattr(call.slave.instance.dll, call.name)
+    function = ctypes.cast(method, ctypes.c_void_p).value
+    return {"function": function, "instance": call.slave.component, "fmi": call.slave.fmu.fmi}
