@@ -27,7 +27,7 @@ from ...assets import STEP_SIZE
 from ..errors import SimulationEndedError, SimulationError
 from ..interface.tables import Connection
 from .kernel import make_kernel
-from .step import ITERATIONS, Coupling, IteratedStep, Step
+from .step import ITERATIONS, Coupling, IteratedStep, Step, Stepper
 from .wiring import (
     BLOCK_ROWS,
     Array,
@@ -55,6 +55,12 @@ class RunStatistics:
     overruns: int = 0  # ticks that ended too late for real time
     worst_lateness: float = 0.0  # [s] largest delay of a tick
     in_c: int = 0  # steps that the kernel took; FMPy's methods took the others
+
+    @property
+    def stepped_by(self) -> str:
+        """What took the steps: "kernel", "fmpy", or both, after a change of the coupling."""
+        took = {"kernel": self.in_c, "fmpy": self.steps - self.in_c}
+        return " and ".join(name for name, count in took.items() if count)
 
 
 class RealtimePacer:
@@ -94,7 +100,7 @@ class Master:
         late_check: bool = False,
         objects: Collection[Name] = (),  # columns of values that a float64 cannot hold
         multiples: Mapping[str, int] = MappingProxyType({}),  # ticks of a slave's step, if not one
-        in_c: bool = True,  # whether the kernel takes the steps, if it can
+        stepper: Stepper = "kernel",
     ) -> None:
         self.step_size, self.start = step_size, start
         self._late_check = late_check
@@ -103,7 +109,7 @@ class Master:
         self.columns = [*external, *read, *([ITERATIONS] if coupling == "iterated" else [])]
         self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects)
         rows = self._buffer.rows
-        self.connections, self._in_c = connections, in_c
+        self.connections, self._stepper = connections, stepper
         self.slaves = [
             SlowSlave(slave, multiple) if (multiple := multiples.get(slave.name, 1)) > 1 else slave
             for slave in slaves
@@ -275,7 +281,7 @@ class Master:
         buffer.set_held(self._step.leader_columns)
         self._kernel = (
             make_kernel(self._step, buffer.rows, self.start, self._stop, check=not self._late_check)
-            if self._in_c
+            if self._stepper == "kernel"
             else None
         )
 

@@ -25,6 +25,7 @@ from .wiring import Array, BoundSlave, SlowSlave, can_step
 Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
 SWITCHED: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")  # also during a run
 COUPLINGS: tuple[Coupling, ...] = (*SWITCHED, "iterated")
+Stepper = Literal["kernel", "fmpy"]  # what makes the calls: C where it can, or FMPy's methods
 ITERATIONS: Final = ("coupling", "iterations")  # name of their column
 MOST_ITERATIONS: Final = 100
 TOLERANCE: Final = 1e-10  # change of an output by an iteration; relative, or absolute below 1

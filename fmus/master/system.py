@@ -28,7 +28,7 @@ from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .kernel import make_kernel
 from .master import Master
-from .step import Coupling, Step
+from .step import Coupling, Step, Stepper
 from .wiring import Array, Name, Slave, SlowSlave, bind
 
 if TYPE_CHECKING:
@@ -283,6 +283,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     on_message: OnMessage | None = None,
     isolate: bool = False,
     step_timeout: float | None = None,
+    stepper: Stepper = "kernel",
 ) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end."""
     fmus = read_fmus(system, start_values, coupling, isolate=isolate)
@@ -317,6 +318,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             late_check=system.refuses_non_finite,
             objects=_objects(fmus, system),
             multiples=multiples,
+            stepper=stepper,
         )
         yield OpenSystem(master, slaves, fmus)
 

@@ -17,7 +17,7 @@ from typing import Any, Final, get_args
 
 from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.parameters import ParameterValue, literal
-from ...fmus.master.step import Coupling
+from ...fmus.master.step import Coupling, Stepper
 from ...fmus.sources.targets import Kind
 from ..fields import Quantity, check_choice, check_keys, field_names
 from ..scenario.mismatch import Mismatch, default_of
@@ -66,6 +66,7 @@ class Options:
             steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
         parts: FMUs by instance, instead of the scenario's [fmus]; paths are relative to the
             working directory.
+        master: What steps the FMUs: "kernel", in C where it can, or "fmpy", by FMPy's methods.
 
     Raises:
         InputError: A value is out of bounds, or step_timeout is set without isolate.
@@ -80,12 +81,14 @@ class Options:
     step_timeout: float | None = None
     time_limit: float | None = None
     parts: Mapping[str, str] = field(default_factory=dict)
+    master: Stepper = "kernel"
 
     def __post_init__(self) -> None:
         """Check values that may come from a command line."""
         if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
             raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
         check_choice("kind", self.kind, get_args(Kind))
+        check_choice("master", self.master, get_args(Stepper))
         if not (self.step_timeout is None or 0.0 < self.step_timeout < math.inf):
             raise InputError(
                 f"--step-timeout: value {self.step_timeout!r}; must be a number above 0 s"

@@ -78,6 +78,7 @@ class Prepared:
             on_message=hear,
             isolate=self.options.isolate,
             step_timeout=self.options.step_timeout,
+            stepper=self.options.master,
         )
 
 

@@ -161,11 +161,15 @@ class Execution:
         return run
 
     def _end(self, reason: str | None) -> None:
-        """Record the last row and the end."""
+        """Record the last row and the end; an FMU may have ended the simulation."""
+        ended = self._master.ended
         self._note(Action(self.tick, END, {"reason": reason} if reason else {}))
         self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
         finished = self.tick == self.ticks
-        reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
+        if finished and ended:
+            self.warnings.append(str(ended))
+        default = str(ended) if ended else f"the session was ended at t = {self.time:.3f} s"
+        reason = None if finished else reason or default
         self._close_recording(reason, complete=finished)
 
     def _close_recording(self, reason: str | None, *, complete: bool) -> None:

@@ -67,6 +67,7 @@ class Summary:
     preflight: Metrics  # empty: the scenario names no robot
     energy: Metrics
     timing: Metrics
+    stepped_by: str | None  # "kernel", "fmpy" or both; None: judged later
     format: int = field(default=FORMAT, init=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -122,6 +123,7 @@ def summarize(
         row_ends=tuple(recording.metadata.get("row_ends", ())),
         events=happened,
         first_limit=first_limit(recording),
+        stepped_by=statistics.stepped_by if statistics else None,
         **measured,
     )
 

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from ....fmus.errors import InputError
-from ....fmus.master.step import Coupling
+from ....fmus.master.step import Coupling, Stepper
 from ....fmus.sources.targets import Kind
 from ...run.options import Options, with_values
 from ...run.prepare import prepare
@@ -44,6 +44,12 @@ ISOLATE = option(
 STEP_TIMEOUT = option(
     "--step-timeout SECONDS", "With --isolate: stop the run if an FMU takes longer for one step."
 )
+MASTER = option(
+    "--master NAME",
+    "What steps the FMUs: kernel, in C where it can, or fmpy, always by FMPy's methods. Both give "
+    "the same bits.",
+    "kernel",
+)
 JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
 
 
@@ -74,6 +80,7 @@ def command(  # noqa: PLR0913 - one for each option
     ),
     isolate: bool = ISOLATE,
     step_timeout: float | None = STEP_TIMEOUT,
+    master: Stepper = MASTER,
     kind: Kind = KIND,
     mujoco: str = MUJOCO,
     junit: Path | None = JUNIT,
@@ -102,6 +109,7 @@ def command(  # noqa: PLR0913 - one for each option
         isolate=isolate,
         step_timeout=step_timeout,
         kind=kind,
+        master=master,
     )
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:
