@@ -134,6 +134,11 @@ class Fmu:
         """Whether PythonFMU's wrapper runs it, in the Python of this process."""
         return "PythonFMU" in (self.description.generationTool or "")
 
+    @property
+    def is_ours(self) -> bool:
+        """Whether this project has made it; its models have no end, so they may go beyond a stop."""
+        return (self.description.generationTool or "").startswith("panda-cosim")
+
     def variable(self, name: str) -> Scalar:
         """Return a scalar; raises InputError if there is no variable of this name."""
         scalar = self.variables.get(name) or self._described.get(name)

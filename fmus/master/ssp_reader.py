@@ -217,7 +217,7 @@ def system_from_ssp(path: Path) -> CoupledSystem:
         start,
         stop,
         step,
-        "gauss-seidel" if master is None else master.get("coupling", ""),
+        "jacobi" if master is None else master.get("coupling", ""),  # as other tools do
         {name: max(round(size / step), 1) for name, size in structure.step_sizes.items()},
         tuple(parameters.warnings),
     )

@@ -304,7 +304,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
                 slaves[name] = open_slave(name, fmu, on_message)
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
-            more = multiples.get(name, 1) * step_size
+            # Ours may take a step beyond the end, for the last row.
+            more = multiples.get(name, 1) * step_size if fmus[name].is_ours else 0.0
             slave.initialize(start_values.get(name, {}), start, stop + more)
         return_to(here)
         master = Master(
