@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.fmus.errors import InputError, SimulationEndedError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master
 from panda_cosim.fmus.master.step import Coupling
-from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange
+from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange, SlowSlave
 
 Array = NDArray[np.float64]
 H = 0.001
@@ -38,6 +38,17 @@ class FakeSlave:
         self.times: list[float] = []
         self._law = law
         self._log = log if log is not None else []
+        self._kept: tuple[dict[str, float], dict[str, float]] = ({}, {})
+
+    def save_state(self) -> None:
+        """Keep inputs and outputs."""
+        self._kept = dict(self.inputs), dict(self.outputs)
+
+    def restore_state(self) -> None:
+        """Go back to what was kept."""
+        inputs, outputs = self._kept
+        self.inputs.update(inputs)
+        self.outputs.update(outputs)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that reads."""
@@ -59,7 +70,7 @@ class FakeSlave:
 
     def step(self, time: float, step_size: float) -> None:
         """Compute the outputs."""
-        assert step_size == H
+        assert step_size == H or time + step_size <= self.stop
         self._log.append(f"step {self.name}")
         self.times.append(time)
         self._law(self.inputs, self.outputs)
@@ -77,6 +88,7 @@ def follow(inputs: dict[str, float], outputs: dict[str, float]) -> None:
     outputs["v"] = inputs["u"]
 
 
+START = {"x": 1.0, "v": 0.0}
 LOOP = (Connection(("c", "u"), ("p", "u")), Connection(("p", "x"), ("c", "x")))
 
 
@@ -218,13 +230,121 @@ def test_an_earlier_leader_hears_a_later_one_a_tick_later() -> None:
     np.testing.assert_array_equal(rows, expected)
 
 
-def breaks(at: int, what: Callable[[dict[str, float]], None]) -> Callable[..., None]:
-    """Let `follow` do something else at one tick."""
+def adopt(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+    """An output that is the sum of all inputs at the step's end."""
+    outputs["x"] += sum(inputs.values())
+
+
+def test_iterations_take_inputs_from_outside_at_the_step_s_end_as_connected_ones() -> None:
+    """`own` has the values from outside, `fed` those of a source that counts alike."""
+    own, fed = (FakeSlave(name, adopt, {"x": 0.0}) for name in ("own", "fed"))
+
+    def count(_inputs: dict[str, float], outputs: dict[str, float]) -> None:
+        outputs["y"] += 1.0
+
+    source, steps = FakeSlave("source", count, {"y": 0.0}), 2 * BLOCK_ROWS + 1
+    outputs = {"own": ["x"], "fed": ["x"], "source": ["y"]}
+    wires = [Connection(("source", "y"), ("fed", "u"))]
+    master = Master([own, fed, source], outputs, wires, [("own", "u")], H, "iterated")
+    rows = run(master, steps, np.arange(steps + 1.0)[:, np.newaxis])
+    np.testing.assert_array_equal(rows[:, 2], np.cumsum(np.arange(steps + 1.0)))
+    np.testing.assert_array_equal(rows[:, 3], rows[:, 2])
+    assert (rows[1:, -1] == 2).all()
+
+
+@pytest.mark.parametrize("first", ["a 0", 2**62, b"\x00"], ids=["text", "integer", "binary"])
+def test_what_is_no_real_number_takes_part_in_iterations(first: Any) -> None:
+    """The reader is stepped first, and has what the source says at the step's end."""
+    following = {first: first + first[:1] if isinstance(first, str | bytes) else first + 1}
+
+    def say(_inputs: dict[str, Any], outputs: dict[str, Any]) -> None:
+        outputs["y"] = following.get(outputs["y"], outputs["y"])
+
+    def read(inputs: dict[str, Any], outputs: dict[str, Any]) -> None:
+        outputs["x"] = inputs["u"]
+
+    slaves = [FakeSlave("reader", read, {"x": first}), FakeSlave("source", say, {"y": first})]
+    ends, names = [Connection(("source", "y"), ("reader", "u"))], [("reader", "x"), ("source", "y")]
+    outputs = {"reader": ["x"], "source": ["y"]}
+    master = Master(slaves, outputs, ends, (), H, "iterated", objects=names)
+    rows = run(master, 2, np.zeros((3, 0)))
+    assert rows[:, 1].tolist() == rows[:, 2].tolist() == [first, *[following[first]] * 2]
+
+
+@pytest.mark.parametrize("multiple", [1, 4])
+def test_a_leader_is_never_stepped_beyond_its_stop(multiple: int) -> None:
+    """In the last row are its outputs as they are; one without an end takes a step more."""
+    ticks = []
+    for stop in (6 * H, math.inf):
+        c = FakeSlave("c", drive, {"twice": 0.5, "u": 0.25})
+        c.stop = stop
+        p = FakeSlave("p", follow, {"x": 1.0, "v": 0.0})
+        outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
+        multiples = {"c": multiple}
+        master = Master([c, p], outputs, LOOP, [("c", "r")], H, multiples=multiples)
+        rows = run(master, 6)
+        assert (rows[-1, -1] == rows[-2, -1]) == (stop == 6 * H or multiple > 1)
+        ticks.append([round(time / H) for time in c.times])
+    assert ticks == ([[*range(6)], [*range(7)]] if multiple == 1 else [[0], [0, 4]])
+
+
+@pytest.mark.parametrize("leads", [False, True])
+def test_a_slow_slave_goes_back_to_its_place_in_the_step(*, leads: bool) -> None:
+    fake = FakeSlave("c", lambda _inputs, outputs: outputs.update(y=outputs["y"] + 1.0), {"y": 0.0})
+    slave, block = SlowSlave(fake, 4), np.zeros((40, 1))
+    slave.leads, fake.stop = leads, 40 * H
+    get = slave.bind_get(["y"], block)
+
+    def take(ticks: Iterable[int]) -> list[float]:
+        for tick in ticks:
+            slave.step(tick * H, H)
+            get(tick)
+        return [float(block[tick, 0]) for tick in ticks]
+
+    take(range(6))
+    slave.save_state()
+    first = take(range(6, 20))
+    slave.restore_state()
+    assert take(range(6, 20)) == first
+    assert first[-1] == 5.0
+
+
+@pytest.mark.parametrize("reached", [3 * H, 2.4 * H])
+@pytest.mark.parametrize("by", ["c", "p", "alone"])
+def test_a_slave_may_end_the_simulation(by: str, reached: float) -> None:
+    """Together with a step, which the others finish, or within it: the row before is the last."""
+
+    def end(outputs: dict[str, float]) -> None:
+        raise SimulationEndedError("enough", reached=reached, time=2 * H, instance=by)
+
+    laws = {"c": drive, "p": follow, "alone": lambda *_: None}
+    laws[by] = breaks(2, end, laws[by])
+    c, p = FakeSlave("c", laws["c"], {"twice": 0.5, "u": 0.25}), FakeSlave("p", laws["p"], START)
+    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
+    master = Master([c, p], outputs, LOOP, [("c", "r")], H)
+    if by == "alone":
+        master = Master([FakeSlave("alone", laws[by], {"y": 1.0})], {"alone": ["y"]}, (), (), H)
+    rows: list[Array] = []
+    master.begin(lambda block: rows.append(block.copy()))
+    inputs = references(9)[:, : len(master.external)]
+    assert master.step(9, inputs) == (3 if reached == 3 * H else 2)
+    master.end(inputs[:1])
+    assert master.ended is not None
+    assert master.step(9, inputs) == 0
+    times = np.concatenate(rows)[:, 0].tolist()
+    last = [reached] if reached == 3 * H or by == "alone" else []
+    assert times == pytest.approx([0.0, H, 2 * H, *last])
+
+
+def breaks(
+    at: int, what: Callable[[dict[str, float]], None], usual: Callable[..., None] = follow
+) -> Callable[..., None]:
+    """Let a law, `follow` for example, do something else at one tick."""
     count = 0
 
     def law(inputs: dict[str, float], outputs: dict[str, float]) -> None:
         nonlocal count
-        follow(inputs, outputs)
+        usual(inputs, outputs)
         if count == at:
             what(outputs)
         count += 1

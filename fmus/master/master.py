@@ -144,7 +144,8 @@ class Master:
             while (done := self.steps - first) < n and not self.stop_requested:
                 count = min(n - done, BLOCK_ROWS - self._row)
                 tick = self.steps
-                self._buffer.set_external(self._row, external[tick : tick + count])
+                # With those at the last step's end, which iterations need.
+                self._buffer.set_external(self._row, external[tick : tick + count + 1])
                 self._take_steps(count, pace, progress)
                 if self._row == BLOCK_ROWS:
                     self.flush()

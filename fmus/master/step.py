@@ -91,7 +91,11 @@ class Step:
 
 
 class IteratedStep(Step):
-    """A step that is repeated, by Aitken's method, until outputs and inputs at its end agree."""
+    """A step that is repeated, by Aitken's method, until outputs and inputs at its end agree.
+
+    Inputs from outside are those at its end, too. What is not a real number, such as a text, takes
+    part as it is.
+    """
 
     def __init__(
         self,
@@ -103,33 +107,35 @@ class IteratedStep(Step):
     ) -> None:
         super().__init__(slaves, coupling, size, rows, complete)
         fed = {column for slave in slaves for column in slave.inputs}
-        outputs = _columns(slaves)
-        self._fed, self._held = sorted(fed.intersection(outputs)), sorted(fed.difference(outputs))
+        self._fed = sorted(fed.intersection(_columns(slaves)))
 
     def take(self, row: int, time: float) -> None:
         """Step from `time` [s]."""
         self._complete(row)
         now, end = self._rows[row], self._rows[row + 1]
-        numbers = [column for column in self._fed if not isinstance(now[column], str | bytes)]
-        given, share, change = end[self._held].copy(), 1.0, np.zeros(len(numbers))
-        end[self._held], end[self._fed] = now[self._held], now[self._fed]
+        reals = [column for column in self._fed if isinstance(now[column], float)]
+        others = sorted({*self._fed}.difference(reals))
+        end[self._fed] = now[self._fed]
+        share, change = 1.0, np.zeros(len(reals))
         for slave in self.followers:
             slave.slave.save_state()
         for count in range(1, MOST_ITERATIONS + 1):
-            guess, before = end[numbers].astype(np.float64), change
+            guess, held, before = end[reals].astype(np.float64), end[others].tolist(), change
             self._iterate(row + 1, time)
-            after = end[numbers].astype(np.float64)
+            after = end[reals].astype(np.float64)
             change = after - guess
-            if (np.abs(change) <= TOLERANCE * np.maximum(1.0, np.abs(after))).all():
-                end[self._held], end[-1] = given, count
+            settled = np.abs(change) <= TOLERANCE * np.maximum(1.0, np.abs(after))  # not if NaN
+            changed = [c for c, old in zip(others, held, strict=True) if end[c] != old]
+            if settled.all() and not changed:
+                end[-1] = count
                 return
             difference = change - before
             if count > 1 and difference.any():
                 share *= -float(before @ difference) / float(difference @ difference)
-            end[numbers] = guess + share * change
+            end[reals] = guess + share * change
             for slave in self.followers:
                 slave.slave.restore_state()
-        worst = numbers[int(np.argmax(np.nan_to_num(np.abs(change), nan=np.inf)))]
+        worst = (changed or reals)[0 if changed else int(np.argmax(np.abs(change)))]
         slave = next(slave for slave in self.followers if worst in slave.outputs)
         raise SimulationError(
             f'coupling = "iterated": {MOST_ITERATIONS} iterations do not settle to a change of '
@@ -141,6 +147,7 @@ class IteratedStep(Step):
 
     def _iterate(self, row: int, time: float) -> None:
         """Take the step with the inputs at its end."""
+        self.ended = None
         for slave in self.followers:
             slave.set_inputs(row)
             self._step(slave, time)
