@@ -335,15 +335,19 @@ class Instance:
         """Step with inputs that depend on the tick alone; returns the outputs after each step."""
         rows = []
         for tick in range(first, first + count):
-            source, inputs = random.Random(tick), []
-            for name in self.fmu.names("input"):
-                inputs += [start + 0.02 * source.random() for start in self.fmu.rows[name].start]
-                if name in ("grip_cmd", "ctrl"):
-                    inputs[-1] = self.fmu.rows[name].start[-1] * source.random()
-            self.set_inputs(inputs)
-            self.steps(1, tick)
+            self.play_unread(tick)
             rows.append(self.outputs())
         return rows
+
+    def play_unread(self, tick: int) -> None:
+        """Take the step of a tick as `play` does, and read nothing."""
+        source, inputs = random.Random(tick), []
+        for name in self.fmu.names("input"):
+            inputs += [start + 0.02 * source.random() for start in self.fmu.rows[name].start]
+            if name in ("grip_cmd", "ctrl"):
+                inputs[-1] = self.fmu.rows[name].start[-1] * source.random()
+        self.set_inputs(inputs)
+        self.steps(1, tick)
 
     # States.
 

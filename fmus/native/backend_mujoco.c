@@ -198,11 +198,20 @@ static fmu_status get_state(fmu *f, void *bytes)
     return FMU_OK;
 }
 
+/* What sleeps is not derived again, so all is derived awake first. */
 static fmu_status put_state(fmu *f, void *physics)
 {
     mujoco_model *model = f->model;
+    const bool may_sleep = model->m->opt.enableflags & mjENBL_SLEEP;
+    if (may_sleep && !mj.update_sleep) return fmu_error(f, "this MuJoCo cannot restore what sleeps");
+    if (may_sleep) {
+        mj.mj_resetData(model->m, model->d);
+        mj.mj_setState(model->m, model->d, physics, (int)STATE);
+        mj.mj_forward(model->m, model->d);
+    }
     mj.mj_setState(model->m, model->d, physics, (int)STATE);
     memcpy(model->d->tree_asleep, (char *)physics + physics_size(model), asleep_size(model));
+    if (may_sleep) mj.update_sleep(model->m, model->d);
     memset(model->d->warning, 0, sizeof model->d->warning);
     derive(model);
     return FMU_OK;

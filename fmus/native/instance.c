@@ -155,6 +155,7 @@ fmu_status instance_start(instance *c)
     if (call(c, fmu_backend.start) != FMU_OK) return FMU_ERROR;
     c->stale = c->untuned = false;
     c->outdated = true; /* inputs may have been set */
+    c->complete = false;
     return FMU_OK;
 }
 
@@ -164,6 +165,17 @@ fmu_status instance_outputs(instance *c)
     if (fmu_backend.outputs && call(c, fmu_backend.outputs) != FMU_OK) return FMU_ERROR;
     c->outdated = false;
     return FMU_OK;
+}
+
+fmu_status instance_all_outputs(instance *c)
+{
+    if (c->complete) return instance_outputs(c);
+    c->outdated = true;
+    for (unsigned i = 0; i < c->table.count; i++) c->table.variables[i].was_read |= 2;
+    const fmu_status status = instance_outputs(c);
+    for (unsigned i = 0; i < c->table.count; i++) c->table.variables[i].was_read &= 1;
+    c->complete = status == FMU_OK;
+    return status;
 }
 
 fmu_status instance_tune(instance *c)

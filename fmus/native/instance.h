@@ -42,6 +42,7 @@ typedef struct {
     bool stale;    /* `start` is needed: a parameter has changed */
     bool untuned;  /* `tune` is needed */
     bool outdated; /* `outputs` is needed */
+    bool complete; /* all outputs are up to date, also those that were never read */
     bool unchecked; /* an input has been set since the last step */
     bool has_stop_time;
     double stop_time;
@@ -106,6 +107,7 @@ fmu_status instance_set(instance *c, fmu_type type, value_format format, const u
 
 fmu_status instance_start(instance *c);   /* if needed */
 fmu_status instance_outputs(instance *c); /* likewise */
+fmu_status instance_all_outputs(instance *c); /* likewise, also those that were never read */
 fmu_status instance_tune(instance *c);    /* likewise */
 
 /* state.c */

@@ -22,6 +22,7 @@ typedef struct {
     MUJOCO_FUNCTIONS(X)
 #undef X
     __typeof__(&mju_setLogHandler) set_log_handler; /* of the calling thread */
+    void (*update_sleep)(const mjModel *m, mjData *d); /* what follows from tree_asleep; NULL: unknown */
 } mujoco_functions;
 
 extern mujoco_functions mj;

@@ -73,7 +73,7 @@ static fmu_status fill(instance *c, unsigned char *bytes, header h)
 fmu_status state_get(instance *c, void **state)
 {
     if (!state) return fmu_error(&c->f, "no place for the state was given");
-    if (!c->stale && (instance_tune(c) != FMU_OK || instance_outputs(c) != FMU_OK)) return FMU_ERROR;
+    if (!c->stale && (instance_tune(c) != FMU_OK || instance_all_outputs(c) != FMU_OK)) return FMU_ERROR;
     const bool has_model = !c->stale && fmu_backend.state_size != NULL;
     header h = {.table = c->table.hash, .text_size = texts_size(c), .steps = c->f.steps,
                 .model_size = has_model ? model_size(c) : 0,
@@ -181,6 +181,7 @@ fmu_status state_set(instance *c, const void *state)
     c->state = (instance_state)h.state;
     c->stale = h.flags & STALE;
     c->untuned = c->outdated = false;
+    c->complete = !c->stale;
     c->unchecked = true;
     return FMU_OK;
 }

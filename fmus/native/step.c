@@ -91,6 +91,7 @@ static fmu_status take_steps(instance *c, double time, double size)
         return FMU_ERROR;
     }
     c->outdated = c->outdated || count > 0;
+    c->complete = c->complete && count == 0;
     c->f.steps += count;
     c->carry = carry;
     c->f.time = time + size;

@@ -16,7 +16,7 @@ typedef struct {
     unsigned size;       /* number of elements */
     unsigned columns;    /* of a matrix; 0: a vector or a scalar */
     bool scalar;
-    bool was_read;       /* an importer has asked for it */
+    unsigned char was_read; /* 1: an importer has asked for it; 2: a state is being saved */
     fmu_causality causality;
     fmu_variability variability;
     fmu_type type;

@@ -111,8 +111,10 @@ static bool is_computed(const fmu_variable *v)
 /* Updates computed values before they are read; a backend may leave out those that never were. */
 static fmu_status refresh(instance *c, const fmu_variable *v)
 {
-    if (is_computed(v) && !v->was_read)
-        c->table.variables[v - c->table.variables].was_read = c->outdated = true;
+    if (is_computed(v) && !v->was_read) {
+        c->table.variables[v - c->table.variables].was_read = 1;
+        c->outdated = c->outdated || !c->complete;
+    }
     if (!is_computed(v) || c->state == FAILED) return FMU_OK; /* the error state keeps the last values */
     if (c->state == INSTANTIATED)
         return fmu_error(&c->f, "%s is not known before initialization", v->name);
@@ -201,7 +203,7 @@ static void note_change(instance *c, const fmu_variable *v)
 {
     if (v->causality == FMU_INPUT) {
         c->unchecked = true;
-        if (c->state != STEP_MODE) c->outdated = true;
+        if (c->state != STEP_MODE) c->outdated = true, c->complete = false;
     } else if (c->state == STEP_MODE) {
         c->untuned = true;
     } else {
