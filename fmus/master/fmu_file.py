@@ -136,7 +136,7 @@ class Fmu:
 
     @property
     def is_ours(self) -> bool:
-        """Whether this project has made it; its models have no end, so they may go beyond a stop."""
+        """Whether this project made it; its models have no end, and may go beyond a stop."""
         return (self.description.generationTool or "").startswith("panda-cosim")
 
     def variable(self, name: str) -> Scalar:
