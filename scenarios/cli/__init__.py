@@ -6,12 +6,12 @@ exception, so that temporary files are removed on the way. `run.stopping` takes 
 
 from __future__ import annotations
 
-import gc
 import signal
 import sys
 import time
 
 from ..run.stopping import end_if_late
+from . import startup
 
 
 class Terminated(BaseException):
@@ -67,7 +67,7 @@ ending = _Ending()
 
 def main() -> None:
     """Run the program; the console script's entry."""
-    gc.disable()  # until a command is imported: it would search modules for garbage
+    startup.begin()
     try:
         ending.listen()
         from .app import run_program  # noqa: PLC0415 - Ctrl-C may come while this is imported

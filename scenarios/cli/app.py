@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import gc
 import os
 import re
 import shutil
@@ -19,7 +18,7 @@ from typer.main import get_command
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..pictures.gl import load_no_backend
-from . import INTERRUPTS, ending, exit_code
+from . import INTERRUPTS, ending, exit_code, startup
 from .commands import COMMANDS, ELSEWHERE
 from .console import complain, show
 
@@ -66,10 +65,7 @@ class LazyCommand(TyperCommand):
         """Import the command and let it read its arguments."""
         name, args = _current(str(self.name), args)
         command = load(name)
-        if not gc.isenabled():  # see `main`
-            gc.freeze()  # modules stay to the end
-            gc.set_threshold(50_000)  # objects; else a run has little garbage, and many searches
-            gc.enable()
+        startup.imported()
         return command.make_context(name, args, *more, **extra)
 
 
@@ -117,9 +113,7 @@ class Program(PlainFlags, TyperGroup):
                 traceback.print_exc()
             # An import that a signal breaks off may fail with an error of its own.
             code = ending.code or report(error)
-        # At its end, Python would search all that is left for garbage. OMPL lists what it misses.
-        if "ompl" not in sys.modules:
-            gc.freeze()
+        startup.end()
         sys.exit(code)
 
 
@@ -205,13 +199,7 @@ def program(
 
 def run_program() -> None:
     """Run the program and exit."""
-    # For all Python processes started from here, also by libraries: they must never import from
-    # the working directory.
-    os.environ["PYTHONSAFEPATH"] = "1"
-    # pydantic would search all installed packages for plugins, and OpenBLAS start threads that
-    # wait for large matrices.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    startup.environment()
     load_no_backend()
     for stream in (sys.stdout, sys.stderr):
         # A character that the terminal cannot encode must not end the program.

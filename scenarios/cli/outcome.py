@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
@@ -42,6 +40,7 @@ from ..scenario.scenario import Scenario
 from . import INTERRUPTS
 from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
 from .options import announce_build
+from .startup import meanwhile
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -125,9 +124,9 @@ def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
 
 
 def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
-    """Import in a thread what closes and draws a run; FMUs in C leave Python to it meanwhile."""
+    """Import what closes and draws a run, and describe the scene that it shows."""
 
-    def load() -> None:  # what fails here fails again where it is used
+    def load() -> None:
         import_module("rich.table")
         import_module("pyarrow.parquet")
         if view:
@@ -135,8 +134,7 @@ def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
             if values is not None:
                 page.plant_model({"parameters": values})
 
-    sys.setswitchinterval(1e-5)  # [s] else each return from C waits up to 5 ms for this thread
-    ThreadPoolExecutor(1).submit(load)
+    meanwhile(load)
 
 
 def conclude(done: Run, output: Output, *, ours: bool, realtime: bool = False) -> None:
