@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.scenario.table import COLUMNS, TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.table import COLUMNS, InputTable, TableRow, TrajectoryTable
 
 HEAD = "time,frame,x,y,z,qw,qx,qy,qz,grip\n"
 SHORT = "time,frame,x,y,z,grip\n"
@@ -141,3 +141,16 @@ def test_no_content_at_all_gives_anything_but_a_table_or_one_line(
         assert str(error).isprintable()  # noqa: PT017  # most contents are refused, not all
     else:
         assert len(table.rows) >= 2
+
+
+@pytest.mark.parametrize("blank", ["", "  ", ",,,,,,"])
+def test_blank_lines_change_neither_rows_nor_inputs(tmp_path: Path, blank: str) -> None:
+    path, read = tmp_path / "trajectory.csv", []
+    lines = [f"{SHORT.strip()},plant.block_force[1]", "0,home,0,0,0,0.08,3", "1,home,0,0,0,0.08,4"]
+    for place in (None, 0, 1, 3):
+        more = lines if place is None else [*lines[:place], blank, *lines[place:]]
+        path.write_text("\n".join(more) + "\n")
+        inputs, has_others = InputTable.of_trajectory(path)
+        read.append((TrajectoryTable.read(path), inputs.times, inputs.columns, has_others))
+    assert read == read[:1] * 4
+    assert read[0][2] == {"plant.block_force[1]": ("3", "4")}

@@ -10,10 +10,12 @@ import pytest
 from forked import command
 from numpy.typing import NDArray
 from panda_cosim import InputError, Recording, Scenario, Session, load_scenario, run_scenario
+from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.fmus.interface.controller import COMMANDS, POSTURE_COMMANDS
 from panda_cosim.scenarios.cli.outcome import outcome_lines
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.scenario.scenario import Push
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.table import InputTable, TableRow, TrajectoryTable
 from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]
@@ -98,6 +100,25 @@ def test_a_row_ends_by_the_observed_force(until: str) -> None:
     check_course(run.signals, at)
 
 
+def pushing(table: TrajectoryTable) -> InputTable:
+    """A force on a link, 0 up to the row that ends early, then up to 1 N at the last row."""
+    cells = ("0", "0", "0", "0.3", "1")
+    return InputTable(tuple(row.time for row in table.rows), {"plant.link4_force[1]": cells})
+
+
+def test_inputs_in_the_table_move_forward_with_its_rows_and_those_of_other_times_do_not() -> None:
+    task = scenario("contact > 3")
+    within = pushing(task.table)
+    beside = replace(within, times=tuple(time + 0.1 for time in within.times))
+    for inputs, moves in ((within, True), (beside, False)):
+        run = run_in_memory(replace(task, input_table=inputs))
+        at = round(1e3 * run.summary.row_ends[0]["ended_s"])
+        tick = np.arange(len(run.signals["time"]))
+        ahead = np.where((tick >= at) & moves, round(1e3 * DOWN) - at, 0)
+        force = np.interp(1e-3 * (tick + ahead), inputs.times, [0.0, 0.0, 0.0, 0.3, 1.0])
+        np.testing.assert_allclose(run.signals["plant.link4_force"][:, 0], force, atol=1e-12)
+
+
 def test_a_row_that_never_ends_early_is_said_and_changes_nothing() -> None:
     guarded = run_in_memory(scenario("contact > 500"))
     plain = run_in_memory(scenario(""))
@@ -131,7 +152,9 @@ def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path: Path) -
 @pytest.mark.parametrize("until", ["contact > 3", "external_force > 6"])
 def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path: Path, until: str) -> None:
     push = Push(start=2.8, duration=0.1, force=(0.0, 3.0, 0.0))  # is played, too
-    run = run_scenario(replace(scenario(until), push=(push,)), tmp_path / "run")
+    table = TrajectoryTable(tuple(replace(r, posture=HOME_Q) for r in rows(until).rows))
+    task = replace(scenario(until), table=table, push=(push,), input_table=pushing(table))
+    run = run_scenario(task, tmp_path / "run")
     kept = tmp_path / "run" / "scenario"
     assert command("build", "--scenario", kept, "--out", tmp_path / "ssp").returncode == 0
     done = command("run", tmp_path / "ssp" / "Panda.ssp", "--no-video", "--no-view",
@@ -139,11 +162,13 @@ def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path: Path, until: str
     assert done.returncode == 0, done.stderr
     again = Recording.open(tmp_path / "again")
     assert run.recording.metadata["row_ends"][0]["ended_s"] is not None
-    for name in ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd"):
+    for name in (*COMMANDS, *POSTURE_COMMANDS):
         played = again[f"trajectory.{name}"]
         assert np.array_equal(run.recording[f"controller.{name}"], played), name
     pushed = again["trajectory.push_force"]  # at its time, although rows have moved forward
     assert np.array_equal(run.recording["plant.push_force"], pushed)
+    moved = again["trajectory.link4_force[1]"]
+    assert np.array_equal(run.recording["plant.link4_force[1]"], moved)
 
 
 BAD = {

@@ -5,6 +5,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* The last output that moves forward with the rows, the hand's position being the first; NULL: there is none. */
+static const fmu_variable *last_moving(const fmu *f)
+{
+    const char *name = fmu_get_option(f->table, "moving", 0);
+    return name ? fmu_find(f->table, name) : NULL;
+}
+
 fmu_status guarded_create(fmu *f, guarded *g)
 {
     const char *guards = fmu_get_option(f->table, "guards", 0), *left = fmu_get_option(f->table, "left", 0);
@@ -19,8 +26,7 @@ fmu_status guarded_create(fmu *f, guarded *g)
     for (size_t i = 0; i < g->count; i++)
         if (!(g->guards[i].first >= 0.0 && g->guards[i].last < (double)g->row_count))
             return fmu_error(f, "%s: row %zu is not in the table", guards, i);
-    if (fmu_find(f->table, "pos_cmd[1]") && fmu_find(f->table, "vel_cmd[1]") && fmu_find(f->table, "grip_cmd"))
-        return FMU_OK;
+    if (fmu_find(f->table, "pos_cmd[1]") && fmu_find(f->table, "vel_cmd[1]") && last_moving(f)) return FMU_OK;
     return fmu_error(f, "rows end early, but nothing commands the hand");
 }
 
@@ -111,7 +117,7 @@ void guarded_look(const fmu *f, guarded *g, int64_t tick)
 void guarded_show(const fmu *f, const guarded *g, int64_t tick)
 {
     const unsigned hand = fmu_find(f->table, "pos_cmd[1]")->reference;
-    const size_t size = fmu_find(f->table, "grip_cmd")->reference - hand + 1;
+    const size_t size = last_moving(f)->reference - hand + 1;
     double *position = f->values + hand, *velocity = f->values + fmu_find(f->table, "vel_cmd[1]")->reference;
     const size_t place = (size_t)fmin((double)(tick + g->state.ahead), (double)(g->row_count - 1));
     memcpy(position, g->rows + place * g->width + hand - g->first, size * sizeof(double));

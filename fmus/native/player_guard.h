@@ -42,7 +42,8 @@ void guarded_free(guarded *g);
 /* Looks at the inputs at a tick, at which a row may end. */
 void guarded_look(const fmu *f, guarded *g, int64_t tick);
 
-/* Writes the hand's commands at a tick; other outputs, such as pushes, do not move forward. */
+/* Writes the outputs from the hand's position to the one that the option `moving` names; others, such as pushes, do
+ * not move forward. */
 void guarded_show(const fmu *f, const guarded *g, int64_t tick);
 
 #endif

@@ -171,6 +171,13 @@ class GuardedCommands:
         """Ticks by which the table is ahead at a tick."""
         return next((end.ahead for end in reversed(self.ends) if end.tick <= tick), 0)
 
+    def places(self, ticks: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Ticks of the table that are played at ticks."""
+        places = ticks
+        for end in self.ends:
+            places = np.where(ticks >= end.tick, ticks + end.ahead, places)
+        return places
+
     def unwatched(self, tick: int, last: int) -> int:
         """Number of ticks until the next one at which a row may end, or until a last one."""
         place = tick + self.ahead(tick)

@@ -179,6 +179,7 @@ class Inputs:
         names = [f"{i}.{n}" for i, v in variables for n in INTERFACES[i].variable(v).names()]
         self._from = [i for i, name in enumerate(names) if name in self._columns]
         self._to = [self._columns[names[i]] for i in self._from]
+        self._inputs_move = scenario.inputs_move
         self._chunk = (-1, 0)  # first tick, and early ends of rows
         self._part = np.empty((0, len(self._columns)))
 
@@ -197,12 +198,13 @@ class Inputs:
 
     def _computed(self, first: int, count: int) -> Array:
         count = min(count, self.shape[0] - first)
-        rows = np.tile(self._start, (count, 1))
+        rows, ticks = np.tile(self._start, (count, 1)), np.arange(first, first + count)
+        places = self.guarded.places(ticks) if self._inputs_move else ticks
         for name, driven in self._assembly.driven.items():
-            times = self._from_time + self._step * np.arange(first, first + count, dtype=np.float64)
+            times = self._from_time + self._step * places.astype(np.float64)
             rows[:, self._columns[".".join(name)]] = driven.sample(times)
         if self.guarded.trajectory is not None:
-            times = STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
+            times = STEP_SIZE * ticks.astype(np.float64)
             commands = self.guarded.commands(first, count)
             scenario = np.hstack((self._forces(times), commands))
             rows[:, self._to] = scenario[:, self._from]

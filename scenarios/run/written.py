@@ -106,11 +106,16 @@ def _build_player(
     interface = Interface(
         TRAJECTORY.model, "Plays a scenario's inputs", (*felt.values(), *variables)
     )
+    moving = [
+        output
+        for output, (_, name) in zip(outputs, played, strict=True)
+        if scenario.inputs_move or name.partition("[")[0] in scenario.commands
+    ]
     files = {"table": TABLE_FILE, **({"guards": "guards.bin", "left": "left.bin"} if felt else {})}
     content = {"table": rows, **(prepared.inputs().guarded.packed(len(rows)) if felt else {})}
     resources = {files[key]: content[key].astype("<f8").tobytes() for key in files}
-    player = NativeFmu(interface, "player", LAW, resources, tuple(files.items()),
-                       step_size=scenario.step)  # fmt: skip
+    options = (*files.items(), *([("moving", moving[-1])] if felt else []))
+    player = NativeFmu(interface, "player", LAW, resources, options, step_size=scenario.step)
     return build_fmu(player, target=target)
 
 

@@ -201,6 +201,11 @@ class Scenario:
         return (*COMMANDS, *POSTURE_COMMANDS) if self.has_posture else COMMANDS
 
     @property
+    def inputs_move(self) -> bool:
+        """Whether the inputs over time are columns of the table, which end early with its rows."""
+        return self.input_table.times == tuple(row.time for row in self.table.rows)
+
+    @property
     def untils(self) -> tuple[str, ...]:
         """What ends rows of the table early."""
         return tuple(row.until for row in self.rows if row.until)

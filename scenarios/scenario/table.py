@@ -303,7 +303,8 @@ class InputTable:
     def of_trajectory(cls, path: Path) -> tuple[Self, bool]:
         """Read the inputs in a trajectory's table, and whether it has other columns, too."""
         text = read_text(path, MAX_BYTES)
-        if "." not in text.partition("\n")[0]:
+        header = next((line for line in text.splitlines() if line.strip(" \t,")), "")
+        if "." not in header:
             return cls(), True
         columns = _columns(str(path), text)
         inputs = {name: cells for name, cells in columns.items() if "." in name}
@@ -323,7 +324,8 @@ class InputTable:
 def _columns(path: str, text: str) -> dict[str, tuple[str, ...]]:
     """Cells by the names of columns."""
     try:
-        names, *rows = [line for line in csv.reader(io.StringIO(text), strict=True) if any(line)]
+        lines = csv.reader(io.StringIO(text), strict=True)
+        names, *rows = [line for line in lines if any(cell.strip() for cell in line)]
     except (csv.Error, ValueError) as error:
         raise InputError(f"{path}: {error}; must be CSV") from None
     names = [name.strip() for name in names]
