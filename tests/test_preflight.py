@@ -15,7 +15,8 @@ from forked import command
 from numpy.typing import NDArray
 from panda_cosim import Recording, load_scenario
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.controller.model import ArmModel
+from panda_cosim.controller.model import FINGERTIPS, ArmModel
+from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.judging.limits import CHECKS, outcome
 from panda_cosim.scenarios.judging.preflight import preflight
 from panda_cosim.scenarios.sweep.row import metrics
@@ -300,13 +301,27 @@ def test_each_refusal_has_libfrankas_name_its_instant_row_value_and_bound(
     told = done.summary.preflight
     agree(told, done.signals, [time for time, _, _ in poses])
     assert told["interface"] == ("torque" if name == "torques" else "joint")
-    for key in ("joint_refusals", "joint_jerk_share", "lost_packets", "delay_ms"):
+    for key in ("joint_refusals", "joint_jerk_share", "lost_packets"):
         assert (told[key] is None) == (name == "torques"), key
     assert told["refusals"] == told[f"{told['interface']}_refusals"] + told["arm_refusals"]
 
 
 def test_each_condition_has_a_scenario_that_does_not_keep_it() -> None:
     assert {key for *_, refusals in SCENARIOS.values() for key in refusals} == {*CHECKS}
+
+
+def test_bounds_that_are_not_limits_and_the_end_effector_are_said() -> None:
+    said = {key: check.limit for key, check in CHECKS.items() if check.limit != "the limit"}
+    assert said == {
+        "start_pose": "the velocity limit times 1 ms",
+        "start_place": "the velocity limit times 1 ms",
+        "end_velocity": "the acceleration limit times 1 ms",
+        "end_acceleration": "the jerk limit times 1 ms",
+    }
+    for key in ("start_place", "translation_jerk", "hand_velocity"):
+        assert (
+            f"({FINGERTIPS[2]} m ahead of the hand)" in DEFINITIONS[f"preflight.{key}_share"].text
+        )
 
 
 # --- runs
@@ -340,27 +355,25 @@ def test_the_pandas_fast_cycle_asks_too_much_acceleration_of_fr3(
     ]
 
 
-def arriving(q: Array, at: int, count: int, *, delayed: bool) -> tuple[Array, Array]:
-    """Acceleration and jerk (7,) when packets arrive again after `count` were lost before row `at`.
+def refused_after(q: Array, at: int, count: int) -> int | None:
+    """The first row (of 3) at which what the robot receives is refused, if `count` are lost.
 
-    The robot goes on for so many ticks with its last acceleration.
+    The packets before row `at` are lost; the robot goes on with its last acceleration.
     """
-    rest = np.concatenate((np.repeat(q[:1], 30, axis=0), q))
-    last = at - count - 1 + 30
-    now = rest[last]
-    rate = (rest[last] - rest[last - 1]) / DT
-    kept = (rest[last] - 2 * rest[last - 1] + rest[last - 2]) / DT**2
+    sent = np.concatenate((np.repeat(q[:1], 30, axis=0), q))
+    got = list(sent[: at + 30 - count])
     for _ in range(count):
-        rate = rate + DT * kept
-        now = now + DT * rate
-    packet = rest[last + 1] if delayed else rest[at + 30]
-    change = ((packet - now) / DT - rate) / DT
-    return change, (change - kept) / DT
+        got.append(got[-1] + (got[-1] - got[-2]) + (got[-1] - 2 * got[-2] + got[-3]))
+    got += list(sent[at + 30 : at + 33])
+    acceleration, jerk = (np.diff(got, order, axis=0)[-len(sent[at + 30 : at + 33]) :] / DT**order
+                          for order in (2, 3))  # fmt: skip
+    refused = (np.abs(acceleration) >= FER["acceleration"]) | (np.abs(jerk) >= FER["jerk"])
+    rows = np.flatnonzero(refused.any(axis=1))
+    return at + int(rows[0]) if len(rows) else None
 
 
-@pytest.mark.parametrize("key", ["lost_packets", "delay_ms"])
-def test_late_packets_are_borne_up_to_a_number_that_tick_by_tick_extrapolation_gives(
-    key: str, tmp_path: Path
+def test_packets_may_be_lost_up_to_a_number_that_tick_by_tick_extrapolation_gives(
+    tmp_path: Path,
 ) -> None:
     poses, events = (
         resting(0.0, 0.25),
@@ -370,20 +383,13 @@ def test_late_packets_are_borne_up_to_a_number_that_tick_by_tick_extrapolation_g
         load_scenario(make(tmp_path / "s", 'duration = 0.25\npreflight = "fer"\n', poses, events))
     )
     told, q = done.summary.preflight, done.signals["controller.ctrl"][:, :7]
-
-    def is_refused(at: int, count: int) -> bool:
-        change, jerk = arriving(q, at, count, delayed=key == "delay_ms")
-        return bool((np.abs(change) >= FER["acceleration"]).any()
-                    or (np.abs(jerk) >= FER["jerk"]).any())  # fmt: skip
-
-    borne = told[key]
+    borne = told["lost_packets"]
+    assert 1 <= borne < 19
     rows = range(len(q))
-    for count in range(1, borne + 1):
-        assert not any(is_refused(at, count) for at in rows)
-    first = next(at for at in rows if is_refused(at, borne + 1))
-    assert told["late"][key]["time_s"] == pytest.approx(DT * first)
-    assert told["late"][key]["joint"] == 6
-    assert {"lost_packets": 1 <= borne < 19, "delay_ms": borne < 3}[key]
+    assert {refused_after(q, at, n) for n in range(1, borne + 1) for at in rows} == {None}
+    first = min(row for at in rows if (row := refused_after(q, at, borne + 1)) is not None)
+    assert told["late"]["lost_packets"]["time_s"] == pytest.approx(DT * first)
+    assert told["late"]["lost_packets"]["joint"] == 6
 
 
 @pytest.fixture(scope="module")
@@ -403,7 +409,7 @@ def test_all_but_twenty_packets_may_be_lost_by_a_robot_that_stands(
     rested: dict[str, Array],
 ) -> None:
     told = preflight(recorded(rested), "fr3")
-    assert (told["lost_packets"], told["delay_ms"], told["late"]) == (19, 19, {})
+    assert (told["lost_packets"], told["late"]) == (19, {})
 
 
 def test_a_long_recording_is_judged_in_blocks_as_a_whole(

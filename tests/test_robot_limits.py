@@ -33,6 +33,7 @@ def still(**metadata: Any) -> FakeRecording:
         "plant.qvel": np.zeros((TICKS, 15)),
         "plant.actuator_force": np.zeros((TICKS, 8)),
         "plant.hand_xpos": np.zeros((TICKS, 3)),
+        "controller.qpos_ref": np.tile(HOME_Q, (TICKS, 1)),
         "controller.qvel_ref": np.zeros((TICKS, 7)),
         "controller.limit": np.zeros((TICKS, 7)),
     }

@@ -384,7 +384,7 @@ def _grip(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
         yield at, f"{text}{needed:.3g} N: grip more firmly, or move more slowly"
     raised = _raised(recording)
     for hold in find_holds(recording):
-        if raised[hold.end - 1] and hold.release_command == hold.end < recording.rows:
+        if raised[hold.end - 1] and hold.let_go == hold.end < recording.rows:
             at = float(recording.time[hold.end])
             yield at, f"the block falls out of the closed fingers at t = {at:.3f} s"
 
@@ -393,7 +393,7 @@ def _raised(recording: Recording) -> NDArray[np.bool_]:
     """Whether the hand holds the block and is above where it took it, at each row."""
     raised, height = np.zeros(recording.rows, dtype=bool), recording["plant.hand_xpos"][:, 2]
     for hold in find_holds(recording):
-        rows = slice(hold.grasp, hold.release_command)
+        rows = slice(hold.grasp, hold.let_go)
         raised[rows] = height[rows] > height[hold.grasp] + AWAY
     return raised
 
@@ -419,7 +419,7 @@ def _releases(recording: Recording) -> Iterator[Finding]:
     """Say where the hand moves on before the fingers have let go."""
     command, force = recording["controller.pos_cmd"], recording["plant.contact_force"]
     for hold in find_holds(recording):
-        row = hold.release_command
+        row = hold.let_go
         if row >= hold.end:
             continue
         away = np.linalg.norm(command[row:] - command[row], axis=1) > AWAY

@@ -45,7 +45,8 @@ class Definition:
 
 
 def _share(key: str, check: Check) -> Definition:
-    what = f"{check.what}: largest share of its limit{'' if check.necessary else ' (recommended)'}"
+    recommended = "" if check.necessary else " (recommended)"
+    what = f"{check.what}: largest share of {check.limit}{recommended}"
     signals = SENT if key.startswith("elbow") else SIGNALS[check.interface]
     window = WINDOWS.get(key.partition("_")[0], "all rows")
     return Definition(f"preflight.{key}_share", what, signals, window, "1", "lower")

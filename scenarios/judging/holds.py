@@ -54,15 +54,19 @@ class Hold:
 
     grasp: int  # its first row
     end: int  # the first row after it; the number of rows if it lasts to the end
-    release_command: int  # at which the gripper is commanded to open; `end` if it is not
-    # At which the block is first more than LIFTED from where it was at `grasp`, at the release
-    # command at the latest; None: it stays.
-    lift: int | None
+    # At which the gripper is commanded to open; `end` if it is not; None: that is not recorded.
+    release_command: int | None
+    lift: int | None  # when the block is first more than LIFTED from its place at `grasp`
+
+    @property
+    def let_go(self) -> int:
+        """The release command; where that is not recorded, the end."""
+        return self.end if self.release_command is None else self.release_command
 
     @property
     def carried(self) -> slice:
-        """Rows from lift to release command, both included; none without a lift."""
-        if self.lift is None:
+        """Rows from lift to release command, both included; none without one of them."""
+        if self.lift is None or self.release_command is None:
             return slice(0, 0)
         return slice(self.lift, min(self.release_command + 1, self.end))
 
@@ -72,27 +76,33 @@ def find_holds(recording: Rows) -> list[Hold]:
     columns = frozenset(recording.columns)
     if not {FORCE, *BLOCK} <= columns:
         return []
-    spans = _spans(recording.time, recording[FORCE] > HELD_FORCE)
-    if not spans:
-        return []
+    spans = _spans(recording.time, recording[FORCE])
     block = [recording[name] for name in BLOCK]
-    opening = recording[OPENING] if OPENING in columns else np.zeros(len(block[0]))
+    opening = recording[OPENING] if OPENING in columns else None
     return [_hold(block, opening, *span) for span in spans]
 
 
-def _spans(time: Array, pressed: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _spans(time: Array, force: Array) -> list[tuple[int, int]]:
     """Return the first row of each hold, and the first after it."""
-    edges = np.flatnonzero(np.diff(pressed, prepend=False, append=False))
+    edges = np.flatnonzero(np.diff(force > HELD_FORCE, prepend=False, append=False))
     begins, ends = edges[::2], edges[1::2]
+    if not len(begins):
+        return []
+    length = np.append(time, time[-1:])[ends] - time[begins]
+    # Fingers that open brush the block with short and weak touches; a heavy one that slips rattles.
+    inside = np.repeat(length >= SHORT, ends - begins)
+    firm = force[force > HELD_FORCE][inside].mean() if inside.any() else math.inf
+    counts = (length >= SHORT) | (np.maximum.reduceat(force, begins) > firm)
+    begins, ends = begins[counts], ends[counts]
     apart = time[begins[1:]] - time[ends[:-1]] >= SHORT
     first, last = np.append(True, apart)[: len(begins)], np.append(apart, True)[: len(begins)]
     spans = zip(begins[first].tolist(), ends[last].tolist(), strict=True)
     return [(a, b) for a, b in spans if time[min(b, len(time) - 1)] - time[a] >= SHORT]
 
 
-def _hold(block: Sequence[Array], opening: Array, grasp: int, end: int) -> Hold:
-    release_command = _release_command(opening, grasp, end)
-    held = np.column_stack([axis[grasp : min(release_command + 1, end)] for axis in block])
+def _hold(block: Sequence[Array], opening: Array | None, grasp: int, end: int) -> Hold:
+    release_command = None if opening is None else _release_command(opening, grasp, end)
+    held = np.column_stack([axis[grasp:end] for axis in block])
     way = np.linalg.norm(held - held[0], axis=1)
     away = np.flatnonzero(way > LIFTED)
     return Hold(grasp, end, release_command, grasp + int(away[0]) if len(away) else None)
@@ -157,15 +167,14 @@ def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:
 
 
 def moving_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Return whether the command moves at each row: both rows of each change."""
+    """Return whether the command moves at each row: both rows of each change, if it is recorded."""
     moving = np.zeros(recording.rows, dtype=bool)
-    commands = [name for name in COMMAND if name in recording]
-    if commands:
+    if all(name in recording for name in COMMAND):
 
         def step(*pose: Array) -> Any:
             return np.abs(np.diff(np.hstack(pose), axis=0)).max(axis=1)
 
-        moving[1:] = by_rows(recording, step, *commands, before=1) > 0.0
+        moving[1:] = by_rows(recording, step, *COMMAND, before=1) > 0.0
         moving[:-1] |= moving[1:]
     return moving
 
@@ -270,7 +279,8 @@ def _set_down(
     """Measure how the block is set down after its last hold."""
     drop = force = None
     if released is not None and placed is not None:
-        drop = float(height[released.release_command] - height[placed]) * 1e3
+        if released.release_command is not None:
+            drop = float(height[released.release_command] - height[placed]) * 1e3
         if released.lift is not None and SUPPORT in recording:
             force = float(recording[SUPPORT][released.lift : placed + 1].max())
     return {"drop_mm": drop, "set_down_force_N": force}

@@ -18,7 +18,6 @@ from ..scenario.limits import LIMITS_OF, METRICS, reference_rates, robot_of, sat
 Level = Literal["wrong", "refused", "hint", "good"]
 
 DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
-LATE: Final = {"lost_packets": "lost packets in a row", "delay_ms": "ms of delay"}
 ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario has them
 
 
@@ -32,6 +31,7 @@ class Check:
     unit: str
     remedy: str
     necessary: bool = True
+    limit: str = "the limit"
 
 
 _TABLES = tomllib.loads(Path(__file__).with_name("checks.toml").read_text(encoding="utf-8"))
@@ -62,19 +62,21 @@ def outcome(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[L
             yield "hint", f"{robot} refuses over the {each['interface']} interface: {_text(each)}"
     if (preflight["refusals"] or 0) > 1:
         yield "hint", f"{robot} stops at the first refusal; later ones may follow from it"
-    for key, each in preflight["late"].items() if not preflight["joint_refusals"] else ():
-        borne = f"{preflight[key]} {LATE[key]}"
-        yield "hint", f"{robot} tolerates {borne}; one more, and it refuses: {_text(each)}"
+    one_more = preflight["late"].get("lost_packets")
+    if one_more and not preflight["joint_refusals"]:
+        borne = f"{preflight['lost_packets']} lost packets in a row"
+        yield "hint", f"{robot} tolerates {borne}; one more, and it refuses: {_text(one_more)}"
 
 
 def _text(refusal: Mapping[str, Any]) -> str:
     """Describe the first violation of a condition."""
     row = f" (row {refusal['row']})" if refusal["row"] else ""
     joint = f" {refusal['joint']}" if refusal["what"].endswith("joint") else ""
+    limit = refusal.get("limit", "the limit")
     share = f" (in the run up to {refusal['share']:.3g} times it)" if "share" in refusal else ""
     return (
         f"{refusal['error']} at t = {refusal['time_s']:.3f} s{row}: {refusal['what']}{joint} is "
-        f"{refusal['value']:.4g} {refusal['unit']}; the limit is {refusal['bound']:.4g} "
+        f"{refusal['value']:.4g} {refusal['unit']}; {limit} is {refusal['bound']:.4g} "
         f"{refusal['unit']}{share}; {refusal['remedy']}"
     )
 
@@ -110,9 +112,8 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
 
 def lacking(key: str, recorded: Container[str]) -> str:
     """Return which signal the use of a limit lacks, or ""."""
-    signal = _USES[key][0]
     # The hand tells our arm from another plant, whose joints these limits are not of.
-    needed = (signal, HAND) if signal.startswith("plant.") else (signal,)
+    needed = (*_USES[key][0], *((HAND,) if not key.startswith("reference_") else ()))
     missing = [each.partition("[")[0] for each in needed if each not in recorded]
     return f"{missing[0]} is not recorded" if missing else ""
 
@@ -154,18 +155,17 @@ def _positions(recording: Recording) -> Iterable[Array]:
 
 
 def _velocities(velocity: str, position: str) -> Elements:
-    """Return the shares of the velocity limits at positions, or at the measured ones."""
+    """Return the shares of the velocity limits at positions."""
 
     def shares(recording: Recording) -> Iterable[Array]:
         robot = _robot(recording)
         if not robot.approach:
             return map(np.divide, _of(velocity)(recording), robot.velocity)
-        at = position if f"{position}[7]" in recording else "plant.qpos"
 
         def used(q: Array, qd: Array) -> Array:
             return qd[:, :7] / robot.speed(q[:, :7], qd[:, :7])
 
-        return by_rows(recording, used, at, velocity).T
+        return by_rows(recording, used, position, velocity).T
 
     return shares
 
@@ -188,17 +188,18 @@ def _reference_rates(order: int) -> Elements:
     )
 
 
-_Q, _QD, _F, _REF = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]", f"{REFERENCE}[7]"
-# By metric: the signal that it needs, and the shares of the limit, joint by joint.
-_USES: Final[Mapping[str, tuple[str, Elements]]] = {
-    "position_share": (_Q, _positions),
-    "velocity_share": (_QD, _velocities("plant.qvel", "plant.qpos")),
-    "torque_share": (_F, _share("torque", _of(FORCE))),
-    "torque_rate_share": (_F, _share("torque rate", _torque_rates)),
-    "finger_speed_share": (_QD, _share("finger speed", _of("plant.qvel", 8, 2))),
-    "reference_velocity_share": (_REF, _velocities(REFERENCE, "controller.qpos_ref")),
-    "reference_acceleration_share": (_REF, _share("acceleration", _reference_rates(0))),
-    "reference_jerk_share": (_REF, _share("jerk", _reference_rates(1))),
+_Q, _QD, _F = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]"
+_REF, _Q_REF = f"{REFERENCE}[7]", "controller.qpos_ref[7]"
+# By metric: the signals that it needs, and the shares of the limit, joint by joint.
+_USES: Final[Mapping[str, tuple[tuple[str, ...], Elements]]] = {
+    "position_share": ((_Q,), _positions),
+    "velocity_share": ((_QD, _Q), _velocities("plant.qvel", "plant.qpos")),
+    "torque_share": ((_F,), _share("torque", _of(FORCE))),
+    "torque_rate_share": ((_F,), _share("torque rate", _torque_rates)),
+    "finger_speed_share": ((_QD,), _share("finger speed", _of("plant.qvel", 8, 2))),
+    "reference_velocity_share": ((_REF, _Q_REF), _velocities(REFERENCE, "controller.qpos_ref")),
+    "reference_acceleration_share": ((_REF,), _share("acceleration", _reference_rates(0))),
+    "reference_jerk_share": ((_REF,), _share("jerk", _reference_rates(1))),
 }
 
 

@@ -24,7 +24,7 @@ from ..recording import Recording
 from ..scenario.limits import robot_of
 from ..scenario.trajectory import TIME_TOLERANCE
 from .holds import first_collision
-from .limits import CHECKS, DERIVATIVES, LATE, REMEDIES
+from .limits import CHECKS, DERIVATIVES, REMEDIES
 
 Array = NDArray[np.float64]
 Refusal = dict[str, Any]  # as `findings` of summary.json has them
@@ -32,7 +32,7 @@ Rates = Sequence[Array]  # positions (n, k) and their three derivatives
 # Key of `CHECKS`, values (n, k), largest sizes (k,) or (n, k), and what both are counted from (k,).
 Measure = tuple[str, Array, Array, Array | float]
 
-BEFORE: Final = 23  # rows that a row is judged with: 19 lost packets, and differences before
+BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
 AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
 HAND: Final = ("plant.hand_xpos", "plant.hand_xquat")
@@ -84,38 +84,55 @@ class _Judge:
                 }
 
 
-class _Late:
-    """How many packets may be lost in a row, or late, at any time of the motion.
+class _Lost:
+    """How many packets may be lost in a row, at any time of the motion.
 
-    Meanwhile the robot keeps the last acceleration. Lost: then it gets the command of its time.
-    Delayed: then it gets the one that was due first, and all later ones as late.
+    Meanwhile the robot keeps its last acceleration, and then gets the command of its time.
     """
 
-    def __init__(self, limits: RobotLimits, judge: Callable[[], _Judge], *, delayed: bool) -> None:
-        self._limits, self._new_judge, self._delayed = limits, judge, delayed
+    def __init__(self, limits: RobotLimits, judge: Callable[[], _Judge]) -> None:
+        self._limits, self._new_judge = limits, judge
         self.borne = limits.lost_packets - 1
         self.refusal: Refusal | None = None  # of one more
 
     def see(self, time: Array, rates: Rates) -> None:
-        """Judge the last rows, at which the packets arrive again."""
+        """Judge the last rows, at which packets arrive again or have done so up to two before."""
         for count in range(1, self.borne + 1):
             judge = self._new_judge()
-            judge.see(time, _rate_measures(self._received(count, rates), self._limits))
+            judge.see(time, _rate_measures(_received(count, rates), self._limits))
             if judge.first:
                 self.borne = count - 1
                 first = min(judge.first.values(), key=lambda each: each["time_s"])
                 self.refusal = {**first, "remedy": REMEDIES["smoother"]}
                 return
 
-    def _received(self, count: int, rates: Rates) -> Rates:
-        q, v, a, _ = (rate[: -count - 1] for rate in rates)  # of the last packet before
-        command = rates[0][1:-count] if self._delayed else rates[0][count + 1 :]
-        v_kept = v + count * STEP_SIZE * a
-        q_kept = q + count * STEP_SIZE * (v + 0.5 * (count + 1) * STEP_SIZE * a)
-        velocity = (command - q_kept) / STEP_SIZE
-        acceleration = (velocity - v_kept) / STEP_SIZE
-        fastest = np.where(np.abs(v_kept) > np.abs(velocity), v_kept, velocity)
-        return command, fastest, acceleration, (acceleration - a) / STEP_SIZE
+
+def _received(count: int, rates: Rates) -> Rates:
+    """Return the largest rates at each row, if the gap has ended there or up to two rows before."""
+    q, v, a, _ = (rate[: -count - 1] for rate in rates)  # of the last packet before
+    command, velocity, acceleration, _ = (rate[count + 1 :] for rate in rates)  # with no gap
+    v_kept = v + count * STEP_SIZE * a
+    q_kept = q + count * STEP_SIZE * (v + 0.5 * (count + 1) * STEP_SIZE * a)
+    v_then = (command - q_kept) / STEP_SIZE
+    a_then = (v_then - v_kept) / STEP_SIZE
+    j_then = (a_then - a) / STEP_SIZE
+    # The differences of the two rows after still span the gap.
+    a_next = (velocity[1:] - v_then[:-1]) / STEP_SIZE
+    j_next = (a_next - a_then[:-1]) / STEP_SIZE
+    j_last = (acceleration[2:] - a_next[:-1]) / STEP_SIZE
+    return (
+        command[2:],
+        _largest(v_kept[2:], v_then[2:]),
+        _largest(a_then[2:], a_next[1:]),
+        _largest(j_then[2:], j_next[1:], j_last),
+    )
+
+
+def _largest(*values: Array) -> Array:
+    """Return which of the values is the largest in magnitude, element by element."""
+    stack = np.stack(values)
+    largest: Array = np.take_along_axis(stack, np.abs(stack).argmax(axis=0)[None], axis=0)[0]
+    return largest
 
 
 class _Arm:
@@ -179,7 +196,7 @@ def preflight(recording: Recording, robot: str) -> dict[str, Any]:
     touch = math.inf if row is None else float(recording.time[row])
     new_judge = partial(_Judge, robot, recording, touch)
     limits, judge, reference = robot_limits(robot), new_judge(), _reference(recording)
-    late = {key: _Late(limits, new_judge, delayed=key == "delay_ms") for key in LATE}
+    lost = _Lost(limits, new_judge)
     arm = _Arm(recording, limits)
     names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED) if n in recording]
     kept: dict[str, Array] = {}
@@ -196,18 +213,17 @@ def preflight(recording: Recording, robot: str) -> dict[str, Any]:
         if reference in signals:
             rates = _rates(signals[reference][:, :7], 3)
             judge.see(time, _joint_measures(rates, limits))
-            for each in late.values():
-                each.see(time, rates)
+            lost.see(time, rates)
         if signals.keys() >= {*COMMAND}:
             judge.see(time, _hand_measures(signals, limits))
         if signals.keys() >= {*HAND, *MEASURED}:
             judge.see(time, arm.measures(signals, len(time)))
     if reference in signals:
         judge.see(time[-1:], _end_measures(rates, limits))
-    return _result(robot, reference, judge, late)
+    return _result(robot, reference, judge, lost)
 
 
-def _result(robot: str, reference: str, judge: _Judge, late: Mapping[str, _Late]) -> dict[str, Any]:
+def _result(robot: str, reference: str, judge: _Judge, lost: _Lost) -> dict[str, Any]:
     """Return the section of summary.json."""
     own = "joint" if reference else "torque"
     findings = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
@@ -219,17 +235,17 @@ def _result(robot: str, reference: str, judge: _Judge, late: Mapping[str, _Late]
         count = sum(each["interface"] == name for each in refused)
         counts[name] = count if needed <= judge.shares.keys() else None
     both = counts[own], counts["arm"]
-    first = next((each for each in refused if each["interface"] in (own, "arm")), None)
+    told = [each for each in refused if each["interface"] in (own, "arm") and None not in both]
     return {
         "robot": robot,
         "interface": own,
         "refusals": None if None in both else sum(filter(None, both)),
-        "first_s": first and first["time_s"],
+        "first_s": told[0]["time_s"] if told else None,
         **{f"{name}_refusals": count for name, count in counts.items()},
-        **{key: each.borne if reference else None for key, each in late.items()},
+        "lost_packets": lost.borne if "joint_jerk" in judge.shares else None,
         **{f"{key}_share": judge.shares.get(key, np.empty(0)).tolist() or None for key in CHECKS},
         "findings": findings,
-        "late": {key: each.refusal for key, each in late.items() if each.refusal},
+        "late": {"lost_packets": lost.refusal} if lost.refusal else {},
     }
 
 

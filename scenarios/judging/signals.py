@@ -248,7 +248,10 @@ def _judge_body(criterion: BodyCriterion, recording: Recording, events: Events) 
 
 
 def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:
-    """Return the value of each bound; raise `UnmeasuredError` if the pose is not finite."""
+    """Return the value of each bound; raise `UnmeasuredError` without a finite pose."""
+    for name in criterion.signals:
+        if name not in recording:
+            raise UnmeasuredError(f"{name} is not recorded")
     first, last = np.column_stack([recording[name][[0, row]] for name in _pose(criterion)])
     start, end, (_, x, y, _) = first[:3], last[:3], last[3:].tolist()
     if not (np.isfinite(end).all() and math.isfinite(x * y)):

@@ -187,13 +187,14 @@ def _hold_moments(time: FloatArray, hold: Hold) -> Iterator[Moment]:
     grasp, last = float(time[hold.grasp]), len(time) - 1
     yield Moment(grasp - GRIP_TIME, "reach")
     yield Moment(grasp, "grasp")
-    command = float(time[min(hold.release_command, last)])
+    command = float(time[min(hold.let_go, last)])
     if hold.lift is not None:
         lift = float(time[hold.lift])
         yield Moment(lift, "lift")
         yield Moment((lift + command) / 2, "carry")
     if hold.end <= last:
         release = float(time[hold.end])
-        yield Moment(command, "set down")
+        if hold.release_command is not None:
+            yield Moment(command, "set down")
         yield Moment(release, "release")
         yield Moment(release + GRIP_TIME, "leave")

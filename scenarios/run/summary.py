@@ -177,16 +177,18 @@ def _energy(recording: Recording) -> Metrics:
         return np.maximum(torque[:, :7] * speed[:, :7], 0.0).sum(axis=1)
 
     power = by_rows(recording, positive, "plant.actuator_force", "plant.qvel")
-    work = float(power[:-1] @ np.diff(recording.time)) if len(power) else None
+    # A row's torques are those of the step that ends there.
+    work = float(power[1:] @ np.diff(recording.time)) if len(power) else None
     return {"arm_work_J": work, "peak_power_W": _peak(power)}
 
 
 def _timing(recording: Recording, happened: Events, statistics: RunStatistics | None) -> Metrics:
     time = recording.time
     simulated = float(time[-1] - time[0]) if len(time) else 0.0
+    is_commanded = all(name in recording for name in COMMAND)
     timing: Metrics = {
         "simulated_s": simulated,
-        "cycle_s": happened["command_end"] or 0.0,
+        "cycle_s": (happened["command_end"] or 0.0) if is_commanded else None,
         "steps": max(len(time) - 1, 0),
     }
     if statistics is not None:
@@ -213,7 +215,9 @@ def unrecorded(success: Success, recorded: Container[str]) -> Iterator[str]:
 def _lacking(metric: str, recorded: Container[str]) -> str | None:
     if metric == "limits":
         return all_lacking(recorded) or None
-    needed = NEEDED.get(metric.partition(".")[0], ())
+    from ..judging.definitions import DEFINITIONS  # noqa: PLC0415 - slow to read
+
+    needed = (*NEEDED.get(metric.partition(".")[0], ()), *DEFINITIONS[metric].signals)
     return next((f"{signal} is not recorded" for signal in needed if signal not in recorded), None)
 
 

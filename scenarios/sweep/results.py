@@ -52,7 +52,7 @@ class Influence:
     """Influence of a varied value on a result."""
 
     key: str
-    value: float  # Spearman's rank correlation, -1 to 1; of words the correlation ratio, 0 to 1
+    value: float  # Spearman's rank correlation, -1 to 1; of words see `_of_words`, 0 to 1
     low: float | None = None  # bound of a rank correlation at `CONFIDENCE`; None: words
     high: float | None = None
 
@@ -88,7 +88,7 @@ def _of_numbers(key: str, ranks: Array, result: Array) -> Influence:
 
 
 def _of_words(key: str, codes: Array, result: Array) -> Influence:
-    """Return the root of the share of the ranks' variance that lies between words."""
+    """Return the root of the share of the ranks' variance between words, beyond chance; or 0."""
     # Ref: Tomczak and Tomczak, The need to report effect size estimates revisited, 2014: of Kruskal
     # and Wallis's H it is (H - k + 1) / (n - k).
     groups = [result[codes == code] for code in np.unique(codes)]
