@@ -54,17 +54,26 @@ class ArmModel:
         self._data: Any = mujoco.MjData(self._model)
         self._qpos, self._qvel = self._data.qpos[:7], self._data.qvel[:7]
         self._acceleration, self._force = np.zeros((2, self._model.nv))
-        self._qdd = self._acceleration[:7]
+        self._qdd, self._full = self._acceleration[:7], np.zeros((self._model.nv, self._model.nv))
         self._jac, self._hand = np.zeros((6, self._model.nv)), self._model.body("hand").id
+
+    def _make_inertia(self, q: Vector) -> None:
+        self._qpos[...] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_makeM(self._model, self._data)
+
+    def inertia(self, q: Vector) -> Vector:
+        """Return M(q) (7, 7) [kg.m2], rotor inertia included; a view that the next call writes."""
+        self._make_inertia(q)
+        mujoco.mj_fullM(self._model, self._data, self._full)
+        return self._full[:7, :7]
 
     def inertia_force(self, q: Vector, qdd: Vector) -> Vector:
         """Return M(q) qdd (7,) [N.m], rotor inertia included, with the fingers at rest."""
-        model, data = self._model, self._data
-        self._qpos[...], self._qdd[...] = q, qdd
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_makeM(model, data)
-        mujoco.mj_mulM(model, data, self._force, self._acceleration)
+        self._make_inertia(q)
+        self._qdd[...] = qdd
+        mujoco.mj_mulM(self._model, self._data, self._force, self._acceleration)
         force: Vector = self._force[:7].copy()
         return force
 

@@ -22,16 +22,19 @@ TRUTH: Final = np.dtype(
         ("target_xmat", float, (3, 3)),
     ]
 )
+READINGS: Final = np.dtype(
+    [*((name, TRUTH[name]) for name in TRUTH.names or ()), ("mass_matrix", float, (7, 7))]
+)
 _DRAWN = 512  # ticks for which random numbers are drawn at a time
 
 
 class Sensors:
     """Encoders, the robot's own kinematics, a camera and the line to the controller.
 
-    `update` reads `truth` and writes `readings`, both of the layout `TRUTH`; the caller may bring
-    their flat arrays (82,). The errors may be changed between updates, all but seed, delay and
-    robot. Random numbers are a function of seed and tick, so the state is the tick and what is on
-    its way.
+    `update` reads `truth` of the layout `TRUTH` and writes `readings` of the layout `READINGS`; the
+    caller may bring their flat arrays (82,) and (131,). The errors may be changed between updates,
+    all but seed, delay and robot. Random numbers are a function of seed and tick, so the state is
+    the tick and what is on its way.
     """
 
     def __init__(
@@ -41,9 +44,11 @@ class Sensors:
         reading_values: Vector | None = None,
     ) -> None:
         self.errors = errors or SensorErrors()
-        truth, readings, now = (Buffer(TRUTH, v) for v in (truth_values, reading_values, None))
+        truth, now = Buffer(TRUTH, truth_values), Buffer(TRUTH)
+        readings = Buffer(READINGS, reading_values)
         self.truth_values, self.truth = truth.values, truth.record
         self.reading_values, self.readings = readings.values, readings.record
+        self._sent = readings.values[: truth.values.size]
         self._now_values, self._now = now.values, now.views  # measured in this tick
         self._arm = ArmModel(self.errors.robot)
         self._line = np.zeros((self.errors.delay, truth.values.size))  # readings on their way
@@ -73,13 +78,15 @@ class Sensors:
             self._model_hand()
         self._see_block()
         self._send()
+        self.readings["mass_matrix"] = self._arm.inertia(self.readings["qpos"])
         self._tick += 1
 
     def model_start(self) -> None:
         """Leave the readings of the model at the true joints: the start, before any update."""
         self._now_values[:] = self.truth_values
         self._model_hand()
-        self.reading_values[:] = self._now_values
+        self._sent[:] = self._now_values
+        self.readings["mass_matrix"] = self._arm.inertia(self.readings["qpos"])
 
     def _measure_joints(self) -> None:
         """Offset, noise and quantisation of the encoders, where there are any."""
@@ -121,7 +128,7 @@ class Sensors:
             self._draw()
             if self._chances[self._tick % _DRAWN] < self._errors.dropout:
                 return
-        self.reading_values[:] = arrived
+        self._sent[:] = arrived
 
     def _draw(self) -> None:
         """Draw the numbers of the ticks around this one, normal and uniform ones."""

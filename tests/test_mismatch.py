@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmu_support import in_process
+from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.run.start import resolve, start_values
+from panda_cosim.scenarios.scenario.criteria import Success
 from panda_cosim.scenarios.scenario.mismatch import PRESETS, SIZES, Mismatch, draw_robot
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.scenario.writer import write_scenario
 from panda_cosim.scenarios.system.assembly import assemble
+from random_tasks import run_in_memory
 
 PUSH = load_scenario("push")
 
@@ -164,3 +167,22 @@ def test_runs_with_sensors(tmp_path: Path) -> None:
     offset = one["sensors.qpos_measured"][1:] - one["plant.qpos"][:-1, :7]
     told = [one.metadata["parameters"]["sensors"][f"joint_offset[{i}]"] for i in range(1, 8)]
     np.testing.assert_allclose(offset[:50].mean(0), told, atol=1e-5)  # rad; late by one tick
+
+
+def test_a_law_knows_of_no_mass_unless_it_asks_for_the_truth_by_name() -> None:
+    circle = load_scenario("draw_circle")  # its law takes both
+    plain = replace(circle, duration=0.1, success=Success())
+    nominal = run_in_memory(plain).signals
+    asked = {f"controller.{name}": f"plant.{name}" for name in ("mass_matrix", "qfrc_bias")}
+    for masses in ({"payload": 2.0}, {"link_mass_scale": (1.2,) * 7}):
+        told = run_in_memory(replace(plain, mismatch=Mismatch(**masses))).signals  # type: ignore[arg-type]
+        q = told["sensors.qpos_measured"][1]
+        seen = told["sensors.mass_matrix_measured"][1]
+        np.testing.assert_allclose(seen, ArmModel().inertia(q), rtol=1e-12, atol=1e-15)
+        for name in ("mass_matrix", "qfrc_bias"):  # at the start, but for the open fingers
+            true, known = nominal[f"plant.{name}"][0], told[f"sensors.{name}_measured"][0]
+            assert np.abs(known - true).max() < 0.01 * np.abs(true).max()
+        by_name = assemble(replace(plain, mismatch=Mismatch(**masses), connect=asked))  # type: ignore[arg-type]
+        wires = {c.target: c.source for c in by_name.connections}
+        assert wires["controller", "qfrc_bias[4]"] == ("plant", "qfrc_bias[4]")
+        assert wires["controller", "mass_matrix[4,4]"] == ("plant", "mass_matrix[4,4]")

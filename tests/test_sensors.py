@@ -39,7 +39,8 @@ def readings(
         if truth is not None:
             sensors.truth["qpos"] = truth
         sensors.update()
-        rows[0, tick], rows[1, tick] = sensors.truth, sensors.readings
+        rows[0, tick] = sensors.truth
+        rows[1, tick] = sensors.reading_values[: TRUTH.itemsize // 8].view(TRUTH)[0]
     return rows[0], rows[1]
 
 

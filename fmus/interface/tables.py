@@ -18,6 +18,7 @@ from .variables import Interface, Numbers, Variable, input_, output
 # Measured signals: inputs of the controller, and outputs of the plant of the same names.
 MEASURED: Final = ("qpos", "qvel", "hand_xpos", "hand_xquat", "jac", "qfrc_bias")
 SEEN: Final = ("target_xpos", "target_xmat")
+INERTIA: Final = "mass_matrix"  # which the robot's own model tells
 _FIXED: Final = (  # errors, from the start on
     "seed", "delay", "hand_pose_source", "block_position_error", "block_yaw_error", "robot",
 )  # fmt: skip
@@ -63,6 +64,9 @@ SENSORS = Interface(
     (
         *_TRUTHS,
         *_READINGS,
+        output(measurement_of(INERTIA), (7, 7), "kg.m2", "Joint-space inertia matrix of the arm, "
+               "rotor inertia included, by the robot's own model at the measured joints",
+               on_request=True),
         *(parameter_of(error, _FIXED) for error in fields(SensorErrors)),
     ),
 )  # fmt: skip

@@ -41,6 +41,7 @@ SIZES: Final[Mapping[str, Sizes]] = {
     "worn": Sizes(math.radians(0.06), 3e-5, (0.6, 3.0), 0.15, 0.003, 1.5e-3, math.radians(0.9)),
 }
 PRESETS: Final = ("nominal", *SIZES)
+_UNKNOWN: Final = {"hand_pose_source": "model"}  # the truth would tell the controller of the masses
 
 
 def draw_robot(sizes: Sizes, seed: int) -> dict[str, Any]:
@@ -123,12 +124,18 @@ class Mismatch:
         """Parameters that are not at the FMUs' defaults: the preset's, and those given."""
         sizes = SIZES.get(self.preset)
         drawn = {} if sizes is None else draw_robot(sizes, self.seed)
-        return drawn | {n: v for n, v in self.given.items() if n not in ("preset", "seed")}
+        values = drawn | {n: v for n, v in self.given.items() if n not in ("preset", "seed")}
+        return (_UNKNOWN if {"payload", "link_mass_scale"} & values.keys() else {}) | values
 
     @property
     def known_delay(self) -> float:
         """Delay of the readings that the controller was set up for [s]: the preset's."""
         return SIZES[self.preset].delay if self.preset in SIZES else 0.0
+
+    @property
+    def has_model(self) -> bool:
+        """Whether the controller gets what the robot's own model says."""
+        return self.values.get("hand_pose_source") == "model"
 
     @property
     def has_sensors(self) -> bool:

@@ -203,7 +203,7 @@ class Scenario:
     @property
     def inputs_move(self) -> bool:
         """Whether the inputs over time are columns of the table, which end early with its rows."""
-        return self.input_table.times == tuple(row.time for row in self.table.rows)
+        return self.input_table.times == tuple(row.time for row in self.rows)
 
     @property
     def untils(self) -> tuple[str, ...]:

@@ -15,7 +15,14 @@ from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
-from ...fmus.interface.tables import INTERFACES, MEASURED, SEEN, Connection, measurement_of
+from ...fmus.interface.tables import (
+    INERTIA,
+    INTERFACES,
+    MEASURED,
+    SEEN,
+    Connection,
+    measurement_of,
+)
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
@@ -190,7 +197,7 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     connector.drive(driven)
     if scenario.mismatch.has_sensors:  # they feed the controller, unless [connect] does
         inputs = {v.name for v in connector.parts["controller"].interface.of("input")}
-        for name in (*MEASURED, *SEEN):
+        for name in (*MEASURED, *SEEN, *([INERTIA] if scenario.mismatch.has_model else [])):
             if name in inputs and not connector.is_fed("controller", name):
                 connector.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
     for part in parts:
