@@ -125,7 +125,8 @@ class Mismatch:
         sizes = SIZES.get(self.preset)
         drawn = {} if sizes is None else draw_robot(sizes, self.seed)
         values = drawn | {n: v for n, v in self.given.items() if n not in ("preset", "seed")}
-        return (_UNKNOWN if {"payload", "link_mass_scale"} & values.keys() else {}) | values
+        default = _UNKNOWN if {"payload", "link_mass_scale"} & values.keys() else {}
+        return values | default | values
 
     @property
     def known_delay(self) -> float:
