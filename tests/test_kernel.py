@@ -74,6 +74,7 @@ def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
         [tuple(name) for name in plan["external"]],
         plan["outputs"],
         refuses_non_finite=plan["checked_late"],
+        not_finite=[tuple(name) for name in plan.get("not_finite", ())],
     )
     count = sum(plan["steps"])
     given_values = np.random.default_rng(1).normal(size=(count + 1, len(system.external)))
@@ -131,3 +132,18 @@ def test_both_end_at_a_value_that_is_not_finite(folder: Path, *, late: bool) -> 
     assert (
         "at t = 0.301 s, in FMU 'toy0', variable u[1,1]: value nan is not finite, 301 steps" in in_c
     )
+
+
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("allowed", [False, True])
+def test_both_allow_the_same_values_that_are_not_finite(
+    folder: Path, *, late: bool, allowed: bool
+) -> None:
+    """Outputs of the first toy overflow where its input is large; the other's follow."""
+    free = [(toy, f"y{i}") for toy in ("toy0", "toy1") for i in INDICES] if allowed else []
+    start = {"toy0": {"k": 1.5e308}}
+    overflowing = plan(2, start=start, checked_late=late, not_finite=free)
+    [[in_c, in_python]] = in_process(run, str(folder), [overflowing])
+    assert in_c == in_python
+    assert ("inf is not finite" in in_c) != allowed
+    assert (np.float64(np.inf).tobytes().hex() in in_c) == allowed

@@ -9,7 +9,7 @@ library is missing, `Step.take` is called.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from itertools import chain
 from typing import Any, Final
@@ -64,13 +64,16 @@ def load_stepper() -> Any:
 
 
 def make_kernel(
-    step: Step, rows: Array, start: float, stop: ctypes.c_int32, *, check: bool
+    step: Step, rows: Array, start: float, stop: ctypes.c_int32, checked: Sequence[int]
 ) -> Kernel | None:
-    """Make the kernel of a step, if all of it can be called from C; `check`: each row's values."""
+    """Make the kernel of a step, if all of it can be called from C.
+
+    `checked` are the columns whose values must be finite before followers read a row.
+    """
     if rows.dtype != np.float64 or type(step) is not Step or load_stepper() is None:
         return None
     try:
-        return Kernel(step, rows, start, stop, check=check)
+        return Kernel(step, rows, start, stop, checked)
     except _NotInCError:
         return None
 
@@ -79,7 +82,7 @@ class Kernel:
     """Takes steps in C; for the arguments see `make_kernel`."""
 
     def __init__(
-        self, step: Step, rows: Array, start: float, stop: ctypes.c_int32, *, check: bool
+        self, step: Step, rows: Array, start: float, stop: ctypes.c_int32, checked: Sequence[int]
     ) -> None:
         self._step, self._rows = step, rows
         self._keep: list[object] = [stop]
@@ -94,7 +97,7 @@ class Kernel:
                 ]
                 for leader in leaders
             ),
-            self._add(None, action=COMPLETE, count=int(check)),
+            self._add(None, action=COMPLETE, **self._columns(checked)),
             *self._access(SET_INPUTS, [follower.set_inputs for follower in followers]),
             *[self._stepping(follower.step) for follower in followers],
             *self._access(GET_OUTPUTS, [f.get_outputs for f in followers], later=1),

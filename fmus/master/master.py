@@ -101,13 +101,14 @@ class Master:
         objects: Collection[Name] = (),  # columns of values that a float64 cannot hold
         multiples: Mapping[str, int] = MappingProxyType({}),  # ticks of a slave's step, if not one
         stepper: Stepper = "kernel",
+        not_finite: Collection[Name] = (),  # outputs that may be NaN or infinite
     ) -> None:
         self.step_size, self.start = step_size, start
         self._late_check = late_check
         self.external = tuple(external)
         read = [(instance, name) for instance, names in outputs.items() for name in names]
         self.columns = [*external, *read, *([ITERATIONS] if coupling == "iterated" else [])]
-        self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects)
+        self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects, not_finite)
         rows = self._buffer.rows
         self.connections, self._stepper = connections, stepper
         self.slaves = [
@@ -259,6 +260,11 @@ class Master:
             raise self._buffer.error_at(non_finite)
 
     @property
+    def checked(self) -> list[int]:
+        """Columns of a row whose values must be finite."""
+        return self._buffer.checked
+
+    @property
     def steps(self) -> int:
         """Completed steps since `begin`."""
         return self.statistics.steps
@@ -280,8 +286,9 @@ class Master:
         self._step = kind(self._bound, coupling, self.step_size, buffer.rows, complete)
         self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
+        checked = [] if self._late_check else self.checked
         self._kernel = (
-            make_kernel(self._step, buffer.rows, self.start, self._stop, check=not self._late_check)
+            make_kernel(self._step, buffer.rows, self.start, self._stop, checked)
             if self._stepper == "kernel"
             else None
         )

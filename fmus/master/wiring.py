@@ -237,18 +237,21 @@ class RowBuffer:
     rows: Array  # (BLOCK_ROWS + 1, 1 + external + outputs)
     first: int  # tick of the first row
     filled: int  # number of complete rows
+    checked: list[int]  # columns whose values must be finite
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - what a row holds
         self,
         columns: Sequence[Name],
         external: int,
         start: float,
         step_size: float,
         objects: Collection[Name] = (),
+        unchecked: Collection[Name] = (),
     ) -> None:
         dtype = object if objects else np.float64
         self.rows = np.zeros((BLOCK_ROWS + 1, 1 + len(columns)), dtype)
-        self._numbers = [0, *(i for i, name in enumerate(columns, 1) if name not in objects)]
+        free = {*objects, *unchecked}
+        self.checked = [0, *(i for i, name in enumerate(columns, 1) if name not in free)]
         self._columns = columns
         self.external = external
         self._start, self._step_size = start, step_size
@@ -298,10 +301,10 @@ class RowBuffer:
         self.filled = row + 1
 
     def _are_finite(self, rows: slice) -> NDArray[np.bool_]:
-        """Whether the numbers of some rows are finite."""
+        """Whether the checked numbers of some rows are finite."""
         part = self.rows[rows]
-        if part.dtype == object:
-            part = part[:, self._numbers].astype(np.float64)
+        if len(self.checked) < part.shape[1]:
+            part = part[:, self.checked].astype(np.float64)
         return np.isfinite(part)
 
     def flush(self) -> int | None:
@@ -322,7 +325,7 @@ class RowBuffer:
     def error_at(self, row: int) -> SimulationError:
         """Return the error that names the first value of a row that is not finite."""
         values = self.rows[row]
-        column = self._numbers[int(np.flatnonzero(~self._are_finite(slice(row, row + 1))[0])[0])]
+        column = self.checked[int(np.flatnonzero(~self._are_finite(slice(row, row + 1))[0])[0])]
         instance, variable = self._columns[column - 1]
         return SimulationError(
             f"value {values[column]} is not finite",

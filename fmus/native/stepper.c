@@ -79,10 +79,13 @@ static double now(void) /* [s] */
 #endif
 }
 
-static bool all_finite(const double *row, size_t width)
+static bool are_finite(const double *row, const uint32_t *columns, size_t count, size_t width)
 {
     double sum = 0.0; /* of zeros; NaN as soon as one of the values is not finite */
-    for (size_t i = 0; i < width; i++) sum += row[i] * 0.0;
+    if (count == width)
+        for (size_t i = 0; i < width; i++) sum += row[i] * 0.0;
+    else
+        for (size_t i = 0; i < count; i++) sum += row[columns[i]] * 0.0;
     return sum == 0.0;
 }
 
@@ -128,7 +131,7 @@ static unsigned carry_out(course *r, const call *c, int64_t k, double time)
     switch (c->action) {
     case STEP: return step(r, c, time);
     case COMPLETE:
-        if (c->count && !all_finite(row, r->width)) return NOT_FINITE;
+        if (!are_finite(row, c->columns, c->moved, r->width)) return NOT_FINITE;
         r->filled = k + 1;
         return 0;
     case FEED_BACK:

@@ -150,6 +150,7 @@ class Scenario:
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
     order: tuple[Annotated[str, Line()], ...] = ()  # of stepping; empty: by the connections
+    not_finite: tuple[Annotated[str, Line()], ...] = ()  # outputs that may be NaN or infinite
     # Steps of an FMU as multiples of the system's.
     steps: Mapping[str, Annotated[int, Whole(1, MAX_MULTIPLE)]] = field(default_factory=dict)
     # Values of unconnected inputs; `file`: a table of inputs over time.

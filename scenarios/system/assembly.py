@@ -49,6 +49,7 @@ class Assembly:
     asked: frozenset[str] = frozenset()  # signals of criteria, recorded in any case
     driven: Mapping[Name, DrivenInput] = field(default_factory=dict)  # among the external ones
     steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
+    not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
     # Of an .ssp file: its system, start values and start time [s].
     ssp: System | None = None
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
@@ -66,6 +67,7 @@ class Assembly:
             self.outputs,
             refuses_non_finite=all(part.file is None for part in self.parts),
             steps=self.steps,
+            not_finite=self.not_finite,
         )
 
     @cached_property
@@ -220,8 +222,8 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     if from_outside:
         external, notes = [*_unfed(interfaces, connections, external), *external], []
     ordered = [connector.parts[name] for name in interfaces]
-    asked, steps = scenario.asked, scenario.steps
-    return Assembly(interfaces, connections, external, ordered, notes, asked, driven, steps)
+    asked, steps, free = scenario.asked, scenario.steps, _not_finite(scenario, interfaces)
+    return Assembly(interfaces, connections, external, ordered, notes, asked, driven, steps, free)
 
 
 def _ordered(
@@ -247,6 +249,21 @@ def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> Non
         if name not in interfaces:
             hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
             raise InputError(f"{place}: no FMU of this name; {hint}")
+
+
+def _not_finite(scenario: Scenario, interfaces: Mapping[str, Interface]) -> list[Name]:
+    """Outputs that a scenario allows to be NaN or infinite, one by one."""
+    outputs: dict[str, list[Name]] = {}
+    for instance, interface in interfaces.items():
+        for variable in interface.of("output"):
+            names = [(instance, name) for name in variable.names()]
+            outputs |= {".".join(name): [name] for name in names}
+            outputs[f"{instance}.{variable.name}"] = names
+    for text in scenario.not_finite:
+        if text not in outputs:
+            hint = did_you_mean(text, outputs)
+            raise InputError(f"not_finite: {text!r}; must be an output, FMU.NAME{hint}")
+    return [scalar for text in scenario.not_finite for scalar in outputs[text]]
 
 
 def _unfed(
@@ -319,6 +336,7 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
         fmus={name: system.fmus[name] for name in interfaces},
         external=[*unfed, *sorted(driven, key=_places(interfaces).__getitem__)],
         steps=scenario.steps,
+        not_finite=_not_finite(scenario, interfaces),
     )
     return Assembly(
         interfaces,

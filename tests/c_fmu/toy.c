@@ -3,7 +3,7 @@
  * y[i,j] = k * u[i,j] + t, negated by `flip`, doubled by mode 2. In FMI 2.0, every variable of a
  * reference from 100 on is the one 100 below, numbers with the count of steps on top. What `act`, or
  * the environment variable ACT, says happens at the step that begins at 2 ms; "complain" logs an
- * error as it is set, and nothing fails; "early" returns from each step of FMI 3.0 in its middle. Terminating and freeing are logged, as a warning each.
+ * error as it is set, and nothing fails; "terminate" discards the third step of FMI 2.0, half of it taken; "early" returns from each step of FMI 3.0 in its middle. Terminating and freeing are logged, as a warning each.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,8 +18,8 @@
 enum { U, Y = N, K = 2 * N };
 
 typedef struct {
-    double values[COUNT], time;
-    int integers[COUNT], booleans[COUNT], steps, is_half, is_final; /* the first are the mode and `flip` */
+    double values[COUNT], time, size;
+    int integers[COUNT], booleans[COUNT], steps, is_half, is_final, is_ended; /* the first are the mode and `flip` */
     char act[32], name[64];
     fmi2CallbackFunctions callbacks;
     fmi3LogMessageCallback log3;
@@ -67,6 +67,7 @@ static int step(toy *c, double time, double size)
     int status = 0, now = c->steps++ == 2;
     for (int i = 1; i < 5; i++)
         if (time > 0.0015 && !strcmp(c->act, acts[i])) status = i;
+    if (time > 0.0015 && now && !strcmp(c->act, "terminate")) status = fmi3Discard, c->is_ended = 1;
     if (status) say(c, fmi3Warning, "100 % as it was told");
     for (int i = 0; now && i < 100000 && !strcmp(c->act, "chatter"); i++) {
         char text[40];
@@ -75,7 +76,7 @@ static int step(toy *c, double time, double size)
     }
     if (now && !strcmp(c->act, "chdir") && chdir("/")) status = fmi3Error;
     if (now && !strcmp(c->act, "negative")) status = -1;
-    c->time = time + size;
+    c->time = time + size, c->size = size;
     compute(c);
     return status;
 }
@@ -127,6 +128,14 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n
                          const fmi2String v[])
 {
     return (void)r, (void)n, set_act(c, v[0]), fmi2OK;
+}
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
+{
+    return *value = kind == fmi2Terminated && ((toy *)c)->is_ended, fmi2OK;
+}
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
+{
+    return (void)kind, *value = ((toy *)c)->time - ((toy *)c)->size / 2, fmi2OK;
 }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean keep)
 {
