@@ -18,7 +18,7 @@ UNITS = {
     "time": "s",
     "plant.qpos[1]": "rad",
     "plant.contact_force": "N",
-    "plant.jac[1,1]": "m",  # recorded, but not compared
+    "plant.jac[1,1]": "m",
     "controller.dq[1]": "rad",
     "controller.dq[2]": "rad",
 }

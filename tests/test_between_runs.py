@@ -138,7 +138,7 @@ def test_columns_of_other_units_are_named_and_not_compared(tmp_path: Path) -> No
     assert result.other_units == ("controller.dq[1]",)
     assert result.signals == ()
     assert not result.identical
-    assert "1 columns in other units, not compared" in result.to_html()
+    assert "1 columns in other units or types, not compared" in result.to_html()
 
 
 def test_noise_is_ranked_below_what_differs(tmp_path: Path) -> None:

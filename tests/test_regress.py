@@ -26,7 +26,7 @@ from panda_cosim.scenarios.work import Workers
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 
-LARGEST = 200_000  # bytes of a reference; noise compresses badly
+LARGEST = 500_000  # bytes of a reference; noise compresses badly
 
 SETTINGS = """
 purpose = "Moves a little"

@@ -159,6 +159,7 @@ class Variable:
     start: Numbers | bool | str | None = None  # of each scalar, or of all; None for outputs
     minimum: Numbers | None = None  # of each scalar, or of all; None: unbounded
     maximum: Numbers | None = None
+    nominal: float | None = None  # size of usual values, of a Real; None: not declared
     kind: Kind = "Real"  # all outputs of ours are Real, because importers read them as Real
     choices: tuple[str, ...] = ()  # names of an Enumeration's values
     numbers: tuple[int, ...] = ()  # of the choices, where they do not count from 1

@@ -306,6 +306,7 @@ def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
         described.description or "",
         minimum=bound("min") if kind in (*_NUMBERS, "Enumeration") else None,
         maximum=bound("max") if kind in (*_NUMBERS, "Enumeration") else None,
+        nominal=bound("nominal") if kind == "Real" else None,
         kind=cast("Kind", kind),
         choices=tuple(item.name for item in items),
         numbers=tuple(int(item.value) for item in items),

@@ -1,7 +1,8 @@
 """Compares runs with each other: parameters, criteria, metrics and signals.
 
 All runs are compared with the first. Their scenarios, lengths and step sizes may differ; signals
-of the same name and unit are compared at the first run's instants, where the times overlap.
+of the same name and unit are compared at the instants of all runs, where the times overlap.
+Between its own, a run's Reals are interpolated; all else keeps its value.
 """
 
 from __future__ import annotations
@@ -20,12 +21,23 @@ from ..recording import Recording
 from ..run.folder import SUMMARY_FILE
 from ..run.result import Run
 from . import differences
-from .differences import DASH, CriterionRow, Extent, Row, SignalRow, numbers, percent, precise
-from .page import NO_VIEW, Figure, Page, Part, Section, Table, curve, render, varied
+from .differences import (
+    DASH,
+    CriterionRow,
+    Extent,
+    Row,
+    SignalRow,
+    multiple,
+    numbers,
+    percent,
+    precise,
+)
+from .page import NO_VIEW, Array, Figure, Page, Part, Section, Table, curve, render, varied
 
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
 VIEWED: Final = 3  # curves of the most different signals beside the 3D view
+SIGNAL_HEAD: Final = ("Signal", "x tolerance", "of its range")
 DIGITS: Final = 9  # of instants [s], so that rounding of k * dt makes no second one
 
 
@@ -36,16 +48,16 @@ class RunComparison:
     Attributes:
         names: Names of the runs.
         extents: What each run recorded.
-        begin: First of the first run's instants at which all others were compared with it [s].
+        begin: First of the instants, those of all runs, at which they were compared [s].
         end: The last of these [s].
         rows: Their number.
         columns: Number of compared columns.
         parameters: Parameters that differ.
         criteria: All criteria.
         metrics: Metrics that differ, the largest difference first.
-        signals: Columns of all runs that differ, the largest difference first.
+        signals: Columns of all runs that differ, the most default tolerances apart first.
         missing: Columns that only some runs have.
-        other_units: Columns whose unit is not the same in all runs; they are not compared.
+        other_units: Columns that are of another unit, or text in some runs; they are not compared.
         recordings: Recordings of the runs.
     """
 
@@ -130,11 +142,11 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
     short = [path.resolve().name for path in paths]
     names = tuple(short if len(set(short)) == len(short) else map(str, paths))
-    instants = differences.common_instants(names, [each.time for each in recordings])
-    every = dict.fromkeys(name for r in recordings for name in r.columns if name != "time")
-    common = [name for name in every if all(name in r.units for r in recordings)]
-    units = recordings[0].units
-    compared = [name for name in common if all(r.units[name] == units[name] for r in recordings)]
+    instants, own = differences.joint_instants(names, [each.time for each in recordings])
+    every = dict.fromkeys(name for r in recordings for name in r.types if name != "time")
+    common = [name for name in every if all(name in r.types for r in recordings)]
+    # The unit of a number, None of a text.
+    compared = [name for name in common if len({r.units.get(name) for r in recordings}) == 1]
     if not compared:
         raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
     metrics = differences.differing([differences.metrics_of(summary) for summary in summaries])
@@ -148,7 +160,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         parameters=tuple(differences.differing([differences.parameters_of(r) for r in recordings])),
         criteria=differences.criteria_of(summaries),
         metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
-        signals=differences.signals_apart(compared, recordings),
+        signals=differences.signals_apart(compared, recordings, instants, own),
         missing=tuple(name for name in every if name not in common),
         other_units=tuple(name for name in common if name not in compared),
         recordings=recordings,
@@ -229,20 +241,21 @@ def _values(what: str, comparison: RunComparison, rows: Sequence[Row]) -> Part:
 
 def _signals_part(comparison: RunComparison) -> list[Part]:
     """Return the curves, and what could not be compared; nothing if all is equal."""
-    rows = [(row.name, percent(row.share), *row.texts) for row in comparison.signals]
+    rows = [signal_cells(row) for row in comparison.signals]
     units, missing = comparison.other_units, comparison.missing
-    head = ("Signal", "Share of its range", *comparison.names[1:])
+    head = (*SIGNAL_HEAD, *comparison.names[1:])
     tables = [
         Table(head, rows, f"{len(rows)} signals that differ"),
-        _names(units, "columns in other units, not compared"),
+        _names(units, "columns in other units or types, not compared"),
         _names(missing, "columns that only some runs have"),
     ]
     if not any(table.rows for table in tables):
         return []
-    shown = varied(comparison.signals, lambda row: row.name, ALIKE)[:FIGURES]
+    numbers = [row for row in comparison.signals if row.name in comparison.recordings[0].units]
+    shown = varied(numbers, lambda row: row.name, ALIKE)[:FIGURES]
     note = "A range below a thousandth of the signal's largest value counts as that."
     figures = [_figure(row, comparison) for row in shown]
-    return [Part("Signals, largest share of their range first", tables, note, figures)]
+    return [Part("Signals, the most default tolerances first", tables, note, figures)]
 
 
 def _names(columns: Sequence[str], words: str) -> Table:
@@ -253,11 +266,24 @@ def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
     """Return a column's curves in all runs, at the instants of all of them."""
     runs = comparison.recordings
     time = np.unique(np.round(np.concatenate([run.time for run in runs]), DIGITS))
-    values = [differences.on_times(time, run.time, run[row.name]) for run in runs]
+    values = [_curve(time, run, row.name) for run in runs]
     worst = row.times[int(np.argmax(row.largest))]
     lines = curve(row.unit, dict(zip(comparison.names, values, strict=True)), time, worst)
     meaning = runs[0].descriptions.get(row.name, "")
     return Figure(row.name, "; ".join(row.texts), meaning, lines)
+
+
+def _curve(time: Array, run: Recording, name: str) -> Array:
+    """Return a column at the instants of all runs, NaN before and after its own."""
+    values = differences.on_times(time, run.time, run[name].astype(float), run.is_real(name))
+    slack = 10.0**-DIGITS
+    within = (time >= run.time[0] - slack) & (time <= run.time[-1] + slack)
+    return np.asarray(np.where(within, values, np.nan))
+
+
+def signal_cells(row: SignalRow) -> tuple[str, ...]:
+    """Return the cells of a column's row in a table; `SIGNAL_HEAD` is above them."""
+    return row.name, multiple(row.multiple), percent(row.share), *row.texts
 
 
 def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:

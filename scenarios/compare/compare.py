@@ -5,8 +5,10 @@ of its instant, widened by the signal's tolerance:
 
     min r(t') - tol <= x(t) <= max r(t') + tol,  |t' - t| <= time
 
+A text must be one of those of the reference within `time`; any other is infinitely far away.
 The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
-the comparison fails. The other checks find signals that are missing, new or in another unit, values
+the comparison fails. Where the reference, of format 1, holds only a column's bits, these must
+match. The other checks find signals that are missing, new or of another unit or type, values
 that are not finite, a different time axis or verdict and, on request, different bits. Parameters,
 versions and the FMUs' identities are not compared.
 """
@@ -22,16 +24,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError, did_you_mean
+from ...fmus.errors import InputError, did_you_mean, excerpt
 from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
-from ..scenario.tolerances import Tolerances
-from .differences import measure, multiple, precise, signal_names, signal_of
+from ..scenario.tolerances import Tolerances, signal_of
+from .differences import LEAST_SHARE, instant, measure, multiple, precise, signal_names
 from .reference import Reference, column_digest, kept_metadata
+from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, widths
 
 Array = NDArray[np.float64]
-
-TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
 
 
 def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[str]:
@@ -56,8 +57,8 @@ def unexpected_text(summary: Mapping[str, Any]) -> str:
 
 def signal_problems(recording: Recording, reference: Reference) -> list[str]:
     """Check that the signals and their units are those of the reference."""
-    missing = _words(name for name in reference.units if name not in recording.units)
-    added = _words(name for name in recording.units if name not in reference.units)
+    missing = _words(name for name in reference.units if name not in recording.types)
+    added = _words(name for name in recording.types if name not in reference.units)
     problems = []
     for signal, words in missing.items():
         near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
@@ -67,6 +68,10 @@ def signal_problems(recording: Recording, reference: Reference) -> list[str]:
         before = reference.units.get(name, unit)
         if unit != before:
             problems.append(f"{name} has the unit {unit!r}, the reference {before!r}")
+    for name, kind in recording.types.items():
+        before = reference.types.get(name, kind)
+        if kind != before:
+            problems.append(f"{name} has the type {kind}, the reference {before}")
     return problems
 
 
@@ -90,7 +95,7 @@ def value_problems(recording: Recording) -> list[str]:
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             at, more = time[bad[0]], f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
-            problems.append(f"{name} is {values[bad[0]]} at {at:.3f} s{more}")
+            problems.append(f"{name} is {values[bad[0]]} at {instant(at)} s{more}")
     return problems
 
 
@@ -98,12 +103,13 @@ def time_problems(time: Array, reference: Reference) -> list[str]:
     """Check that the time axis is that of the reference."""
     start, end = reference.time[[0, -1]].tolist()
     first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
-    if not (abs(first - start) <= TIME_SLACK and abs(last - end) <= TIME_SLACK):
+    slack = TIME_SLACK * reference.step_size
+    if not (abs(first - start) <= slack and abs(last - end) <= slack):
         spans = [f"{precise(a)} to {precise(b)} s" for a, b in ((first, last), (start, end))]
         return [f"goes from {spans[0]}, the reference from {spans[1]}"]
     if len(time) != reference.rows:
         return [f"has {len(time)} rows, the reference {reference.rows}"]
-    off = np.flatnonzero(~(np.abs(time - reference.time) <= TIME_SLACK))
+    off = np.flatnonzero(~(np.abs(time - reference.time) <= slack))
     return [
         f"time is {time[row]:.9f} s in row {row + 1}, must be {reference.time[row]:.9f} s"
         for row in off[:1]
@@ -115,7 +121,7 @@ def bit_problems(recording: Recording, reference: Reference) -> list[str]:
     differing = [
         name
         for name, bits in reference.digests.items()
-        if name in recording.units and column_digest(recording[name]) != bits
+        if name in recording.types and column_digest(recording[name]) != bits
     ]
     if not differing:
         return []
@@ -142,6 +148,9 @@ class Deviation:
     time: float  # of that distance [s]
     first: float | None  # time at which it first leaves the tube [s]; None: never
     outside: int  # ticks outside the tube
+    extent: float = 0.0  # of the reference: its largest value less its smallest; 1 of texts
+    constant: bool = False  # whether a constant would stay inside the tube
+    found: str = ""  # what it is, and the reference, where it is infinitely far away
 
     @property
     def ok(self) -> bool:
@@ -156,6 +165,8 @@ class Comparison:
     problems: tuple[str, ...]  # one line each, the most important first
     deviations: tuple[Deviation, ...]  # of each compared column, the worst first
     engines: tuple[str, str] = ("", "")  # versions of MuJoCo: the run's, the reference's
+    equal: int = 0  # further columns, of which only the bits were compared
+    uncompared: tuple[str, ...] = ()  # recorded columns that were not compared
 
     @property
     def ok(self) -> bool:
@@ -173,6 +184,38 @@ class Comparison:
         outside = [each for each in self.deviations if each.first is not None]
         return min(outside, key=lambda each: each.first or 0.0, default=None)
 
+    @property
+    def compared(self) -> int:
+        """Number of compared columns."""
+        return len(self.deviations) + self.equal
+
+    @property
+    def hidden(self) -> list[str]:
+        """Columns that vary, but in whose tube a constant stays, too."""
+        extents = defaultdict[tuple[str, str], float](float)
+        for d in self.deviations:
+            key = signal_of(d.name), d.unit
+            extents[key] = max(extents[key], d.extent)
+        return [
+            d.name
+            for d in self.deviations
+            if d.constant and d.extent > LEAST_SHARE * extents[signal_of(d.name), d.unit]
+        ]
+
+    @property
+    def count(self) -> str:
+        """Say how many columns were compared, how many not, and how many a constant matches."""
+        share = f" of {self.compared + len(self.uncompared)}" if self.uncompared else ""
+        fits = f", a constant would match {len(self.hidden)}" if self.hidden else ""
+        return f"{self.compared}{share} columns{fits}"
+
+    @property
+    def scope(self) -> str:
+        """Say what was compared, what was not, and which signals a constant would match, too."""
+        others = {"not compared": self.uncompared, "a constant": sorted(self.hidden)}
+        names = [f" ({what}: {signal_names(each)})" for what, each in others.items() if each]
+        return "".join([f"Compared: {self.count}", *names, "."])
+
 
 def compare_with_reference(
     recording: Recording,
@@ -183,7 +226,8 @@ def compare_with_reference(
     exact: bool = False,
 ) -> Comparison:
     """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
-    _check_precision(reference, tolerances)
+    half, ticks = widths(reference, tolerances), tolerances.ticks(reference.step_size)
+    _check_precision(reference, half)
     time = recording.time
     problems = [
         *([] if recording.complete else [f"ended early: {recording.reason}"]),
@@ -192,30 +236,38 @@ def compare_with_reference(
         *time_problems(time, reference),
         *verdict_problems(summary, reference),
     ]
-    present = [name for name in reference.columns if name in recording.units]
     rows = matching_rows(time, reference)
     matched = rows >= 0
     time, rows = time[matched], rows[matched]
-    deviations = []
-    for name in present:
-        values = recording[name][matched].astype(float, copy=False)
-        deviations.append(_deviation(name, time, rows, values, reference, tolerances))
+    deviations, equal, uncompared = [], 0, []
+    for name in (each for each in recording.types if each != "time"):
+        if (name in recording.texts, True) == (name in reference.texts, name in half):
+            values = recording[name][matched]
+            deviations.append(_deviation(name, time, rows, values, reference, half[name], ticks))
+        elif reference.digests.get(name) == column_digest(recording[name]):
+            equal += 1
+        else:
+            uncompared.append(name)
     deviations.sort(key=lambda d: -d.share)
-    if not deviations:
+    if not deviations and not equal:
         problems.append("no signal was compared")
+    if unknown := [name for name in uncompared if name in reference.units and name not in half]:
+        problems.append(
+            f"bits differ: {signal_names(unknown)}, of which the reference, of format 1, holds no "
+            "values; must be recorded again with --update"
+        )
     problems += _tube_problems(deviations)
     if exact:
         problems += bit_problems(recording, reference)
     run, made = (each.metadata.get("versions", {}) for each in (recording, reference))
     engines = (run.get("mujoco", ""), made.get("mujoco", ""))
-    return Comparison(tuple(problems), tuple(deviations), engines)
+    return Comparison(tuple(problems), tuple(deviations), engines, equal, tuple(uncompared))
 
 
-def _check_precision(reference: Reference, tolerances: Tolerances) -> None:
+def _check_precision(reference: Reference, half: Mapping[str, float]) -> None:
     """Refuse a reference whose rounding would widen its tubes noticeably."""
     for name, quantum in reference.quanta.items():
-        unit = reference.units[name]
-        tolerance = tolerances.value(name, unit)
+        unit, tolerance = reference.units[name], half[name]
         if quantum > COARSEST * tolerance:
             raise InputError(
                 f"{name}: the reference is rounded to {measure(quantum, unit)}, too coarse for a "
@@ -223,44 +275,25 @@ def _check_precision(reference: Reference, tolerances: Tolerances) -> None:
             )
 
 
-def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
-    """Return the edges of the tube around a signal (n,), with its half-widths in value and time."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - slow to import
-
-    size = 2 * ticks + 1
-    lower: Array = minimum_filter1d(values, size, mode="nearest")
-    upper: Array = maximum_filter1d(values, size, mode="nearest")
-    lower -= tolerance  # in place, as a long run's are large
-    upper += tolerance
-    return lower, upper
-
-
-def tube_of(name: str, reference: Reference, tolerances: Tolerances) -> tuple[Array, Array]:
-    """Return the edges of a column's tube, widened by the reference's rounding."""
-    tolerance = tolerances.value(name, reference.units[name]) + reference.quanta[name] / 2
-    ticks = round(tolerances.time / reference.step_size)
-    return tube(reference.column(name), tolerance, ticks)
-
-
 def _deviation(  # noqa: PLR0913 - one column with all that it is held against
     name: str,
     time: Array,
-    rows: NDArray[np.int64],
+    rows: Rows,
     values: Array,
     reference: Reference,
-    tolerances: Tolerances,
+    tolerance: float,
+    ticks: int,
 ) -> Deviation:
-    unit = reference.units[name]
-    tolerance = tolerances.value(name, unit)
-    lower, upper = tube_of(name, reference, tolerances)
-    distance = np.maximum(values - upper[rows], lower[rows] - values)
-    distance += tolerance
-    np.maximum(distance, 0.0, out=distance)
-    distance[~np.isfinite(values)] = np.inf
-    if not len(distance):
-        return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0)
+    unit, expected = reference.units[name], reference.column(name)
+    if not len(rows):
+        nowhere = "at none of the reference's instants"
+        return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0, found=nowhere)
+    distance = distances(values, rows, expected, reference.quanta.get(name, 0.0) / 2, ticks)
     worst = int(np.argmax(distance))
     outside = distance > tolerance
+    found = (
+        f"{excerpt(values[worst])} at {instant(time[worst])} s, {excerpt(expected[rows[worst]])} in"
+    )
     return Deviation(
         name=name,
         unit=unit,
@@ -270,10 +303,13 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
         time=float(time[worst]),
         first=float(time[int(np.argmax(outside))]) if outside.any() else None,
         outside=int(outside.sum()),
+        extent=extent_of(expected),
+        constant=holds_constant(expected, tolerance, ticks),
+        found=f"{found} the reference" if math.isinf(distance[worst]) else "",
     )
 
 
-def matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
+def matching_rows(time: Array, reference: Reference) -> Rows:
     """Return the reference's row at each instant, -1 if it has none."""
     ticks = np.round(np.nan_to_num(time - reference.time[0], nan=-1.0) / reference.step_size)
     inside = (ticks >= 0) & (ticks < reference.rows)
@@ -292,15 +328,13 @@ def _tube_problems(deviations: Sequence[Deviation]) -> list[str]:
 
 def describe(deviation: Deviation) -> str:
     """Describe where a column is furthest from its reference."""
-    verb = "is" if math.isinf(deviation.share) else "off by"
+    verb = "is" if deviation.found else "off by"
     return f"{deviation.name} {verb} {deviation_text(deviation)}"
 
 
 def deviation_text(deviation: Deviation) -> str:
     """Return size and time of a deviation."""
-    if math.isinf(deviation.share):
-        return f"not finite at {deviation.time:.3f} s"
-    return (
-        f"{measure(deviation.distance, deviation.unit)} at {deviation.time:.3f} s, "
+    return deviation.found or (
+        f"{measure(deviation.distance, deviation.unit)} at {instant(deviation.time)} s, "
         f"{multiple(deviation.share)} times its tolerance"
     )

@@ -15,16 +15,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, excerpt
 from ..judging.criterion import Criterion
 from ..recording import Recording
+from ..scenario.tolerances import Tolerances, signal_of
+from .tubes import TIME_SLACK, distances, widths
 
 DASH: Final = "\u2013"  # en dash for an empty cell
-
-
-def signal_of(column: str) -> str:
-    """Return the signal of a column: its name without indices."""
-    return column.partition("[")[0]
 
 
 def signal_names(columns: Iterable[str], most: int = 5) -> str:
@@ -56,7 +53,7 @@ def number(value: object, sign: str = "", digits: int = 4) -> str:
 
 def measure(value: float, unit: str) -> str:
     """Format a number with three digits and its unit, if any."""
-    return short(value) if unit == "1" else f"{short(value)} {unit}"
+    return short(value) if unit in ("", "1") else f"{short(value)} {unit}"
 
 
 def multiple(share: float) -> str:
@@ -75,6 +72,12 @@ def precise(value: float) -> str:
     return f"{value:.12g}"
 
 
+def instant(value: float) -> str:
+    """Format a time to the millisecond, or with all digits of a tick between these."""
+    text = f"{value:.3f}"
+    return text if abs(float(text) - value) < MILLISECOND else precise(value)
+
+
 def short(value: float) -> str:
     """Format a number with three digits."""
     rounded = float(f"{value:.3g}")
@@ -87,6 +90,7 @@ SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration"
 SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
 # The speed of the machine is not a property of the scenario.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
+MILLISECOND: Final = 1e-9  # [s] of rounding about one
 SMALL: Final = 1e-3  # in any unit; changes of smaller numbers are judged as if they were this large
 
 # What a range counts as at least, so that noise in an element that hardly moves is a small share.
@@ -141,13 +145,19 @@ class SignalRow:
     largest: tuple[float, ...]  # largest distance, in the unit
     times: tuple[float, ...]  # time of that distance [s]
     rms: tuple[float, ...]  # RMS distance, in the unit
-    share: float  # the largest of all, divided by the column's range in all runs
+    found: tuple[str, ...]  # what each is there, and the first
+    share: float = 0.0  # the largest of all, divided by the column's range in all runs
+    multiple: float = 0.0  # the largest of all, divided by the default tolerance
 
     @property
     def texts(self) -> list[str]:
         """Largest distance and its time, for each other run."""
-        largest = zip(self.largest, self.times, strict=True)
-        return [f"{measure(distance, self.unit)} at {t:.3f} s" for distance, t in largest]
+        sizes = [measure(distance, self.unit) for distance in self.largest]
+        shown = [
+            f if math.isinf(d) else size
+            for d, f, size in zip(self.largest, self.found, sizes, strict=True)
+        ]
+        return [f"{text} at {instant(t)} s" for text, t in zip(shown, self.times, strict=True)]
 
 
 def parameters_of(recording: Recording) -> dict[str, Any]:
@@ -163,7 +173,7 @@ def metrics_of(summary: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the metrics of a summary, by names such as `limits.torque_share[2]`."""
     metrics: dict[str, float | None] = {}
     for section in SECTIONS:
-        for key, value in summary.get(section, {}).items():
+        for key, value in (summary.get(section) or {}).items():
             several = isinstance(value, list)
             items = {f"[{i}]": item for i, item in enumerate(value, 1)} if several else {"": value}
             for index, item in items.items():
@@ -199,70 +209,75 @@ def criteria_of(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, .
     return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
 
 
-def common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
-    """Return the first run's instants within the spans of all runs."""
-    first = times[0]
+def joint_instants(names: Sequence[str], times: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """Return the instants of all runs within the spans of all, and each run's as they are there."""
     for name, time in zip(names, times, strict=True):
         if not len(time):
             raise InputError(f"{name}: nothing to compare: it has no rows")
-        first = first[(first >= time[0]) & (first <= time[-1])]
-    if not len(first):
+    # Rounding of k * dt makes no second instant of one.
+    slack = TIME_SLACK * min(float(np.diff(time).min(initial=1.0)) for time in times)
+    every = np.unique(np.concatenate(times))
+    every = every[np.diff(every, prepend=-np.inf) > slack]
+    own = [every[np.searchsorted(every, time, "right") - 1] for time in times]
+    first, last = max(time[0] for time in own), min(time[-1] for time in own)
+    instants = every[(every >= first) & (every <= last)]
+    if not len(instants):
         raise InputError(f"{', '.join(names)}: nothing to compare: no span of time in common")
-    return first
+    return instants, own
 
 
-def signals_apart(names: Sequence[str], runs: Sequence[Recording]) -> tuple[SignalRow, ...]:
-    """Return the columns that are not equal in all runs, the largest share of a range first."""
-    # One column of each run is in memory at a time.
-    times, units = [run.time for run in runs], runs[0].units
-    with np.errstate(over="ignore", invalid="ignore"):
-        rows = [
-            _distances(name, units[name], times, [run[name].astype(float) for run in runs])
-            for name in names
-        ]
-    largest = defaultdict[tuple[str, str], float](float)
-    for row, _, peak in rows:
-        signal = signal_of(row.name), row.unit
-        largest[signal] = max(largest[signal], peak)
+def signals_apart(
+    names: Sequence[str], runs: Sequence[Recording], instants: Array, times: Sequence[Array]
+) -> tuple[SignalRow, ...]:
+    """Return the columns that are not equal in all runs, the most default tolerances first."""
+    half = [widths(run, Tolerances()) for run in runs]
+    extents = defaultdict[tuple[str, str], float](float)
+    rows = []
+    for name in names:  # one column of each run is in memory at a time
+        unit = runs[0].units.get(name, "")
+        row, extent, size = _apart(name, unit, instants, times, runs)
+        signal = signal_of(name), unit
+        extents[signal] = max(extents[signal], LEAST_SHARE * size)
+        rows.append((row, extent, max(each[name] for each in half)))
     apart = []
-    for row, extent, _ in rows:
-        least = LEAST_SHARE * largest[signal_of(row.name), row.unit]
-        worst = max(row.largest)
-        share = worst / max(extent, least, LEAST) if math.isfinite(worst) else math.inf
-        apart += [replace(row, share=share)] if share > 0.0 else []
-    return tuple(sorted(apart, key=lambda row: -row.share))
+    for row, extent, width in rows:
+        worst, least = max(row.largest), max(extents[signal_of(row.name), row.unit], LEAST)
+        share = worst / max(extent, least) if math.isfinite(worst) else math.inf
+        apart += [replace(row, share=share, multiple=worst / width)] if worst > 0.0 else []
+    return tuple(sorted(apart, key=lambda row: -row.multiple))
 
 
-def _distances(
-    name: str, unit: str, times: Sequence[Array], columns: Sequence[Array]
+def _apart(
+    name: str, unit: str, instants: Array, times: Sequence[Array], runs: Sequence[Recording]
 ) -> tuple[SignalRow, float, float]:
-    """Return how far other runs' columns are from the first, range and largest value of all."""
-    finite = (column[np.isfinite(column)] for column in columns)
+    """Return how far other runs' columns are from the first, and range and size in all runs."""
+    is_real = all(run.is_real(name) for run in runs)
+    columns = [run[name] for run in runs]
+    found = zip(times, columns, strict=True)
+    first, *others = (on_times(instants, own, values, is_real) for own, values in found)
+    largest, at, rms, texts = [], [], [], []
+    for other in others:
+        distance = distances(other, np.arange(len(instants)), first, 0.0, 0)
+        distance[first == other] = 0.0
+        if first.dtype.kind == "f":
+            distance[np.isnan(first) & np.isnan(other)] = 0.0
+        worst = int(np.argmax(distance))
+        largest.append(float(distance[worst]))
+        at.append(float(instants[worst]))
+        rms.append(float(np.sqrt(np.mean(distance**2))))
+        texts.append(f"{excerpt(other[worst])} instead of {excerpt(first[worst])}")
+    row = SignalRow(name, unit, tuple(largest), tuple(at), tuple(rms), tuple(texts))
+    if name in runs[0].texts:
+        return row, 1.0, 1.0
+    finite = [values[np.isfinite(values)].astype(float) for values in columns]
     ends = [end for part in finite if len(part) for end in (part.min(), part.max())] or [0.0]
-    others = zip(times[1:], columns[1:], strict=True)
-    distances = [_distance(times[0], columns[0], *other) for other in others]
-    largest, at, rms = zip(*distances, strict=True)
-    row = SignalRow(name, unit, largest, at, rms, share=0.0)
     return row, float(max(ends) - min(ends)), float(max(map(abs, ends)))
 
 
-def _distance(
-    time: Array, first: Array, instants: Array, other: Array
-) -> tuple[float, float, float]:
-    """Return the largest distance of two columns, its time [s], and the RMS distance."""
-    begin, end = np.searchsorted(time, instants[0]), np.searchsorted(time, instants[-1], "right")
-    b = on_times(time, instants, other)[begin:end]
-    time, a = time[begin:end], first[begin:end]
-    distance = np.abs(b - a)
-    distance[(a == b) | (np.isnan(a) & np.isnan(b))] = 0.0
-    distance[np.isnan(distance)] = np.inf
-    worst = int(np.argmax(distance))
-    rms = float(np.sqrt(np.mean(distance**2)))
-    return float(distance[worst]), float(time[worst]), rms
-
-
-def on_times(time: Array, instants: Array, values: Array) -> Array:
-    """Return the values of some instants at other ones, linearly interpolated; else NaN."""
+def on_times(time: Array, instants: Array, values: Array, is_real: bool) -> Array:
+    """Return the values of some instants at later ones: of a Real interpolated, else held."""
     if np.array_equal(time, instants):
         return values
-    return np.interp(time, instants, values, left=np.nan, right=np.nan)
+    if is_real:
+        return np.interp(time, instants, values)
+    return values[np.searchsorted(instants, time, "right") - 1]

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 from ...fmus.atomic import MARK, replacing
 from ..judging.criterion import line
-from .differences import measure, multiple
+from .differences import instant, measure, multiple
 
 if TYPE_CHECKING:
     from .regress import Outcome  # `run` writes JUnit, too, without the suite
@@ -50,7 +50,7 @@ def details(outcome: Outcome) -> str:
         return "\n".join([outcome.error, *criteria])
     deviations = [
         f"{d.name}: {multiple(d.share)} times its {measure(d.tolerance, d.unit)}; "
-        f"worst at {d.time:.3f} s, {d.outside} ticks outside"
+        f"worst at {instant(d.time)} s, {d.outside} ticks outside"
         for d in outcome.comparison.deviations
         if not d.ok
     ]

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import TEXT_LENGTH, legible, shown
 from ..pictures.panels import thin
-from .differences import multiple, signal_of
+from ..scenario.tolerances import signal_of
+from .differences import multiple
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -1,10 +1,11 @@
 """Reference recordings: each is a scenario's last approved run.
 
-`reference.parquet` lies beside the scenario and holds the compared signals at every tick, rounded
-to a tenth of their tolerance, the quantum. Each column is int32: second differences of multiples
-of its quantum, which makes a file of about 100 kB. The JSON under `METADATA_KEY` holds the quanta,
-the origin (versions, machine, FMUs, parameters), a digest of every recorded column, and the
-summary.
+`reference.parquet` lies beside the scenario and holds all recorded signals at every tick. Real ones
+are rounded to a tenth of their tolerance, the quantum: int32, second differences of multiples of
+it above the first value, which makes a file of some 100 kB. Others are as they were recorded. The
+JSON under `METADATA_KEY` holds the quanta, the origin (versions, machine, FMUs, parameters), a
+digest of every column, and the summary. Files of format 1 lack the values of some columns, and all
+of texts.
 """
 
 from __future__ import annotations
@@ -25,15 +26,16 @@ from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
 from ..files import as_argument
 from ..recording import Recording
-from ..recording.storage import METADATA_KEY, literal
+from ..recording.reader import bits
+from ..recording.storage import METADATA_KEY, TEXTS, literal, make_batch, values_of
 from ..scenario.scenario import Scenario
-from ..scenario.tolerances import Tolerances, is_compared
+from ..scenario.tolerances import Tolerances, signal_of
 from ..work import processor
-from .differences import signal_of
+from .tubes import widths
 
 Array = NDArray[np.float64]
 
-FORMAT: Final = 1
+FORMATS: Final = (1, 2)  # that are read; the last one is written
 REFERENCE_FILE: Final = "reference.parquet"
 CHECKSUM_KEY: Final = b"panda-cosim.checksum"
 QUANTA: Final = 10  # quanta per tolerance
@@ -48,10 +50,13 @@ class Reference:
 
     rows: int  # ticks, both ends included
     step_size: float  # time between two ticks [s]
-    # Makes a compared column (rows,), in its unit, whenever it is used; all of an hour are 2 GB.
+    # Makes a column (rows,), in its unit, whenever it is used; all of an hour are 2 GB.
     column: Callable[[str], Array]
-    quanta: Mapping[str, float]  # rounding step of each, in its unit
-    units: Mapping[str, str]  # of every recorded column, compared or not
+    quanta: Mapping[str, float]  # rounding step of each Real, in its unit
+    held: tuple[str, ...]  # columns of other types, as they were recorded
+    types: Mapping[str, str]  # of every recorded column, as Arrow names it; none in format 1
+    nominals: Mapping[str, float]  # of the columns that declare one, in their units
+    units: Mapping[str, str]  # of every recorded column, with values or not
     digests: Mapping[str, str]  # of every recorded column's bits
     metadata: Mapping[str, Any]  # scenario, versions, machine, FMUs, parameters
     summary: Mapping[str, Any]  # content of `summary.json`
@@ -64,8 +69,17 @@ class Reference:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the compared columns. The view reads a reference as it reads a recording."""
-        return tuple(self.quanta)
+        """Columns of numbers with values. The view reads a reference as it reads a recording."""
+        return (*self.quanta, *(name for name in self.held if self.types[name] not in TEXTS))
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """Columns of texts."""
+        return tuple(name for name in self.held if self.types[name] in TEXTS)
+
+    def is_real(self, name: str) -> bool:
+        """Whether a column is of real numbers."""
+        return name in self.quanta
 
     @property
     def descriptions(self) -> dict[str, str]:
@@ -74,7 +88,7 @@ class Reference:
 
     def __getitem__(self, name: str) -> Array:
         """Return a column (n,), or a signal's columns side by side (n, k)."""
-        if name in self.quanta:
+        if name in self.quanta or name in self.held:
             return self.column(name)
         return np.column_stack(
             [self.column(each) for each in self.columns if signal_of(each) == name]
@@ -84,33 +98,44 @@ class Reference:
     def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
         """Make a reference from a run; values are rounded to a tenth of their tolerances."""
         _check_run(recording, summary)
-        compared = [name for name in recording.columns if is_compared(name)]
-        if not compared:
-            raise InputError(
-                "the run records none of the signals that are compared; it cannot become a "
-                "reference; a section [success] judges it instead"
-            )
-        units = dict(recording.units)
-        quanta = {name: tolerances.value(name, units[name]) / QUANTA for name in compared}
+        half = widths(recording, tolerances)
+        if not half:
+            raise InputError("the run records no signal; it cannot become a reference")
+        names = ("time", *half)
+        quanta = {n: width / QUANTA for n, width in half.items() if recording.is_real(n)}
+
+        def column(name: str) -> Array:
+            values, quantum = recording[name], quanta.get(name)
+            if quantum is None:
+                return values
+            return np.asarray(values[0] + np.round((values - values[0]) / quantum) * quantum)
+
         return cls(
             rows=recording.rows,
             step_size=float(recording.metadata["step_size"]),
-            column=lambda n: np.round(recording[n] / quanta[n]) * quanta[n],
+            column=column,
             quanta=quanta,
-            units=units,
-            digests={name: column_digest(recording[name]) for name in recording.columns},
+            held=tuple(name for name in half if name not in quanta),
+            types={name: recording.types[name] for name in names},
+            nominals=recording.nominals,
+            units={name: recording.units.get(name, "") for name in names},
+            digests={name: column_digest(recording[name]) for name in names},
             metadata=kept_metadata(recording),
             summary=dict(summary),
         )
 
     def write(self, path: Path, recording: Recording) -> None:
         """Write the file atomically, block by block of the recording that it was made of."""
+        origins = {name: float(recording[name][0]) for name in self.quanta}
+        parts = (self.units, self.digests, self.types)
         text = json.dumps(
             {
-                "format": FORMAT,
+                "format": FORMATS[-1],
                 "rows": self.rows,
-                "columns": {name: [self.units[name], self.digests[name]] for name in self.units},
+                "columns": {name: [part[name] for part in parts] for name in self.units},
                 "quanta": self.quanta,
+                "origins": origins,
+                "nominals": self.nominals,
                 "metadata": self.metadata,
                 "summary": self.summary,
             }
@@ -119,32 +144,32 @@ class Reference:
             replacing(path) as temporary,
             pq.ParquetWriter(
                 literal(temporary),
-                _schema(self.columns),
+                schema := _schema(self.quanta, {name: self.types[name] for name in self.held}),
                 compression="zstd",
                 compression_level=19,
                 use_dictionary=False,
-                use_byte_stream_split=True,
+                use_byte_stream_split=list(self.quanta),
                 write_statistics=False,
                 write_page_checksum=True,
                 store_schema=False,
             ) as writer,
         ):
-            for batch in self._second_differences(recording):
-                writer.write_batch(batch)
+            for columns in self._blocks(recording, origins):
+                writer.write_batch(make_batch(schema, columns))
             writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
 
-    def _second_differences(self, recording: Recording) -> Iterator[Any]:
+    def _blocks(self, recording: Recording, origins: Mapping[str, float]) -> Iterator[list[Array]]:
         before = 0  # rows at the start of a block that were in the one before
-        for block in recording.in_blocks(*self.columns, before=2):
-            arrays = []
-            for name, values in zip(self.columns, block, strict=True):
-                steps = np.round(values / self.quanta[name])
+        for block in recording.in_blocks(*self.quanta, *self.held, before=2):
+            columns = [values[before:] for values in block]
+            for i, (name, quantum) in enumerate(self.quanta.items()):
+                steps = np.round((block[i] - origins[name]) / quantum)
                 differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)[before:]
                 if np.abs(differences).max(initial=0.0) > _LARGEST:
                     problem = "the tolerance is too small for its values"
                     raise InputError(f"[regression] {name}: {problem}")
-                arrays.append(pa.array(differences.astype(np.int32)))
-            yield pa.RecordBatch.from_arrays(arrays, schema=_schema(self.columns))
+                columns[i] = differences
+            yield columns
             before = 2
 
     @classmethod
@@ -154,20 +179,35 @@ class Reference:
             raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
         file, description = _open(path)
         quanta, metadata = description["quanta"], description["metadata"]
+        origins, columns = description.get("origins", {}), description["columns"]
+        types = {name: kind for name, (_, _, *kinds) in columns.items() for kind in kinds}
+
+        def column(name: str) -> Array:
+            values = values_of(_read(file, name).combine_chunks())
+            if name not in quanta:
+                return values
+            steps = values.astype(int).cumsum().cumsum()
+            return np.asarray(origins.get(name, 0.0) + steps * quanta[name])
+
         return cls(
             rows=description["rows"],
             step_size=metadata["step_size"],
-            column=lambda n: _read(file, n).to_numpy().astype(int).cumsum().cumsum() * quanta[n],
+            column=column,
             quanta=quanta,
-            units={name: unit for name, (unit, _) in description["columns"].items()},
-            digests={name: bits for name, (_, bits) in description["columns"].items()},
+            held=tuple(name for name in file.schema_arrow.names if name not in quanta),
+            types=types,
+            nominals=description.get("nominals", {}),
+            units={name: unit for name, (unit, *_) in columns.items()},
+            digests={name: digest for name, (_, digest, *_) in columns.items()},
             metadata=metadata,
             summary=description["summary"],
         )
 
 
-def _schema(names: Iterable[str]) -> Any:
-    return pa.schema([pa.field(name, pa.int32(), nullable=False) for name in names])
+def _schema(quanta: Iterable[str], held: Mapping[str, str]) -> Any:
+    types = {**dict.fromkeys(quanta, "int32"), **held}
+    fields = [pa.field(n, pa.type_for_alias(kind), nullable=False) for n, kind in types.items()]
+    return pa.schema(fields)
 
 
 def _read(file: Any, name: str) -> Any:
@@ -187,10 +227,14 @@ def _open(path: Path) -> tuple[Any, dict[str, Any]]:
         reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
         raise InputError(f"{path}: is not a reference: {reason}") from None
     description = json.loads(notes[METADATA_KEY])
-    if description["format"] != FORMAT:
-        raise InputError(f"{path}: format {excerpt(description['format'])}; must be {FORMAT}")
+    if description["format"] not in FORMATS:
+        valid = " or ".join(map(str, FORMATS))
+        raise InputError(f"{path}: format {excerpt(description['format'])}; must be {valid}")
+    columns, quanta = description["columns"], description["quanta"]
+    held = {n: kinds[0] for n, (_, _, *kinds) in columns.items() if kinds and n not in quanta}
+    held.pop("time", None)
     is_whole = file.metadata.num_rows == description["rows"]
-    if not (is_whole and file.schema_arrow == _schema(description["quanta"])):
+    if not (is_whole and file.schema_arrow == _schema(quanta, held)):
         raise InputError(f"{path}: is damaged: its columns are not those of its description")
     return file, description
 
@@ -202,8 +246,7 @@ def checksum(text: str) -> str:
 
 def column_digest(values: Array) -> str:
     """Return the digest of a column's bits."""
-    content = np.ascontiguousarray(values, dtype="<f8").tobytes()
-    return hashlib.sha256(content).hexdigest()[:_DIGEST_DIGITS]
+    return hashlib.sha256(bits(values)).hexdigest()[:_DIGEST_DIGITS]
 
 
 def kept_metadata(recording: Recording) -> dict[str, Any]:

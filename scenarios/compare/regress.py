@@ -22,15 +22,18 @@ import numpy as np
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..judging.criterion import Criterion, unmeasured_text, verdict_of
 from ..recording import Recording
+from ..recording.storage import TEXTS
 from ..run.folder import SUMMARY_FILE
 from ..run.options import Options
 from ..run.run import run_scenario
 from ..run.start import Overrides, check_criteria, start_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
-from ..scenario.tolerances import Tolerances, is_compared
+from ..scenario.tolerances import Tolerances
+from ..system.assembly import assemble
 from ..work import Workers
 from .compare import Comparison, compare_with_reference, describe, unexpected_text
 from .reference import Reference, how_to_make, reference_path
+from .tubes import widths
 
 if TYPE_CHECKING:
     from ..sweep.engine import SuiteSweep
@@ -265,6 +268,9 @@ def read_scenario(folder: Path) -> Scenario | Unusable:
     try:
         check_criteria(scenario)
         start_values(scenario)
+        if scenario.regression.values:
+            columns = assemble(scenario).recorded(scenario.coupling)
+            scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
     except InputError as error:
         return Unusable(folder, f"{folder / SCENARIO_FILE}: {error}")
     return scenario
@@ -359,14 +365,15 @@ def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: 
     rows = min(each.rows for each in (own, noisy, run))
     apart, beyond = np.zeros((2, rows + 1), bool)
     beyond[rows] = own.rows != run.rows
-    for name in own.columns:
-        first, other = own[name][:rows], run[name][:rows]
+    for name, width in widths(own, tolerances).items():
+        first, noise, other = (each[name][:rows] for each in (own, noisy, run))
         apart[:rows] |= first != other
-        if is_compared(name):
-            first, noise, other = (x.astype(float) for x in (first, noisy[name][:rows], other))
-            effect = np.maximum.accumulate(np.abs(noise - first))
-            near = np.maximum(GROWTH * effect, FLOOR * tolerances.value(name, own.units[name]))
-            beyond[:rows] |= ~(np.abs(other - first) <= near)
+        if name in own.texts:
+            beyond[:rows] |= (first != other) & (first == noise)
+            continue
+        first, noise, other = (x.astype(float) for x in (first, noise, other))
+        effect = np.maximum.accumulate(np.abs(noise - first))
+        beyond[:rows] |= ~(np.abs(other - first) <= np.maximum(GROWTH * effect, FLOOR * width))
     if beyond.any():
         return f"changed, tick {np.argmax(beyond)}"
     return f"rounding, tick {np.argmax(apart)}" if apart.any() else "equal"

@@ -21,12 +21,14 @@ from ..judging.criterion import bound_text, margin_text, quantity
 from ..recording import Recording
 from ..run.start import Overrides
 from ..scenario.scenario import Scenario
+from ..scenario.tolerances import flattened
 from ..view.page import shown_run
-from .compare import Comparison, Deviation, deviation_text, matching_rows, tube_of
-from .differences import DASH, measure, metrics_of, numbers, side_by_side
+from .compare import Comparison, Deviation, deviation_text, matching_rows
+from .differences import DASH, instant, measure, metrics_of, numbers, side_by_side
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
 from .regress import Outcome, headline
+from .tubes import tube
 from .views import Views, limited, shown_reference
 
 CURVES: Final = 8  # of a scenario that differs
@@ -107,7 +109,8 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     failed = [d for d in comparison.deviations if not d.ok]
     others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
     shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
-    origins = (dict(_flatten(each)) for each in (reference.metadata, kept_metadata(recording)))
+    shown = [deviation for deviation in shown if deviation.name in reference.columns]
+    origins = (dict(flattened(each)) for each in (reference.metadata, kept_metadata(recording)))
     tables = [
         Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
         Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
@@ -115,15 +118,15 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     figures = [_figure(d, outcome, recording, reference) for d in shown]
     return [
         _view(outcome, shown, views),
-        Part("Signals, worst first", tables, figures=figures),
+        Part("Signals, worst first", tables, comparison.scope, figures),
         _changes("Metrics", "Metric", metrics_of(reference.summary), metrics_of(outcome.summary)),
         _changes("Parameters, versions, FMUs", "What", *origins),
     ]
 
 
 def _deviation(d: Deviation) -> tuple[str | float, ...]:
-    first = DASH if d.first is None else f"{d.first:.3f} s"
-    where = (measure(d.distance, d.unit), f"{d.time:.3f} s", first, str(d.outside or DASH))
+    first = DASH if d.first is None else f"{instant(d.first)} s"
+    where = (measure(d.distance, d.unit), f"{instant(d.time)} s", first, str(d.outside or DASH))
     return (d.name, d.share, *where)
 
 
@@ -146,12 +149,14 @@ def _figure(
     rows = matching_rows(recording.time, reference)
     run = np.full(reference.rows, np.nan)
     run[rows[rows >= 0]] = recording[deviation.name][rows >= 0]
+    expected = reference.column(deviation.name).astype(float)
+    width = deviation.tolerance + reference.quanta.get(deviation.name, 0.0) / 2
     lines = curve(
         deviation.unit,
-        {"reference": reference.column(deviation.name), "run": run},
+        {"reference": expected, "run": run},
         reference.time,
         deviation.time,
-        tube_of(deviation.name, reference, outcome.tolerances),
+        tube(expected, width, outcome.tolerances.ticks(reference.step_size)),
         deviation.tolerance,
         POINTS_INSIDE if deviation.ok else POINTS,
     )
@@ -168,14 +173,6 @@ def _changes(title: str, what: str, before: Mapping[str, Any], now: Mapping[str,
         (changed if row.relative > 0.0 else same).append((row.name, *numbers(row.values)))
     tables = [Table(head, changed), Table(head, same, f"{len(same)} unchanged")]
     return Part(title, tables, note="" if changed else "None changed.")
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def check_kept_runs(folder: Path, names: Iterable[str]) -> None:

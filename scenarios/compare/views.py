@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from ...fmus.errors import InputError
 from ..scenario.scenario import shipped_scenarios
+from ..scenario.tolerances import signal_of
 from ..view.page import (
     Contents,
     code_elements,
@@ -19,7 +20,6 @@ from ..view.page import (
     style,
 )
 from ..view.run import CURVES, ROLES, RunData, Shown
-from .differences import signal_of
 from .page import NO_VIEW, Part
 from .reference import REFERENCE_FILE, Reference, how_to_make
 

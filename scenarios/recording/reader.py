@@ -18,6 +18,7 @@ from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
 from .storage import (
     PARQUET_FILE,
+    REALS,
     STREAM_FILE,
     TEXTS,
     Source,
@@ -42,6 +43,8 @@ class Recording:
         columns: Names of all columns of numbers, such as `plant.qpos[1]`.
         texts: Names of the columns of text (str) and bytes, if FMUs have such outputs.
         units: Unit of each column of numbers.
+        types: Type of each column, as Arrow names it.
+        nominals: Nominal value of each column that declares one, in its unit.
         descriptions: Description of each column.
         metadata: Scenario, versions, parameters and so on.
     """
@@ -52,7 +55,9 @@ class Recording:
         numbers = [column for column in source.columns if column.type not in TEXTS]
         self.columns = tuple(column.name for column in numbers)
         self.texts = tuple(column.name for column in source.columns if column.type in TEXTS)
-        self._types = {column.name: read_type(column.type) for column in source.columns}
+        self.types = {column.name: column.type for column in source.columns}
+        self.nominals = {c.name: c.nominal for c in source.columns if c.nominal is not None}
+        self._types = {name: read_type(kind) for name, kind in self.types.items()}
         self.units = {column.name: column.unit for column in numbers}
         self.descriptions = {column.name: column.description for column in source.columns}
         self._source = source
@@ -142,12 +147,16 @@ class Recording:
         state = "complete" if self.complete else f"incomplete: {self.reason}"
         return f"<Recording {self.path}: {self.rows} rows, {len(self.columns)} columns, {state}>"
 
+    def is_real(self, name: str) -> bool:
+        """Whether a column is of real numbers; others keep their value from row to row."""
+        return self.types[name] in REALS
+
     def sha256(self) -> str:
-        """Return the SHA-256 of the numbers, column by column; the same bits, the same."""
+        """Return the SHA-256 of all values, column by column; the same bits, the same."""
         content = hashlib.sha256()
-        for name in self.columns:
+        for name in (*self.columns, *self.texts):
             for (values,) in self._source.blocks([name]):
-                content.update(np.ascontiguousarray(values, self._types[name]).data)
+                content.update(bits(values.astype(self._types[name], copy=False)))
         return content.hexdigest()
 
     def blocks(self) -> Iterator[Array]:
@@ -293,6 +302,14 @@ def by_rows(
         values[row : row + len(part)] = part
         row += len(part)
     return values
+
+
+def bits(values: Array) -> Any:
+    """Return the bits of a column's values, for digests; each text follows its length."""
+    if values.dtype != object:
+        return np.ascontiguousarray(values).data
+    texts = [text.encode() if isinstance(text, str) else text for text in values]
+    return b"".join(len(text).to_bytes(8, "little") + text for text in texts)
 
 
 def _library(name: str) -> Any:

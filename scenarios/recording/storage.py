@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ...fmus.errors import InputError, excerpt, one_line
+from ...fmus.reading import finite_number
 from ..files import read_integer
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ TYPES: Final[dict[str, DTypeLike]] = {
     **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
 }  # fmt: skip
 TEXTS: Final = ("string", "binary")
+REALS: Final = ("double", "float")  # all else is held from row to row
 NO_END = "it has no end mark: the process was killed, the disk was full, or it is still running"
 
 
@@ -47,6 +49,7 @@ class Column:
     unit: str = ""
     description: str = ""
     type: str = "double"  # Arrow's name of one of `TYPES`
+    nominal: float | None = None  # size of usual values, in the unit; None: not declared
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,10 @@ def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
             column.name,
             pa.type_for_alias(column.type),
             nullable=False,
-            metadata={"unit": column.unit, "description": column.description},
+            metadata={
+                **{"unit": column.unit, "description": column.description},
+                **({} if column.nominal is None else {"nominal": repr(column.nominal)}),
+            },
         )
         for column in columns
     ]
@@ -99,7 +105,7 @@ def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
 
 def serialize_rows(schema: Any, values: Array) -> Any:
     """Return the stream's message with these rows. `values` has shape (columns, rows)."""
-    return _make_batch(schema, values).serialize()
+    return make_batch(schema, values).serialize()
 
 
 def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
@@ -108,7 +114,7 @@ def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
 
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, schema) as writer:
-        empty = _make_batch(schema, np.empty((len(schema), 0)))
+        empty = make_batch(schema, np.empty((len(schema), 0)))
         writer.write_batch(empty, custom_metadata={METADATA_KEY: json.dumps(state)})
     # A new stream starts with the schema, which ours already has at its start.
     return sink.getvalue().slice(schema.serialize().size)
@@ -136,7 +142,7 @@ def write_parquet(source: Source, parquet: Path) -> None:
             ) as writer,
         ):
             for block in source.blocks(schema.names):
-                writer.write_batch(_make_batch(schema, block), row_group_size=BLOCK_ROWS)
+                writer.write_batch(make_batch(schema, block), row_group_size=BLOCK_ROWS)
         with partial.open("rb+") as written:
             os.fsync(written.fileno())  # before the stream is deleted
         partial.replace(parquet)
@@ -185,7 +191,7 @@ def _stream_blocks(path: Path, batches: int, names: Sequence[str]) -> Iterator[l
             reader = pa.ipc.open_stream(file)
             for _ in range(batches):
                 batch = reader.read_next_batch()
-                pending.append([_values(batch.column(name)) for name in names])
+                pending.append([values_of(batch.column(name)) for name in names])
                 if sum(len(parts[0]) for parts in pending) >= BLOCK_ROWS:
                     yield _joined(pending)
                     pending = []
@@ -226,7 +232,7 @@ def open_parquet(path: Path) -> Source:
             try:
                 # A short run is read once, and kept.
                 group = only_group() if is_short else file.read_row_group(number, list(names))
-                block = [_values(group.column(name).combine_chunks()) for name in names]
+                block = [values_of(group.column(name).combine_chunks()) for name in names]
                 if any(len(column) != rows for column in block):
                     raise ValueError(f"a column does not have {rows} rows")
             except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
@@ -236,7 +242,8 @@ def open_parquet(path: Path) -> Source:
     return Source(columns, metadata, sum(groups), blocks)
 
 
-def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
+def make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
+    """Return columns as a batch of rows of a schema."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
 
     # Made from buffers, since pa.array() copies, and imports pandas.
@@ -254,7 +261,7 @@ def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
     return pa.RecordBatch.from_arrays(arrays, schema=schema)
 
 
-def _values(column: Any) -> Array:
+def values_of(column: Any) -> Array:
     """Return an Arrow array's values; its own to_numpy() would import pandas, which takes 0.4 s."""
     name = str(column.type)
     if name in TEXTS:
@@ -303,4 +310,5 @@ def _read_column(path: Path, field: Any) -> Column:
     unit, description = (
         notes.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"description")
     )
-    return Column(field.name, unit, description, str(field.type))
+    nominal = finite_number(notes.get(b"nominal", b"").decode("utf-8", "replace"))
+    return Column(field.name, unit, description, str(field.type), nominal)

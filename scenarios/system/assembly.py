@@ -117,7 +117,8 @@ class Assembly:
                 )
             variable = scalar.variable
             kind = column_type(variable)
-            columns.append(Column(column, scalar.unit, variable.description, kind))
+            about = (scalar.unit, variable.description, kind, variable.nominal)
+            columns.append(Column(column, *about))
         return columns
 
     @cached_property

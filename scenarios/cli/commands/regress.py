@@ -173,6 +173,8 @@ def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
 def _line(outcome: Outcome) -> str:
     worst = outcome.comparison.worst if outcome.comparison else None
     share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
+    if outcome.comparison is not None:
+        share += f", {outcome.comparison.count}"
     return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
@@ -181,7 +183,13 @@ def _described(outcome: Outcome) -> dict[str, object]:
     worst = outcome.comparison.worst if outcome.comparison else None
     first = outcome.comparison.first if outcome.comparison else None
     names = ("name", "verdict", "reason", "seconds", "criteria", "difference")
-    return {name: getattr(outcome, name) for name in names} | {"worst": worst, "first": first}
+    return {name: getattr(outcome, name) for name in names} | {
+        "worst": worst,
+        "first": first,
+        "compared": outcome.comparison and outcome.comparison.compared,
+        "uncompared": outcome.comparison and outcome.comparison.uncompared,
+        "constant_fits": outcome.comparison and outcome.comparison.hidden,
+    }
 
 
 def _show_result(outcomes: list[Outcome]) -> None:

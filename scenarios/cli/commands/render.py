@@ -8,8 +8,15 @@ from pathlib import Path
 
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
-from ...compare.between_runs import RunComparison, compare, extent_rows, judged_text
-from ...compare.differences import numbers, percent, signal_names
+from ...compare.between_runs import (
+    SIGNAL_HEAD,
+    RunComparison,
+    compare,
+    extent_rows,
+    judged_text,
+    signal_cells,
+)
+from ...compare.differences import numbers, signal_names
 from ...compare.reference import REFERENCE_FILE
 from ...compare.views import reference_of, shown_reference
 from ...pictures.motion import position_columns
@@ -150,8 +157,8 @@ def compare_runs(
     """Compare runs: parameters, verdicts, metrics and signals.
 
     Shows how the parameters, verdicts and signals of each run differ from the first run's. Signals
-    are ranked by the largest deviation as a share of the element's range, or of a thousandth of the
-    signal's largest value if that is more. The page overlays the curves of all runs. Runs of
+    are ranked by the largest deviation as a multiple of the default tolerance of `regress`; it is
+    also shown as a share of the element's range. The page overlays the curves of all runs. Runs of
     different lengths are compared where they overlap, and are never identical. Exit code 2: the
     runs have nothing in common.
 
@@ -182,15 +189,15 @@ def _show(comparison: RunComparison) -> None:
     show(comparison.verdict, "bold green" if equal else "bold")
     _show_rows(("Recorded", *names), list(extent_rows(comparison)))
     _show_names("Only some runs have", comparison.missing)
-    _show_names("Not compared, as their units differ:", comparison.other_units)
+    _show_names("Not compared, as their units or types differ:", comparison.other_units)
     parameters = [(row.name, *numbers(row.values)) for row in comparison.parameters]
     _show_rows(("Parameter*", *names), parameters, SHOWN)
     criteria = [(row.name, *map(judged_text, row.judged)) for row in comparison.criteria]
     _show_rows(("Criterion*", *names), criteria)
     metrics = [(row.name, *numbers(row.values)) for row in comparison.metrics]
     _show_rows(("Metric*", *names), metrics, SHOWN)
-    signals = [(row.name, percent(row.share), *row.texts) for row in comparison.signals]
-    _show_rows(("Signal", "of its range", *others), signals, SHOWN)
+    signals = [signal_cells(row) for row in comparison.signals]
+    _show_rows((*SIGNAL_HEAD, *others), signals, SHOWN)
 
 
 def _show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], most: int | None = None) -> None:
