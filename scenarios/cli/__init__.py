@@ -10,7 +10,6 @@ import signal
 import sys
 import time
 
-from ..run.stopping import end_if_late
 from . import startup
 
 
@@ -54,6 +53,8 @@ class _Ending:
             self._error = KeyboardInterrupt() if number == signal.SIGINT else Terminated()
             self._since = time.monotonic()
             raise self._error
+        from ..run.stopping import end_if_late  # noqa: PLC0415 - the first signal comes before it
+
         end_if_late(number, self._since)
 
 
