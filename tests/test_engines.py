@@ -109,6 +109,31 @@ def qpos(run: Path) -> np.ndarray:
     return np.asarray(Recording.open(run)["plant.qpos"])
 
 
+# What only reads.
+
+
+@pytest.mark.parametrize("name", ["push", "arm"])
+def test_check_and_info_download_no_engine_and_say_so(
+    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    folder = arm if name == "arm" else tmp_path / "mine"
+    if name != "arm":
+        shutil.copytree(load_scenario(name).folder or "", folder)
+    text = (folder / "scenario.toml").read_text()
+    (folder / "scenario.toml").write_text(f'mujoco = "3.10.0"\n{text}')
+    done = cli("check", folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = f"mujoco: 3.10.0 is not installed, but would be by a run; checked with {HERE}"
+    assert said in " ".join(done.stdout.split())
+    assert cli("info", folder).returncode == 0
+    assert not (tmp_path / "cache" / "engines").exists()
+    done = cli("run", folder, "--no-video", "--out", tmp_path / "run")
+    assert done.returncode == 1
+    assert "MuJoCo 3.10.0 cannot be installed" in done.stderr
+
+
 # FMUs.
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import pytest
 from fmu_support import in_process
+from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
 from odd_fmu import odd_ssp
@@ -263,6 +266,42 @@ def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_p
         assert "its FMU holds no model" in done.output
 
 
+def damaged_model(path: Path) -> bytes:
+    """Write a model that MuJoCo loads, but whose shape's kind is beyond its table of functions."""
+    two = '<body><freejoint/><geom size="1"/></body>' * 2
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{two}</worldbody></mujoco>")
+    model.geom_type[:] = 2**24
+    mujoco.mj_saveModel(model, str(path))
+    return path.read_bytes()
+
+
+@pytest.mark.fmu
+def test_a_damaged_model_is_one_line_at_every_door(tmp_path: Path) -> None:
+    good, run = tmp_path / "good", tmp_path / "run"
+    good.mkdir()
+    (good / "plant.xml").write_text(
+        '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    (good / "scenario.toml").write_text('duration = 0.02\n[fmus]\nplant = "plant.xml"\n')
+    done = command("run", good, "--no-video", "--out", run)
+    assert done.returncode == 0, done.stderr
+    bad = tmp_path / "bad"
+    shutil.copytree(good, bad)
+    (bad / "scenario.toml").write_text('duration = 0.02\n[fmus]\nplant = "plant.mjb"\n')
+    content = damaged_model(bad / "plant.mjb")
+    (run / "scenario" / "plant.mjb").write_bytes(content)
+    for arguments in (
+        ["view", run], ["render", run], ["check", bad], ["run", bad, "--out", tmp_path / "no"],
+        ["info", bad], ["mjcf2fmu", bad / "plant.mjb", "--out", tmp_path / "no.fmu"],
+        ["live", bad, "--out", tmp_path / "no"], ["build", "--scenario", bad, "--out", tmp_path],
+    ):  # fmt: skip
+        done = command(*arguments)
+        said = " ".join((done.stdout + done.stderr).split())
+        assert done.returncode == 2, (arguments, said)
+        assert "plant.mjb: MuJoCo cannot load it: it ends with signal" in said, arguments
+    assert not (tmp_path / "no").exists()
+
+
 @pytest.mark.fmu
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None:
@@ -316,8 +355,8 @@ def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(tmp_path: Pat
     assert (run / "plot.png").stat().st_size > 10_000
     says("export", str(run), str(tmp_path / "t.csv"))
     assert (tmp_path / "t.csv").read_text().splitlines()[-1].startswith("0.05,0.05,")
-    for command in ("render", "view"):
-        assert "holds no model" in says(command, str(run), code=2)
+    for name in ("render", "view"):
+        assert "holds no model" in says(name, str(run), code=2)
     assert {p.name for p in run.iterdir()} == {
         "recording.parquet", "summary.json", "scenario", "plot.png",
     }  # fmt: skip

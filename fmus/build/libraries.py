@@ -340,9 +340,18 @@ def made_with(version: str, make: Callable[[], bytes]) -> bytes:
         return answer.read_bytes()
 
 
+def has_engine(version: str) -> bool:
+    """Whether a version of MuJoCo is here, so that nothing has to be downloaded."""
+    return version in ("", mujoco_version()) or _engine(version).is_dir()
+
+
+def _engine(version: str) -> Path:
+    return cache_folder() / "engines" / f"{version}-{sys.implementation.cache_tag}"
+
+
 def _installed(version: str) -> Path:
     """Return the folder of a version, downloaded if it is missing."""
-    folder = cache_folder() / "engines" / f"{version}-{sys.implementation.cache_tag}"
+    folder = _engine(version)
     packages = ["mujoco"] if version.startswith("3.") else ["mujoco", "mujoco-core"]
     if not folder.is_dir():
         with in_cache(folder) as partial:

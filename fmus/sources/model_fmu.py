@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,9 +17,12 @@ import mujoco
 from ...assets import asset_files
 from ...assets.arm import change_arm, saved
 from ...assets.franka import DEFAULT_ROBOT
+from ..atomic import cache_folder, cached, temporary_folder
+from ..build.libraries import digest
 from ..build.native import NativeFmu
 from ..errors import InputError, one_line
 from ..interface.variables import Interface, Variable
+from ..processes import run
 from .mjcf_interface import (
     SECTIONS,
     Description,
@@ -32,6 +36,7 @@ from .mjcf_sources import Sources
 
 Warn = Callable[[str], object]
 MODEL_SUFFIX: Final = ".mjb"
+MODEL: Final = f"model{MODEL_SUFFIX}"
 STEPS: Final = 1000  # of a model's default experiment
 LONGEST_STEP: Final = 1.0  # [s]
 LAW: Final = """\
@@ -156,7 +161,7 @@ def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> An
     try:
         with taken_warnings() as texts:
             if path.suffix.lower() == MODEL_SUFFIX:
-                model = mujoco.MjModel.from_binary_path(str(path))
+                model = load_binary(path.read_bytes(), str(path))
             else:  # files beside the model go first: MuJoCo would take those that it is given
                 ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
                 model = mujoco.MjModel.from_xml_path(str(path), ours)
@@ -171,6 +176,31 @@ def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> An
         for text in texts:
             warn(f"{path}: MuJoCo warns: {one_line(text)}")
     return model
+
+
+# What a damaged model says is where its parts are can end the process that uses them.
+_TRY: Final = """
+import sys, mujoco
+model = mujoco.MjModel.from_binary_path(sys.argv[1])
+mujoco.mj_forward(model, mujoco.MjData(model))
+"""
+
+
+def load_binary(content: bytes, place: str) -> Any:
+    """Load a model that MuJoCo saved (.mjb), once a process of its own has tried it."""
+
+    def tried() -> bytes:
+        with temporary_folder(cache_folder()) as folder:
+            (folder / MODEL).write_bytes(content)
+            done = run([sys.executable, "-P", "-c", _TRY, MODEL], folder)
+        if done.returncode:
+            said = done.stderr.strip().rpartition("\n")[2].partition(": ")[2]  # by an exception
+            reason = said if done.returncode > 0 else f"it ends with signal {-done.returncode}"
+            raise InputError(f"{place}: MuJoCo cannot load it: {one_line(reason)}")
+        return b""
+
+    cached(cache_folder() / "models" / digest(content, mujoco.__version__)[:24], tried)
+    return mujoco.MjModel.from_binary_path(MODEL, {MODEL: content})
 
 
 def _fill_keyframes(model: Any, path: Path, files: Mapping[str, bytes]) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...controller.gains import PRESETS
+from ...fmus.build.libraries import has_engine, mujoco_version
 from ...fmus.errors import CosimError, InputError, did_you_mean
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
@@ -102,6 +103,9 @@ def check_folder(
     # An .ssp file has neither a purpose nor criteria.
     remarks = [] if folder.suffix == SYSTEM else [*_remarks(prepared.scenario)]
     remarks += unsuitable_gains(prepared.scenario, prepared.values)
+    if not has_engine(engine := prepared.scenario.mujoco):
+        remarks.append(f"mujoco: {engine} is not installed, but would be by a run; checked with "
+                       f"{mujoco_version()}")  # fmt: skip
     return [*_diagnostics("hint", remarks), *diagnostics]
 
 

@@ -92,7 +92,8 @@ def prepare(
     """Check a scenario and prepare its run; `check` and all runs begin with this.
 
     `interactive`: all inputs that nothing feeds can be set from outside. `run_code`: slaves may be
-    run to find their variables; else one raises `UnreadSlaveError`.
+    run to find their variables, and other versions of MuJoCo be downloaded; else a slave raises
+    `UnreadSlaveError`, and the installed version stands for one that is not there.
     """
     options = options or Options()
     scenario = with_options(scenario, options)
@@ -111,8 +112,7 @@ def prepare(
 
 def _routed(prepared: Prepared) -> Scenario:
     """Return the scenario with its table, for the block where the camera sees it."""
-    import mujoco  # noqa: PLC0415 - few scenarios need it
-
+    from ...fmus.sources.model_fmu import load_binary  # noqa: PLC0415 - few scenarios need it
     from ...plant.scene import load_scene  # noqa: PLC0415 - see above
     from ..route.route import route  # noqa: PLC0415 - see above
     from ..route.scene import RouteScene  # noqa: PLC0415 - see above
@@ -138,7 +138,7 @@ def _routed(prepared: Prepared) -> Scenario:
     qpos = np.empty((1, len(names)))
     with prepared.open([]) as system:
         system.slaves["plant"].bind_get(names, qpos)(0)
-    model = mujoco.MjModel.from_binary_path("plant.mjb", {"plant.mjb": content})
+    model = load_binary(content, f"[fmus] plant: value {scenario.fmus['plant']!r}")
     return route(scenario, RouteScene(model, qpos[0], block, scenario.robot), mass)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
+from ...fmus.build.libraries import has_engine
 from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...fmus.interface.tables import INTERFACES, MEASURED, SENSORS
 from ...fmus.interface.variables import Interface, Variable, joints
@@ -79,10 +80,12 @@ def read_parts(
     ours: tuple[str, ...] = () if scenario.is_system else OURS
     if scenario.mismatch.has_sensors and ours:
         ours = ("sensors", *ours)
+    # What only reads downloads no engine; the installed one gives the same interfaces.
+    here = scenario if run_code or has_engine(scenario.mujoco) else replace(scenario, mujoco="")
     read = {
-        name: _read(scenario, name, scenario.fmus[name], run_code)
+        name: _read(here, name, scenario.fmus[name], run_code)
         if name in scenario.fmus
-        else _own(name, Target(kind, mujoco=scenario.mujoco), files or {})
+        else _own(name, Target(kind, mujoco=here.mujoco), files or {})
         for name in sorted({*ours, *scenario.fmus})
     }
     parts = {name: part for name, part in read.items() if isinstance(part, Part)}

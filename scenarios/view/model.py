@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.errors import InputError, one_line
+from ..files import MODEL_FILE
 from .columns import pack
 
 GROUPS: Final = 3  # the groups that MuJoCo's own viewer shows: 0, 1, 2
@@ -40,11 +42,15 @@ def describe(model: Any) -> dict[str, Any]:
     meshes; textures other than plane images become their mean colour.
     """
     shapes = _Shapes(model)
+    try:
+        bodies = [_body(model, body, shapes) for body in range(model.nbody)]
+    except (IndexError, KeyError, ValueError, OverflowError) as error:  # a damaged one
+        raise InputError(f"{MODEL_FILE}: cannot be drawn: {one_line(error)}") from error
     return {
         "nq": int(model.nq),
         "qpos0": _floats(model.qpos0, 9),
         "gravity": _floats(model.opt.gravity),
-        "bodies": [_body(model, body, shapes) for body in range(model.nbody)],
+        "bodies": bodies,
         "meshes": shapes.meshes,
         "textures": shapes.textures,
         "cameras": [_camera(model, camera) for camera in range(model.ncam)],
