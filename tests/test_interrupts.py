@@ -42,6 +42,33 @@ class Slave(Fmi2Slave):
 """
 
 
+# A signal comes while code runs whose exceptions nobody sees, as in a callback of a C library.
+UNSEEN = """
+import os, sys, time
+from panda_cosim.scenarios import cli
+
+class Unseen:
+    def __del__(self):
+        os.kill(os.getpid(), int(sys.argv[1]))
+        time.sleep(0.01)
+
+cli.ending.listen()
+try:
+    Unseen()
+    time.sleep(60)
+except cli.INTERRUPTS as error:
+    sys.exit(cli.exit_code(error))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_whose_exception_nobody_sees_ends_the_command(number: signal.Signals) -> None:
+    command = [sys.executable, "-c", UNSEEN, str(int(number))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
+    assert done.returncode == 128 + number, done.stderr
+    assert done.stderr == ""
+
+
 @pytest.mark.parametrize(
     ("number", "what"), [(signal.SIGINT, "own"), (signal.SIGTERM, "slave")], ids=["own", "slave"]
 )

@@ -6,6 +6,7 @@ exception, so that temporary files are removed on the way. `run.stopping` takes 
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -17,6 +18,7 @@ class Terminated(BaseException):
     """SIGTERM arrived while no FMU was stepping."""
 
 
+AGAIN = 0.05  # [s] later, when other code runs
 INTERRUPTS = (KeyboardInterrupt, Terminated)
 
 
@@ -33,6 +35,7 @@ class _Ending:
     def listen(self) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._handle)
+        sys.unraisablehook = self._not_raised
 
     def settle(self) -> None:
         """Raise nothing from now on."""
@@ -56,6 +59,16 @@ class _Ending:
         from ..run.stopping import end_if_late  # noqa: PLC0415 - the first signal comes before it
 
         end_if_late(number, self._since)
+
+    def _not_raised(self, args: sys.UnraisableHookArgs) -> None:
+        """Send a signal again whose exception met code that has no caller, as in a C library."""
+        if self._error is None or args.exc_value is not self._error:
+            sys.__unraisablehook__(args)
+            return
+        from threading import Timer  # noqa: PLC0415 - few signals meet such code
+
+        number, self._error = exit_code(self._error) - 128, None
+        Timer(AGAIN, os.kill, (os.getpid(), number)).start()
 
 
 def exit_code(error: BaseException) -> int:
