@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from fmu_support import copy_libraries
+from fmu_support import compiler, copy_libraries
 from forked import command
 from panda_cosim import Recording
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -41,21 +43,28 @@ def follow(diff: str, root: Path) -> None:
             (at,) = (i for i, known in enumerate(lines) if known == line[1:])
 
 
+def copy_of_project(folder: Path) -> Path:
+    """A copy of the project, and beside it a cache with what takes long to compile."""
+    root = folder / "project"
+    shutil.copytree(ROOT / ".ci", root / ".ci", symlinks=True)
+    for each in ("assets", "plant", "controller", "fmus", "scenarios", "tests"):
+        ignored = shutil.ignore_patterns("node_modules")
+        shutil.copytree(ROOT / each, root / each, ignore=ignored)
+    shutil.copy(ROOT / "pyproject.toml", root)
+    copy_libraries(folder / "cache" / "libraries")
+    return root
+
+
 @pytest.fixture(scope="module")
 def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the project with the output of the example."""
-    root = tmp_path_factory.mktemp("changed") / "project"
-    shutil.copytree(ROOT / ".ci", root / ".ci", symlinks=True)
-    for folder in ("assets", "plant", "controller", "fmus", "scenarios"):
-        ignored = shutil.ignore_patterns("node_modules")
-        shutil.copytree(ROOT / folder, root / folder, ignore=ignored)
-    copy_libraries(root.parent / "cache" / "libraries")
+    root = copy_of_project(tmp_path_factory.mktemp("changed"))
     (diff,) = re.findall(r"^```diff\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
     follow(diff, root)
     return root
 
 
-def python(changed: Path, *arguments: object) -> str:
+def python(changed: Path, *arguments: object, code: int = 0) -> str:
     """Run Python with the changed project and a cache of its own; return what it prints."""
     environment = os.environ | {
         "PYTHONPATH": str(changed / ".ci" / "typing"),
@@ -65,7 +74,7 @@ def python(changed: Path, *arguments: object) -> str:
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, check=False, timeout=300
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == code, done.stdout + done.stderr
     return done.stdout
 
 
@@ -108,6 +117,91 @@ def test_an_output_of_the_plant_is_added_in_two_places_and_a_line_of_the_descrip
     assert len(before) == len(after) == 3
     assert {fmu.description.author for fmu in before}.isdisjoint({"Somebody else"})
     assert {fmu.description.author for fmu in after} == {"Somebody else"}
+
+
+ACT = """
+import json, sys
+from pathlib import Path
+from panda_cosim import run_scenario
+from panda_cosim.fmus.twins import notice
+from panda_cosim.scenarios.cli.commands.build import build_all
+from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.scenarios.system.assembly import system_scenario
+scenario, out, is_played = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] == "True"
+runs = {"run": scenario}
+if is_played:
+    build_all(load_scenario(scenario), out)
+    runs["played"] = system_scenario(out / "Panda.ssp")
+done = {name: run_scenario(each, out / name) for name, each in runs.items()}
+print(json.dumps({
+    "rows": {name: each.recording.sha256() for name, each in done.items()},
+    "code": {name: each.summary.code for name, each in done.items()},
+    "stepped_by": done["run"].summary.stepped_by,
+    "notes": [*done["run"].warnings, notice(["trajectory"])],
+}))
+"""
+# What is edited; what of the run, or of what `build` wrote, is Python then.
+EDITS = {
+    "controller/pid.py": ("self._kp * error", "2.0 * self._kp * error", "controller"),
+    "controller/ik.py": ("= gains.ik_gain * error", "= 2.0 * gains.ik_gain * error", "controller"),
+    "controller/reference_law.py": ("1.5 * twist_cmd", "1.4 * twist_cmd", "controller"),
+    "plant/plant.py": ("data.xpos[self._hand]", "data.xpos[self._hand] + 0.001", "plant"),
+    "fmus/inside/trajectory.py": ("self._tick += count", "self._tick += 2 * count", "trajectory"),
+    "fmus/master/step.py": ("follower.get_outputs(row + 1)", "follower.get_outputs(row)", ""),
+}
+
+
+@pytest.mark.fmu
+def test_a_changed_line_of_python_acts_and_is_named(tmp_path: Path) -> None:
+    root = copy_of_project(tmp_path)
+    scenario = tmp_path / "scenario"
+    scenario.mkdir()
+    (scenario / "scenario.toml").write_text(SCENARIO)
+    (scenario / "trajectory.csv").write_text(TABLE)
+
+    def act(name: str, *, is_played: bool = True) -> Any:
+        """Run the scenario and, if asked, what `build` makes of it."""
+        told = python(root, "-c", ACT, scenario, tmp_path / "runs" / name, is_played)
+        return json.loads(told.splitlines()[-1])
+
+    for file in EDITS:  # a comment is no change
+        with (root / file).open("a", encoding="utf-8") as source:
+            source.write("\n# Nothing else.\n")
+    before = act("before")
+    assert before["code"]["run"] == {"controller": "native", "plant": "native"}
+    assert before["stepped_by"] == "kernel"
+    assert before["notes"] == [""]
+    for file, (old, new, instance) in EDITS.items():
+        text = (root / file).read_text(encoding="utf-8")
+        assert text.count(old) == 1
+        (root / file).write_text(text.replace(old, new), encoding="utf-8")
+        where = "played" if instance == "trajectory" else "run"
+        after = act(Path(file).stem, is_played=where == "played")
+        assert after["rows"][where] != before["rows"][where], file
+        changed_code = {instance: "python"} if instance else {}
+        assert after["code"][where] == before["code"][where] | changed_code
+        assert after["stepped_by"] == ("kernel" if instance else "fmpy")
+        (note,) = (note for note in after["notes"] if note.startswith(f"{file}: changed"))
+        assert "python .ci/stamp.py" in note
+        (root / file).write_text(text, encoding="utf-8")
+
+
+@pytest.mark.fmu
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_a_stamp_is_only_renewed_if_c_and_python_are_equal(tmp_path: Path) -> None:
+    root = copy_of_project(tmp_path)
+    stamp, law = root / "fmus" / "twins.json", root / "controller" / "pid.py"
+    before = stamp.read_bytes()
+    source, text = root / "fmus" / "native" / "controller_pid.c", law.read_text(encoding="utf-8")
+    c = source.read_text(encoding="utf-8")
+    assert c.count("gains->kp[i] * error[i]") == 1
+    source.write_text(c.replace("gains->kp[i] * ", "1.5 * gains->kp[i] * "), encoding="utf-8")
+    told = python(root, root / ".ci" / "stamp.py", "controller", code=1)
+    assert "controller: C and Python differ" in told
+    assert stamp.read_bytes() == before
+    law.write_text(text + "# A comment is no change, and is not compared.\n", encoding="utf-8")
+    python(root, root / ".ci" / "stamp.py")
+    assert stamp.read_bytes() != before
 
 
 def test_every_path_exists() -> None:

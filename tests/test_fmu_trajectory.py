@@ -105,7 +105,7 @@ def test_a_file_that_is_no_table_is_refused(
 
 
 def test_a_native_one_plays_only_the_table_that_it_was_built_with(commands: Array) -> None:
-    it = player(commands, Target())
+    it = player(commands, Target("native"))
     it.set("table", b"/some.csv")
     with pytest.raises(AssertionError, match="a native FMU plays only the table that"):
         it.start()

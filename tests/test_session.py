@@ -279,7 +279,7 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
     [
         ([], "format None; must be 1"),
         (['{"format": 1, "scenario": "x", "kind": "native"}'], "line 1: fmus"),
-        ([json.dumps({"format": 1, **HEAD, "kind": "fast"})], "must be one of native, python"),
+        ([json.dumps({"format": 1, **HEAD, "kind": "fast"})], "must be one of auto, native"),
         (["[1]"], "line 1: '\\[1\\]'; must be a JSON object"),
         ([None, '{"tick": -1, "action": "end"}'], "line 2: tick -1; must be a whole number from 0"),
         ([None, '{"tick": 5}'], "line 2: action None; must be a name"),

@@ -139,6 +139,12 @@ class Fmu:
         """Whether this project made it; its models have no end, and may go beyond a stop."""
         return (self.description.generationTool or "").startswith("panda-cosim")
 
+    @property
+    def code(self) -> str:
+        """What runs in it: "native" code, or "python" in our host or in PythonFMU's wrapper."""
+        host = self.folder / "resources" / "python_host.py"
+        return "python" if self.in_python or host.is_file() else "native"
+
     def variable(self, name: str) -> Scalar:
         """Return a scalar; raises InputError if there is no variable of this name."""
         scalar = self.variables.get(name) or self._described.get(name)

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..build.libraries import STEPPER, library, this_platform
 from ..errors import CosimError, InputError
+from ..twins import changed
 from .calls import OK, WARNING, Access, StepCall
 from .step import Step
 from .wiring import Array, Moved, nothing
@@ -54,7 +55,9 @@ class _NotInCError(Exception):
 
 @cache
 def load_stepper() -> Any:
-    """Load the library; None: it is missing, and there is no compiler."""
+    """Load the library; None: it lacks and so does a compiler, or `Step.take` is not its twin."""
+    if changed("kernel"):
+        return None
     try:
         stepper = ctypes.CDLL(str(library(STEPPER, this_platform())))
     except (CosimError, InputError, OSError):

@@ -24,11 +24,12 @@ from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.tables import SENSORS, TABLE_FILE, TRAJECTORY
 from ..interface.variables import Interface
+from ..twins import ROOT, changed
 
 if TYPE_CHECKING:
     from ..build.native import NativeFmu
 
-Kind = Literal["native", "python"]
+Kind = Literal["auto", "native", "python"]
 INSTANCES: Final = ("plant", "controller")
 
 
@@ -36,7 +37,9 @@ INSTANCES: Final = ("plant", "controller")
 class Target:
     """Kind of FMUs, and FMI version and platforms that they are built for."""
 
-    kind: Kind = "native"  # compiled, and needs nothing; "python": runs this project's Python code
+    # "native": compiled, and needs nothing; "python": runs this project's Python code; "auto":
+    # native while it is proven equal to the Python code, see `twins`.
+    kind: Kind = "auto"
     fmi: int = 2  # major version of FMI, 2 or 3
     platforms: tuple[str, ...] = ()  # keys of `libraries.PLATFORMS`; empty: this one
     scalars: bool = False  # FMI 3.0 without arrays
@@ -44,8 +47,10 @@ class Target:
     mujoco: str = ""  # version of MuJoCo in those that have one; empty: the installed one
 
     def in_python(self, name: str) -> bool:
-        """Whether one of the project's own FMUs runs Python code; the sensors do in either kind."""
-        return self.kind == "python" or name == "sensors"
+        """Whether one of the project's own FMUs runs Python code; the sensors do in any kind."""
+        if name == "sensors" or self.kind != "auto":
+            return self.kind == "python" or name == "sensors"
+        return bool(changed(name))
 
     def make(self, fmu: NativeFmu) -> bytes:
         """Make the .fmu file."""
@@ -106,7 +111,7 @@ def _own_place(name: str, target: Target, commands: bytes = b"") -> Path:
         from .python_fmu import recorded_python  # noqa: PLC0415 - few runs have one
 
         python = repr(recorded_python())
-    return _place(OWN[name].interface.model, target, code_digest(), target.kind, commands, python)
+    return _place(OWN[name].interface.model, target, code_digest(), commands, python)
 
 
 def _place(model: str, target: Target, *content: str | bytes) -> Path:
@@ -125,8 +130,6 @@ def _put(path: Path, content: bytes) -> Path:
 
 
 # What the project's own FMUs consist of.
-
-ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and the others
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.sources.targets import Kind, Target, outdated
+from ...fmus.twins import IN_RUNS, notice
 from ..judging.limits import ARMS
 from ..run.options import TOP, Options, split_settings, with_options, with_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
@@ -73,7 +74,12 @@ MESHES = option(
     "never",
 )
 OUT_RUN = option("--out -o DIR", "New folder for the run. Default: one in runs/.")
-KIND = option("--kind", "Compiled FMUs, or FMUs that run this project's Python code.", "native")
+KIND = option(
+    "--kind",
+    "Compiled FMUs, or FMUs that run this project's Python code. auto: compiled ones, while both "
+    "are proven equal.",
+    "auto",
+)
 FMI = option("--fmi", "FMI version: 2.0 or 3.0.", "2")
 PLATFORM = option(
     "--platform LIST",
@@ -150,6 +156,12 @@ def named_parts(controller: str | None, plant: str | None) -> dict[str, str]:
     """Return the parts that `--controller` and `--plant` name."""
     parts = {"controller": controller, "plant": plant}
     return {name: file for name, file in parts.items() if file is not None}
+
+
+def announce_python(kind: Kind = "auto", twins: Iterable[str] = IN_RUNS) -> None:
+    """Warn of FMUs, or a master's step, that run in Python as their twins in C are outdated."""
+    if kind == "auto" and (text := notice(twins)):
+        warn(text)
 
 
 def announce_build(target: Target | None = None) -> None:

@@ -39,7 +39,7 @@ from ..run.summary import Summary
 from ..scenario.scenario import Scenario
 from . import INTERRUPTS
 from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
-from .options import announce_build
+from .options import announce_build, announce_python
 from .startup import meanwhile
 
 if TYPE_CHECKING:
@@ -116,6 +116,7 @@ def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
 
                 return run(folder, hear)
         except SimulationError as error:
+            announce_python(kind)
             seconds = time.monotonic() - began
             _write_junit(output.junit, scenario.name, seconds, ("error", "failed", str(error)))
             kept = any(folder.glob("recording.*"))

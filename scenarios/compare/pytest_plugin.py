@@ -9,6 +9,7 @@ time.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack
@@ -183,6 +184,7 @@ class _Runs:
             cache_folder,
             temporary_folder,
         )
+        from ...fmus.twins import notice  # noqa: PLC0415 - see above
         from ..work import Workers  # noqa: PLC0415 - see above
 
         with ExitStack() as stack:
@@ -190,6 +192,8 @@ class _Runs:
             jobs = session.config.getoption("--panda-jobs")
             self._workers = stack.enter_context(Workers(jobs))
             self.close = stack.pop_all().close
+        for text in filter(None, [notice()]):
+            warnings.warn(text, stacklevel=2)
         items = [item for item in session.items if isinstance(item, ScenarioItem)]
         # Each worker of pytest-xdist has all items but runs only some: do not run the others.
         ahead = [] if hasattr(session.config, "workerinput") else items

@@ -37,7 +37,8 @@ class Output:
         columns = prepared.assembly.recorded(prepared.scenario.coupling)
         self.signals = tuple(column.name for column in columns)
         provenance = _provenance(system, prepared.scenario.mujoco) if writes else {}
-        metadata = {**_metadata(prepared), **provenance}
+        code = {name: fmu.code for name, fmu in system.fmus.items()}
+        metadata = {**_metadata(prepared), "code": code, **provenance}
         metadata |= {"session": JOURNAL_FILE} if journals else {}
         make = Recorder if writes else MemoryRecorder
         self.recorder: AnyRecorder = make(folder, columns, metadata)

@@ -14,6 +14,7 @@ from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.types import in_row
 from ...fmus.master.system import OpenSystem, open_system
+from ...fmus.twins import IN_RUNS, notice
 from ...plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters
 from .. import rotations
 from ..scenario.scenario import Scenario
@@ -38,8 +39,12 @@ class Prepared:
 
     @property
     def notes(self) -> list[str]:
-        """What the user should know: unconnected inputs, gains that do not suit the robot."""
-        return [*self.assembly.notes, *unsuitable_gains(self.scenario, self.values)]
+        """What the user should know: unconnected inputs, unsuitable gains, Python instead of C."""
+        ours = [p.name for p in self.assembly.parts if p.file is None and p.name in IN_RUNS]
+        kernel = ["kernel"] if self.options.master == "kernel" else []
+        instead = notice([*(ours if self.options.kind == "auto" else ()), *kernel])
+        gains = unsuitable_gains(self.scenario, self.values)
+        return [*self.assembly.notes, *gains, *filter(None, [instead])]
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
         """Return the external inputs, of a changed scenario if one is given."""

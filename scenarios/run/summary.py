@@ -68,6 +68,7 @@ class Summary:
     energy: Metrics
     timing: Metrics
     stepped_by: str | None  # "kernel", "fmpy" or both; None: judged later
+    code: Metrics  # what runs in each FMU
     format: int = field(default=FORMAT, init=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -124,6 +125,7 @@ def summarize(
         events=happened,
         first_limit=first_limit(recording),
         stepped_by=statistics.stepped_by if statistics else None,
+        code=recording.metadata.get("code", {}),
         **measured,
     )
 

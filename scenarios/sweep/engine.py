@@ -17,6 +17,7 @@ import numpy as np
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Target, build
+from ...fmus.twins import notice
 from ..compare.regress import Outcome, Unusable, Verdict
 from ..judging.criterion import Criterion, miss_text
 from ..run.folder import SUMMARY_FILE, default_folder
@@ -114,6 +115,8 @@ def sweep(  # noqa: PLR0913 - options, by keyword
             idle = keys_without_effect(design, scenarios)
             store.write({"origin": begun_with, **columns, "without_effect": idle})
         store.keep_scenarios(job.scenarios)
+        for instead in filter(None, [notice()]):
+            remark(instead)
         for key in store.content["without_effect"]:
             remark(f"vary: {key} changes no start value, no input and no criterion")
         for change in store.changed_scenarios():

@@ -164,7 +164,7 @@ class Assembly:
 
 def assemble(
     scenario: Scenario,
-    kind: Kind = "native",
+    kind: Kind = "auto",
     *,
     files: Mapping[str, Path] | None = None,
     run_code: bool = True,

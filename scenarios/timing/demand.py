@@ -23,7 +23,7 @@ from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST, POSTURE_COM
 from ...fmus.interface.parameters import expand
 from ...fmus.interface.variables import Interface
 from ...fmus.master.system import System, open_system
-from ...fmus.sources.targets import build_fmu, own_fmu
+from ...fmus.sources.targets import Target, build_fmu, own_fmu
 from ..scenario.limits import LIMITS, LIMITS_OF, shares
 from ..scenario.table import TrajectoryTable
 from ..scenario.trajectory import TIME_TOLERANCE, Trajectory
@@ -249,7 +249,9 @@ def _law() -> tuple[Path, Interface]:
         for variable in CONTROLLER.variables
     )
     interface = replace(CONTROLLER, variables=free)
-    return build_fmu(replace(own_fmu(LAW, in_python=False), interface=interface)), interface
+    return build_fmu(
+        replace(own_fmu(LAW, in_python=Target().in_python(LAW)), interface=interface)
+    ), interface
 
 
 def joint_reference(

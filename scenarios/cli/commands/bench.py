@@ -12,7 +12,7 @@ from ....fmus.sources.targets import Kind
 from ...benchmark import LABELS, RATIOS, BenchResult, bench
 from ...files import marked_json
 from ..console import show, table, tell
-from ..options import KIND, OVERWRITE, option
+from ..options import KIND, OVERWRITE, announce_python, option
 
 
 def command(
@@ -32,6 +32,7 @@ def command(
     """
     check_replaceable(*filter(None, (json,)), overwrite=overwrite)
     tell("Measuring; do not use the machine meanwhile ...")
+    announce_python(kind)
     result = bench(kind=kind)
     for item in tables(result):
         show(item)

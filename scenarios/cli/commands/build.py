@@ -20,6 +20,7 @@ from ....fmus.errors import CosimError, InputError
 from ....fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from ....fmus.sources.python_fmu import slave_fmu
 from ....fmus.sources.targets import Kind, Target
+from ....fmus.twins import FMUS
 from ...check.experiments import Experiment, add_experiment, experiments_of, write_compatibility
 from ...run.options import with_values
 from ...run.written import written_system
@@ -37,6 +38,7 @@ from ..options import (
     FmiVersion,
     Names,
     announce_build,
+    announce_python,
     argument,
     find_scenario,
     option,
@@ -96,7 +98,7 @@ def command(  # noqa: PLR0913 - one for each option
     """
     target = target_of(kind, fmi, platform, scalars=scalars, names=names)
     if slave:
-        others = {"--scenario": scenario != DEFAULT_SCENARIO, "--kind": kind != "native",
+        others = {"--scenario": scenario != DEFAULT_SCENARIO, "--kind": kind != "auto",
                   "--container": container, "--mujoco": mujoco != ""}  # fmt: skip
         for name in (name for name, is_used in others.items() if is_used):
             raise InputError(f"{name}: cannot be combined with --slave")
@@ -110,6 +112,7 @@ def command(  # noqa: PLR0913 - one for each option
             chosen = with_values(chosen, {"mujoco": mujoco})
         if not chosen.is_system:
             announce_build(target)
+            announce_python(kind, [name for name in FMUS if name not in chosen.fmus])
         build = _build_container if container else build_all
         build(chosen, out, target, compatibility=compatibility, overwrite=overwrite)
 

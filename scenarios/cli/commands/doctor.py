@@ -16,6 +16,7 @@ import typer
 from ....fmus.atomic import cache_folder
 from ....fmus.build.libraries import BACKENDS, can_compile, is_prebuilt, this_platform
 from ....fmus.errors import CosimError
+from ....fmus.twins import LONGER, changed, notice
 from ..console import as_cell, show, show_json, table, tell
 
 State = Literal["ok", "optional", "needed"]
@@ -126,9 +127,17 @@ def _fmu_libraries() -> str:
 def _stepper() -> str:
     from ....fmus.master.kernel import load_stepper  # noqa: PLC0415 - numpy may be missing
 
+    if changed("kernel"):
+        return "in Python"
     if load_stepper() is None:
         raise CosimError("its library cannot be loaded, so steps are taken in Python")
     return "in C"
+
+
+def _twins() -> str:
+    """What is in C as well as in Python."""
+    equal = f"{', '.join(LONGER)}: run, as they are proven equal to the Python code"
+    return f"{notice(LONGER) or equal}; the sensors have none"
 
 
 def _cache() -> str:
@@ -163,6 +172,7 @@ def _ffmpeg() -> str:
 # What, whether scenarios can be run without, the check, and the remedy if the error names none.
 CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
     ("libraries of the FMUs", "needed", _fmu_libraries, ""),
+    ("twins in C", "optional", _twins, ""),
     ("the master's step", "optional", _stepper, "install the package again"),
     ("FMU cache", "needed", _cache, "set PANDA_COSIM_CACHE to a folder that is yours alone"),
     ("OpenGL (for pictures)", "optional", _opengl, ""),

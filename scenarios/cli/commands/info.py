@@ -13,13 +13,14 @@ from rich.table import Table
 from ....fmus.errors import InputError, did_you_mean, excerpt
 from ....fmus.interface.tables import CONNECTIONS, INTERFACES, SENSORS, Connection
 from ....fmus.interface.variables import Interface, Variable
-from ....fmus.master.fmu_file import Fmu, described_interface
+from ....fmus.master.fmu_file import Fmu, described_interface, read_fmu
 from ....fmus.master.order import by_variable, late, shown, stepping_order
+from ....fmus.sources.targets import Target
 from ...scenario.scenario import SCENARIO_FILE, Scenario
 from ...system.assembly import assemble, system_scenario
 from ...system.parts import UnreadSlaveError
 from ..console import as_cell, show, show_json, table
-from ..options import JSON, argument, option
+from ..options import JSON, announce_python, argument, option
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
 LATE = "a step late"
@@ -46,9 +47,10 @@ def command(
     panda-cosim info ./my-scenario
     ```
     """
-    interfaces, connections, order, held = _read(fmu)
+    interfaces, connections, order, held, files = _read(fmu)
+    code = {name: _code(name, files.get(name)) for name in interfaces}
     if json:
-        show_json({**_described(interfaces, connections), "order": order, "late": held})
+        show_json({**_described(interfaces, connections, code), "order": order, "late": held})
         return
     if markdown:
         drawing = [_drawing(order, connections, held)] if len(order) > 1 else []
@@ -56,9 +58,12 @@ def command(
         return
     for name, interface in interfaces.items():
         show(f"{interface.model} (instance {name}): {interface.description}", "bold")
+        alone = " (it has no twin in C)" if interface is SENSORS else ""
+        show(f"What runs in it: {code[name]} code{alone}")
         for variables in _variables_tables(interface):
             show(variables)
         show("")
+    announce_python()
     if connections:
         show("Connections\n", "bold")
         rows = [(s, t, LATE * (f"{s} -> {t}" in held)) for s, t, _ in by_variable(connections)]
@@ -67,20 +72,24 @@ def command(
         show(shown(order, []))
 
 
+Files = Mapping[str, Path | None]  # of FMUs; None, or none: the project's own
+
+
 def _read(
     name: str | None,
-) -> tuple[Mapping[str, Interface], Sequence[Connection], list[str], list[str]]:
-    """Return FMUs, connections, order and what is late; files are read, and no code is run."""
+) -> tuple[Mapping[str, Interface], Sequence[Connection], list[str], list[str], Files]:
+    """Return FMUs, connections, order, what is late, and files; these are read, and not run."""
     if name is None:
         order = stepping_order(INTERFACES, CONNECTIONS)
-        return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling)
+        return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling), {}
     if name in INTERFACES:
-        return {name: INTERFACES[name]}, CONNECTIONS, [name], []
+        return {name: INTERFACES[name]}, CONNECTIONS, [name], [], {}
     if name == "sensors":
-        return {name: SENSORS}, (), [name], []
+        return {name: SENSORS}, (), [name], [], {}
     path = Path(name)
     if path.suffix == ".fmu":
-        return {path.stem: described_interface(Fmu(path))}, (), [path.stem], []
+        interfaces = {path.stem: described_interface(Fmu(path))}
+        return interfaces, (), [path.stem], [], {path.stem: path}
     if path.suffix == ".ssp":
         scenario = system_scenario(path)
     elif (path / SCENARIO_FILE).is_file():
@@ -97,7 +106,17 @@ def _read(
             f"{error}; `panda-cosim build --slave FILE.py:CLASS` makes an FMU that can be shown"
         ) from None
     order, held = [*assembly.interfaces], assembly.late(scenario.coupling)
-    return assembly.interfaces, assembly.connections, order, held
+    files = assembly.ssp.fmus if assembly.ssp else {p.name: p.file for p in assembly.parts}
+    return assembly.interfaces, assembly.connections, order, held, files
+
+
+def _code(name: str, file: Path | None) -> str:
+    """Return what runs in an FMU; models become native ones, laws and slaves stay Python."""
+    if file is None:
+        return "python" if Target().in_python(name) else "native"
+    if file.suffix == ".fmu":
+        return read_fmu(file).code
+    return "python" if file.suffix == ".py" else "native"
 
 
 def _drawing(order: Sequence[str], connections: Iterable[Connection], held: Sequence[str]) -> str:
@@ -117,13 +136,16 @@ def _quoted(text: str) -> str:
 
 
 def _described(
-    interfaces: Mapping[str, Interface], connections: Iterable[Connection]
+    interfaces: Mapping[str, Interface],
+    connections: Iterable[Connection],
+    code: Mapping[str, str],
 ) -> dict[str, Any]:
     """Return all variables of some instances, and the connections from or to them."""
     fmus = {
         name: {
             "model": interface.model,
             "description": interface.description,
+            "code": code[name],
             "variables": interface.variables,
         }
         for name, interface in interfaces.items()

@@ -68,6 +68,8 @@ def command(  # noqa: PLR0913 - one for each option
             "watch and control the run; nothing is encrypted"
         )
     with Session(chosen, out, options) as session:
+        for text in session.warnings:
+            warn(text)
         try:
             simulation = Simulation(session, speed, playing=not paused)
             server = LiveServer(simulation, page_of(session), host, port)

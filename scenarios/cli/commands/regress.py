@@ -30,7 +30,16 @@ from ...run.folder import default_folder
 from ...sweep.engine import SuiteSweep, find_sweeps
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
-from ..options import ENGINES, JSON, OVERWRITE, PARAMETERS, argument, option, overrides
+from ..options import (
+    ENGINES,
+    JSON,
+    OVERWRITE,
+    PARAMETERS,
+    announce_python,
+    argument,
+    option,
+    overrides,
+)
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES, BAD = {"same": "green", "holds": "green", "no reference": "yellow"}, "bold red"
@@ -125,6 +134,7 @@ def command(  # noqa: PLR0913 - one for each option
             runs = stack.enter_context(temporary_folder(parent))
         except OSError as error:
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
+        announce_python()
         outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
         rows = engine_rows(chosen, len(engines), outcomes) if engines else []
         outcomes = [outcome for row in rows for outcome in row] or outcomes
