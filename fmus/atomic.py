@@ -9,7 +9,7 @@ import stat
 import time
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -98,20 +98,16 @@ def held(path: Path) -> Iterator[bool]:
     # systemd-tmpfiles also leaves what is held so.
     file = os.open(path, os.O_RDONLY)
     try:
-        yield _lock(file)
+        yield fcntl is None or _lock(file)
     finally:
         os.close(file)
 
 
 def _lock(file: int) -> bool:
-    if fcntl is None:
-        return True
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # a file system without locks
-        return True
+    except OSError as error:
+        return not isinstance(error, BlockingIOError)  # others: a file system without locks
     return True
 
 
@@ -121,10 +117,9 @@ def _temporary(parent: Path, suffix: str = "") -> Iterator[Path]:
     parent.mkdir(parents=True, exist_ok=True)
     for left in parent.glob(f"{TEMPORARY}*"):
         with suppress(OSError):
-            is_old = abs(time.time() - left.lstat().st_mtime) > KEPT  # or of a clock since set back
-            with held(left) if is_old else nullcontext(False) as is_left:
-                if is_left:
-                    _remove(left)
+            if abs(time.time() - left.lstat().st_mtime) > KEPT:  # or of a clock since set back
+                with held(left) as is_left:
+                    _remove(left) if is_left else None
     path = parent / f"{TEMPORARY}{secrets.token_hex(8)}{suffix}"
     try:
         yield path

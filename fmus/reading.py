@@ -67,11 +67,10 @@ def unpack(path: Path) -> tuple[Path, str]:
                 with zipfile.ZipFile(BytesIO(content)) as archive:
                     _check_size(path, archive, len(content))
                     archive.extractall(folder)  # also of ../evil or /evil, which it takes as evil
-            except InputError:
-                raise
             except Exception as error:  # zipfile raises ten types for damaged archives
                 # Of the cache, unless it has no number (bz2) or is EINVAL (a wild offset).
-                if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+                disk = getattr(error, "errno", None) not in (None, errno.EINVAL)
+                if disk or isinstance(error, InputError):
                     raise
                 reason = one_line(error)
                 raise InputError(f"{path}: not a valid zip archive: {reason}") from error

@@ -193,10 +193,10 @@ def load_binary(content: bytes, place: str) -> Any:
         with temporary_folder(cache_folder()) as folder:
             (folder / MODEL).write_bytes(content)
             done = run([sys.executable, "-P", "-c", _TRY, MODEL], folder)
+        said = done.stderr.strip().rpartition("\n")[2].partition(": ")[2]  # by an exception
         if done.returncode:
-            said = done.stderr.strip().rpartition("\n")[2].partition(": ")[2]  # by an exception
-            reason = said if done.returncode > 0 else f"it ends with signal {-done.returncode}"
-            raise InputError(f"{place}: MuJoCo cannot load it: {one_line(reason)}")
+            why = said if done.returncode > 0 else f"it ends with signal {-done.returncode}"
+            raise InputError(f"{place}: MuJoCo cannot load it: {one_line(why)}")
         return b""
 
     cached(cache_folder() / "models" / digest(content, mujoco.__version__)[:24], tried)

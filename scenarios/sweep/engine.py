@@ -150,7 +150,7 @@ def check_sweep(
     definition: Sweep, out: str | Path | None = None
 ) -> tuple[tuple[Loaded, ...], Design]:
     """Load a sweep's scenarios, as its folder keeps them, and make its design; nothing is run."""
-    kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition))
+    kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition.scenario))
     scenarios, design = load_scenarios(definition, kept), make_design(definition)
     check_design(definition, design.columns, scenarios)
     for each in scenarios:

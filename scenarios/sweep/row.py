@@ -48,7 +48,7 @@ class Loaded:
 
 def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
     """Load a sweep's scenarios, from the folders that keep them as swept if there are any."""
-    names = scenario_names(sweep)
+    names = scenario_names(sweep.scenario)
     shipped = shipped_scenarios()
     folders = [shipped.get(name, Path(name)).resolve() for name in names]
     for i, folder in enumerate(folders):
@@ -61,10 +61,10 @@ def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...
     )
 
 
-def scenario_names(sweep: Sweep) -> list[str]:
-    """Return the sweep's scenarios: shipped names, and absolute folders."""
+def scenario_names(given: Sequence[str]) -> list[str]:
+    """Return scenarios as `run` takes them anywhere: shipped names, and absolute folders."""
     shipped = shipped_scenarios()
-    return [name if name in shipped else str(Path(name).resolve()) for name in sweep.scenario]
+    return [name if name in shipped else str(Path(name).resolve()) for name in given]
 
 
 def _label(folder: Path, folders: Sequence[Path]) -> str:

@@ -33,7 +33,7 @@ from ...fmus.atomic import held, replacing
 from ...fmus.build.libraries import code_digest, package_version
 from ...fmus.errors import InputError, one_line
 from ..files import read_text
-from ..scenario.scenario import Scenario, load_scenario, shipped_scenarios
+from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.writer import write_scenario
 from .definition import Sweep
 from .row import Done, Loaded, Row, identity, pack, scenario_names
@@ -74,7 +74,7 @@ def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) ->
     vary = definition.pop("vary")
     file = definition["file"]
     definition["file"] = _sha256(Path(file).read_bytes()) if file is not None else None
-    definition["scenario"] = scenario_names(sweep)
+    definition["scenario"] = scenario_names(sweep.scenario)
     plain: Origin = json.loads(json.dumps({
         "definition": definition,
         "vary": vary,
@@ -153,17 +153,6 @@ class Store:
         if scenario.has_own_parts and identity(pack(Loaded(name, "", scenario))) != swept:
             raise InputError(f"{folder}: has changed; must be as it was swept, for its FMUs to run")
         return scenario
-
-    def names(self) -> dict[str, str]:
-        """Return what `run` takes for each scenario: shipped names, and absolute folders."""
-        names, shipped = self.content["origin"]["definition"]["scenario"], shipped_scenarios()
-        for name in names:
-            if name not in shipped and not Path(name).is_absolute():
-                raise InputError(
-                    f"{self.folder / SWEEP_FILE}: scenario {name!r}; must be a shipped one's name "
-                    "or an absolute path"
-                )
-        return dict(zip(self.content["nominal"], names, strict=True))
 
     def keep_scenarios(self, packed: Sequence[Loaded]) -> None:
         """Keep the scenarios, unless they are; a kill leaves all of them or none."""
