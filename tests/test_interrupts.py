@@ -42,7 +42,8 @@ class Slave(Fmi2Slave):
 """
 
 
-# A signal comes while code runs whose exceptions nobody sees, as in a callback of a C library.
+# A signal comes while code runs whose exceptions nobody sees, as in a callback of a C library, or
+# that drops them.
 UNSEEN = """
 import os, sys, time
 from panda_cosim.scenarios import cli
@@ -52,18 +53,32 @@ class Unseen:
         os.kill(os.getpid(), int(sys.argv[1]))
         time.sleep(0.01)
 
+def unseen():
+    Unseen()
+
+def dropped():
+    try:
+        os.kill(os.getpid(), int(sys.argv[1]))
+        time.sleep(0.01)
+    except BaseException:
+        pass
+
 cli.ending.listen()
 try:
-    Unseen()
+    globals()[sys.argv[2]]()
     time.sleep(60)
 except cli.INTERRUPTS as error:
+    cli.ending.settle()
     sys.exit(cli.exit_code(error))
 """
 
 
+@pytest.mark.parametrize("how", ["unseen", "dropped"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_whose_exception_nobody_sees_ends_the_command(number: signal.Signals) -> None:
-    command = [sys.executable, "-c", UNSEEN, str(int(number))]
+def test_a_signal_whose_exception_nobody_sees_ends_the_command(
+    number: signal.Signals, how: str
+) -> None:
+    command = [sys.executable, "-c", UNSEEN, str(int(number)), how]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
     assert done.returncode == 128 + number, done.stderr
     assert done.stderr == ""
