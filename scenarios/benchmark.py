@@ -30,6 +30,7 @@ from ..fmus.errors import CosimError
 from ..fmus.interface.controller import COMMANDS
 from ..fmus.interface.tables import CONNECTIONS, INTERFACES
 from ..fmus.master.fmu_file import Fmu
+from ..fmus.master.step import Stepper
 from ..fmus.master.system import OpenSystem, System, open_system
 from ..fmus.sources.targets import Kind
 from ..plant.plant import Plant, PlantParameters
@@ -50,11 +51,13 @@ LABELS: Final = {
     "physics": "(a) mj_step of the scene with the shapes that are only drawn",
     "bare": "(a') mj_step of the model that the FMU steps",
     "lists": "(b) a plain loop over the FMUs with FMPy's FMU2Slave",
-    "master": "(c) our master over the FMUs",
+    "master": "(c) our master over the FMUs, in C",
+    "fmpy": "(d) our master with FMPy's methods, run --master fmpy",
 }
 RATIOS: Final = {
     "c/a": ("master", "physics", "at most 1.1; Python 6.3"),
     "c/a'": ("master", "bare", "at most 1.25"),
+    "d/a": ("fmpy", "physics", "at most 2"),
     "b/c": ("lists", "master", "at least 2"),
     "cold run": ("run", "imports", "at most 2.2"),
 }
@@ -80,8 +83,9 @@ class _Workload:
             where = [1 + session.master.columns.index(column) for column in columns]
         self.ctrl: Array = np.concatenate(rows)[: self.steps, where]
 
-    def opened(self) -> AbstractContextManager[OpenSystem]:
-        return open_system(self.system, self.values, stop=self.steps * STEP_SIZE)
+    def opened(self, stepper: Stepper = "kernel") -> AbstractContextManager[OpenSystem]:
+        stop = self.steps * STEP_SIZE
+        return open_system(self.system, self.values, stop=stop, stepper=stepper)
 
 
 def _physics(workload: _Workload, *, drawn: bool) -> Way:
@@ -229,12 +233,17 @@ def bench(
 
 def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
     """Cost of a step by way over a whole pass, as contacts make some steps dearer [us]."""
-    with _plain_loop(workload) as plain, workload.opened() as session:
+    with (
+        _plain_loop(workload) as plain,
+        workload.opened() as session,
+        workload.opened("fmpy") as other,
+    ):
         ways: dict[str, Way] = {
             "physics": _physics(workload, drawn=True),
             "bare": _physics(workload, drawn=False),
             "lists": plain,
             "master": _own_master(workload, session),
+            "fmpy": _own_master(workload, other),
         }
         taken = dict.fromkeys(ways, 0.0)
         done = range(0, workload.steps - chunk + 1, chunk)

@@ -267,6 +267,17 @@ def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path: Path) -> None:
     assert any("a doubled pulse" in text for text in wild["remarks"])
 
 
+@pytest.mark.parametrize("at", [0.048, 0.05])  # s, at the begin and in the middle of such a step
+def test_a_law_with_steps_of_its_own_has_the_loop_of_one_that_updates_as_often(
+    slide: Path, at: float
+) -> None:
+    rare = in_process(measured, str(slide), at, {"overrides": {"controller": {"period": 0.004}}})
+    (slide / "scenario.toml").write_text(f"{SYSTEM}[steps]\ncontroller = 4\n")
+    slow = in_process(measured, str(slide), at)
+    np.testing.assert_allclose(array(slow["s"]), array(rare["s"]), rtol=1e-12)
+    assert slow["disk_margin"] == pytest.approx(rare["disk_margin"], rel=1e-12)
+
+
 def test_an_unstable_own_loop_is_named_unstable(slide: Path) -> None:
     one = in_process(measured, str(slide), 0.0, {"overrides": {"controller": {"damper": -5.0}}})
     assert not one["stable"]

@@ -41,8 +41,8 @@ def test_the_bench_compares_ways_that_do_the_same() -> None:
     result = in_process(cosim_jobs.short_bench)
     numbers = result["json"]
     assert numbers["format"] == 4
-    assert set(numbers["steps"]) == {"physics", "bare", "lists", "master"}
-    assert set(numbers["ratios"]) == {"c/a", "c/a'", "b/c", "cold run"}
+    assert set(numbers["steps"]) == {"physics", "bare", "lists", "master", "fmpy"}
+    assert set(numbers["ratios"]) == {"c/a", "c/a'", "d/a", "b/c", "cold run"}
     assert numbers["ratios"]["cold run"]["median"] == pytest.approx(2.5)
     for spread in (*numbers["steps"].values(), *numbers["ratios"].values()):
         assert 0.0 < spread["low"] <= spread["median"] <= spread["high"]

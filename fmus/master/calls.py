@@ -107,14 +107,16 @@ class Access:
         self.references = (ctypes.c_uint * len(references))(*references)
         size = block.shape[1]
         first, stride, view = block.ctypes.data, block.strides[0], ctypes.c_double * size
-        self._rows = [view.from_address(first + i * stride) for i in range(len(block))]
+        before, more = (slave.component, self.references, len(references)), (size,)
         self._method = getattr(slave.instance, self.name)
-        self._before = (slave.component, self.references, len(references))
-        self._more = (size,) if slave.fmu.fmi == 3 else ()
+        self._arguments = [
+            (*before, view.from_address(first + i * stride), *(more if slave.fmu.fmi == 3 else ()))
+            for i in range(len(block))
+        ]
 
     def __call__(self, row: int) -> None:
         """Call the method with a row of the block, in place."""
-        self.slave.call(self.name, self._method, *self._before, self._rows[row], *self._more)
+        self.slave.call(self.name, self._method, *self._arguments[row])
 
     def fail(self, status: int, time: float) -> None:
         """Raise the error of a status."""
