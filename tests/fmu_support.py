@@ -83,6 +83,12 @@ def copy_libraries(folder: Path, *left_out: str) -> None:
         shutil.copy(libraries.library(backend, libraries.this_platform()), folder)
 
 
+def initialize(slave: Any, values: Mapping[str, Any]) -> None:
+    """Go through initialization, for a second."""
+    slave.enter_initialization(values, 0.0, 1.0)
+    slave.exit_initialization()
+
+
 def compiler() -> str | None:
     """Path of a C compiler, or None."""
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

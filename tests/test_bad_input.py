@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from bounded import limited
 from fault_support import write_scenario
+from fmu_support import initialize
 from panda_cosim.fmus.atomic import replacing
 from panda_cosim.fmus.errors import InputError, nearest
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -153,7 +154,7 @@ def test_each_fmu_is_quoted_with_its_own_words(scenario: Path, tmp_path: Path) -
     talker = open_slave("first", Fmu(fmus["controller"]))
     open_slave("second", Fmu(fmus["plant"])).close()
     with pytest.raises(InputError, match=r"^first: the FMU refuses its start .*0\.0015 s"):
-        talker.initialize({"period": 0.0015}, 0.0, 1.0)
+        initialize(talker, {"period": 0.0015})
     talker.close()
 
 

@@ -156,9 +156,9 @@ def test_an_enumeration_feeds_one_that_has_its_numbers_and_gives_them_no_other_n
 ENUMERATED = (
     '<fmiModelDescription fmiVersion="2.0" modelName="Odd" guid="odd">'
     '<CoSimulation modelIdentifier="odd"/><TypeDefinitions><SimpleType name="modes">'
-    '<Enumeration><Item name="off" value="-1"/><Item name="on" value="2"/></Enumeration>'
+    '<Enumeration><Item name="off" value="-1"/><Item name="low" value="0"/></Enumeration>'
     '</SimpleType></TypeDefinitions><ModelVariables><ScalarVariable name="e" valueReference="0" '
-    'causality="input" variability="discrete"><Enumeration declaredType="modes" start="2"/>'
+    'causality="input" variability="discrete"><Enumeration declaredType="modes" start="0"/>'
     '</ScalarVariable><ScalarVariable name="z" valueReference="100" causality="output" '
     'variability="discrete"><Integer/></ScalarVariable></ModelVariables><ModelStructure/>'
     "</fmiModelDescription>"
@@ -169,7 +169,7 @@ ENUMERATED = (
 @pytest.mark.fmu
 @pytest.mark.own_process
 def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path: Path) -> None:
-    """The integer counts from its parameter on: -1, 0."""
+    """The integer counts from its parameter on: -1, 0, 1."""
     odd_fmu(tmp_path / "a.fmu", [("n", "Integer", "parameter", 0), ("y", "Integer", "output", 100)])
     with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
         library = archive.read("binaries/linux64/odd.so")
@@ -181,7 +181,7 @@ def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path
     (tmp_path / "scenario.toml").write_text(text)
     run = rehearse(prepare(load_scenario(tmp_path)))
     assert not run.summary.complete
-    reason = "at t = 0.001 s, in FMU 'b', variable e: value 0.0; must be -1 (off), 2 (on)"
+    reason = "at t = 0.002 s, in FMU 'b', variable e: value 1.0; must be -1 (off), 0 (low)"
     assert reason in str(run.summary.reason)
     assert run.recording["b.z"][1] == 0.0  # -1, and one step
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_support import compiler
+from fmu_support import compiler, initialize
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import Connection
@@ -56,7 +56,7 @@ def test_both_descriptions_read_the_same(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_any_choice_of_elements_is_exchanged(toy: Path, gets: list[str], sets: list[str]) -> None:
     slave = open_slave("it", Fmu(toy))
-    slave.initialize({"k": 3.0, "flip": True, "mode": 2, "u[2,2]": 0.5}, 0.0, 1.0)
+    initialize(slave, {"k": 3.0, "flip": True, "mode": 2, "u[2,2]": 0.5})
     inputs, outputs = np.zeros((1, len(sets))), np.zeros((2, len(gets)))
     put, get = slave.bind_set(sets, inputs), slave.bind_get(gets, outputs)
     u = dict.fromkeys(U, 0.0) | {"u[2,2]": 0.5}
@@ -77,7 +77,7 @@ def fail(path: Path, act: str) -> tuple[str, list[str]]:
     """Step until what `act` says happens; return the error and all messages."""
     messages: list[str] = []
     slave = open_slave("it", Fmu(path), lambda _name, _category, text: messages.append(text))
-    slave.initialize({"act": act}, 0.0, 1.0)
+    initialize(slave, {"act": act})
     error = ""
     try:
         for tick in range(4):

@@ -51,9 +51,11 @@ class Fmi2Slave(FmuSlave):
     def _make_step(self) -> StepCall:
         return _Fmi2Step(self)
 
-    def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        self.call("set up", self.instance.setupExperiment, None, start, stop)
-        self._set_arrays(start_values)
+    def _set_up(
+        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
+    ) -> None:
+        self.call("set up", self.instance.setupExperiment, tolerance, start, stop)
+        self._set_arrays(values)
         self.call("enter initialization", self.instance.enterInitializationMode)
 
 
@@ -119,21 +121,24 @@ class Fmi3Slave(FmuSlave):
     def _make_step(self) -> StepCall:
         return _Fmi3Step(self)
 
-    def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        structural = {n: v for n, v in start_values.items() if n in self.fmu.structural}
+    def _set_up(
+        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
+    ) -> None:
+        structural = {n: v for n, v in values.items() if n in self.fmu.structural}
         if structural:
             self.call("enter configuration", self.instance.enterConfigurationMode)
             self._set_arrays(structural)
             self.call("exit configuration", self.instance.exitConfigurationMode)
-        self._set_arrays({n: v for n, v in start_values.items() if n not in structural})
-        self.call("enter initialization", self.instance.enterInitializationMode, None, start, stop)
+        self._set_arrays({n: v for n, v in values.items() if n not in structural})
+        enter = self.instance.enterInitializationMode
+        self.call("enter initialization", enter, tolerance, start, stop)
 
-    def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        """Go through initialization; it ends in event mode, if the FMU has it."""
-        super().initialize(start_values, start, stop)
+    def exit_initialization(self) -> None:
+        """Leave initialization mode, for event mode if the FMU has it."""
+        super().exit_initialization()
         self._steps = True
         if self.has_events:
-            self._settle(start)
+            self._settle(self.start)
 
     def handle_event(self, time: float, act: Callable[[], None] = lambda: None) -> None:
         """Go through event mode: act, then update discrete states until they settle."""

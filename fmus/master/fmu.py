@@ -10,8 +10,8 @@ import inspect
 import math
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from threading import Lock
@@ -84,7 +84,9 @@ class FmuSlave(ABC):
         """Make the function `step`, by one communication step."""
 
     @abstractmethod
-    def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
+    def _set_up(
+        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
+    ) -> None:
         """Set start values and enter initialization mode."""
 
     # The same in FMI 2.0 and 3.0; in 2.0, each array is one scalar.
@@ -215,18 +217,29 @@ class FmuSlave(ABC):
             raise InputError(f"in FMU {self.name!r}: cannot be instantiated: {cause}") from error
         return instance
 
-    def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        """Set start values, by scalar variable, and go through initialization."""
-        self.stop = stop
-        try:
-            self._set_up(start_values, start, stop)
+    def enter_initialization(
+        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None = None
+    ) -> None:
+        """Set start values, by scalar variable, and enter initialization mode."""
+        self.start, self.stop = start, stop
+        with self._start_values_refused():
+            self._set_up(values, start, stop, tolerance)
+
+    def exit_initialization(self) -> None:
+        """Leave initialization mode; the FMU can be stepped then."""
+        with self._start_values_refused():
             self.call("exit initialization", self.instance.exitInitializationMode)
+        if self.fmu.in_python and self.log.worst > WARNING:
+            raise self._refusal()  # its wrapper has no other way to pass on a slave's error
+
+    @contextmanager
+    def _start_values_refused(self) -> Iterator[None]:
+        try:
+            yield
         except SimulationError as error:
             if self._worst != ERROR or not self.log.messages:
                 raise
             raise self._refusal() from error
-        if self.fmu.in_python and self.log.worst > WARNING:
-            raise self._refusal()  # its wrapper has no other way to pass on a slave's error
 
     def _refusal(self) -> InputError:
         cause = self.log.cause.removeprefix("initialization: ")

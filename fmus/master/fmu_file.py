@@ -101,7 +101,7 @@ class Fmu:
     @property
     def independent(self) -> frozenset[str]:
         """Outputs, as scalars, that depend on no input, as ModelStructure says."""
-        if (self.description.generationTool or "").startswith("panda-cosim "):
+        if self.is_ours:
             return frozenset()  # all of ours say so, also a law that follows its inputs
         free = {
             unknown.variable.name
@@ -133,6 +133,12 @@ class Fmu:
     def in_python(self) -> bool:
         """Whether PythonFMU's wrapper runs it, in the Python of this process."""
         return "PythonFMU" in (self.description.generationTool or "")
+
+    @property
+    def tolerance(self) -> float | None:
+        """Relative tolerance of the default experiment; None: it has none."""
+        text = getattr(self.description.defaultExperiment, "tolerance", None)
+        return finite_number(text or "") or None
 
     @property
     def is_ours(self) -> bool:

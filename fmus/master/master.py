@@ -3,10 +3,11 @@
 It knows nothing of FMI, only the `Slave` protocol, so it can be tested with plain Python slaves.
 A run does the following, in this order:
 
-1. `begin`: all outputs are read. They belong to t_0.
-2. `step`: tick k takes the system from t_k = t_0 + k * step_size to t_k+1. External inputs of t_k
+1. `initialize`, while slaves are in initialization mode: values go along the connections at t_0.
+2. `begin`: all outputs are read. They belong to t_0.
+3. `step`: tick k takes the system from t_k = t_0 + k * step_size to t_k+1. External inputs of t_k
    are written to row k first; the rest is the master's step, `Step.take` in step.py.
-3. `end`: leaders take one step more, from the last instant, so that their outputs in its row belong
+4. `end`: leaders take one step more, from the last instant, so that their outputs in its row belong
    to it as in every other; those that would go beyond their stop are only read. It is recorded.
 
 An FMU may end the simulation, as FMI allows. If it ends it together with a step, the others finish
@@ -27,7 +28,7 @@ from ...assets import STEP_SIZE
 from ..errors import SimulationEndedError, SimulationError
 from ..interface.tables import Connection
 from .kernel import make_kernel
-from .step import ITERATIONS, Coupling, IteratedStep, Step, Stepper
+from .step import ITERATIONS, Coupling, IteratedStep, Step, Stepper, settle
 from .wiring import (
     BLOCK_ROWS,
     Array,
@@ -122,6 +123,33 @@ class Master:
         self._flush_at = 0.0  # time of the next flush, by the performance counter
 
     # A run, in the order given above.
+
+    def initialize(self, external: Array) -> Name | None:
+        """Exchange values at t_0, with inputs (1, n); returns a variable that does not settle."""
+        self._buffer.set_external(0, external)
+        row = self._buffer.rows[0]
+        feeding = [each for each in self._bound if any(map(each.feeds, self._bound))]
+
+        def exchange() -> None:
+            for slave in self._bound:
+                slave.set_inputs(0)
+                if slave in feeding:
+                    slave.get_outputs(0)
+
+        fed = {column for each in self._bound for column in each.inputs}
+        columns = sorted(c for each in feeding for c in each.outputs if c in fed)
+        with self._rows_kept():
+            for slave in feeding:
+                slave.get_outputs(0)
+            first = row.copy()
+            # Without a loop, as many iterations as there are slaves are exact.
+            _, worst = settle(row, columns, exchange, plain=len(self._bound))
+            if worst is None:
+                return None
+            row[:] = first
+            for slave in self._bound:
+                slave.set_inputs(0)
+        return self.columns[worst - 1]
 
     def begin(self, sink: Sink) -> None:
         """Read all outputs at t_0; the slaves have just been initialized."""

@@ -77,11 +77,17 @@ class RemoteSlave:
         with there:
             self._process = start_from_lasting_thread(start)
 
-    def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        """Open the FMU, set start values and go through initialization."""
+    def enter_initialization(
+        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None = None
+    ) -> None:
+        """Open the FMU, set start values and enter initialization mode."""
         self.stop = stop
         self._call("open", self.name, str(self.fmu.path.absolute()), self.fmu.sizes)
-        self._call("initialize", dict(start_values), start, stop)
+        self._call("enter_initialization", dict(values), start, stop, tolerance)
+
+    def exit_initialization(self) -> None:
+        """Leave initialization mode, see `FmuSlave.exit_initialization`."""
+        self._call("exit_initialization")
 
     def set_values(self, values: Mapping[str, Value]) -> None:
         """Set variables once, see `FmuSlave.set_values`."""

@@ -113,29 +113,13 @@ class IteratedStep(Step):
         """Step from `time` [s]."""
         self._complete(row)
         now, end = self._rows[row], self._rows[row + 1]
-        reals = [column for column in self._fed if isinstance(now[column], float)]
-        others = sorted({*self._fed}.difference(reals))
         end[self._fed] = now[self._fed]
-        share, change = 1.0, np.zeros(len(reals))
         for slave in self.followers:
             slave.slave.save_state()
-        for count in range(1, MOST_ITERATIONS + 1):
-            guess, held, before = end[reals].astype(np.float64), end[others].tolist(), change
-            self._iterate(row + 1, time)
-            after = end[reals].astype(np.float64)
-            change = after - guess
-            settled = np.abs(change) <= TOLERANCE * np.maximum(1.0, np.abs(after))  # not if NaN
-            changed = [c for c, old in zip(others, held, strict=True) if end[c] != old]
-            if settled.all() and not changed:
-                end[-1] = count
-                return
-            difference = change - before
-            if count > 1 and difference.any():
-                share *= -float(before @ difference) / float(difference @ difference)
-            end[reals] = guess + share * change
-            for slave in self.followers:
-                slave.slave.restore_state()
-        worst = (changed or reals)[0 if changed else int(np.argmax(np.abs(change)))]
+        count, worst = settle(end, self._fed, lambda: self._iterate(row + 1, time), self._go_back)
+        if worst is None:
+            end[-1] = count
+            return
         slave = next(slave for slave in self.followers if worst in slave.outputs)
         raise SimulationError(
             f'coupling = "iterated": {MOST_ITERATIONS} iterations do not settle to a change of '
@@ -145,6 +129,10 @@ class IteratedStep(Step):
             variable=slave.names[slave.outputs.index(worst)],
         )
 
+    def _go_back(self) -> None:
+        for slave in self.followers:
+            slave.slave.restore_state()
+
     def _iterate(self, row: int, time: float) -> None:
         """Take the step with the inputs at its end."""
         self.ended = None
@@ -152,6 +140,35 @@ class IteratedStep(Step):
             slave.set_inputs(row)
             self._step(slave, time)
             slave.get_outputs(row)
+
+
+def settle(
+    row: Array,
+    columns: Sequence[int],  # that are fed
+    iterate: Callable[[], None],
+    go_back: Callable[[], None] = lambda: None,  # before the next iteration
+    plain: int = 1,  # iterations without Aitken's method, which takes real numbers alone
+) -> tuple[int, int | None]:
+    """Iterate until a row agrees with itself; returns how often, and a column that does not."""
+    reals = [column for column in columns if isinstance(row[column], float)]
+    others = sorted({*columns}.difference(reals))
+    share, change = 1.0, np.zeros(len(reals))
+    for count in range(1, MOST_ITERATIONS + 1):
+        guess, held, before = row[reals].astype(np.float64), row[others].tolist(), change
+        iterate()
+        after = row[reals].astype(np.float64)
+        change = after - guess
+        settled = np.abs(change) <= TOLERANCE * np.maximum(1.0, np.abs(after))  # not if NaN
+        changed = [c for c, old in zip(others, held, strict=True) if row[c] != old]
+        if settled.all() and not changed:
+            return count, None
+        difference = change - before
+        if count > plain and difference.any():
+            share *= -float(before @ difference) / float(difference @ difference)
+        row[reals] = guess + share * change
+        go_back()
+    worst = (changed or reals)[0 if changed else int(np.argmax(np.abs(change)))]
+    return MOST_ITERATIONS, worst
 
 
 def _leaders(slaves: Sequence[BoundSlave]) -> list[BoundSlave]:

@@ -285,6 +285,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     isolate: bool = False,
     step_timeout: float | None = None,
     stepper: Stepper = "kernel",
+    external: Array | None = None,  # external inputs at the start (1, n)
+    tolerance: float = 0.0,  # relative, of FMUs that integrate; 0: as their descriptions say
 ) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end."""
     fmus = read_fmus(system, start_values, coupling, isolate=isolate)
@@ -307,8 +309,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         for name, slave in slaves.items():
             # Ours may take a step beyond the end, for the last row.
             more = multiples.get(name, 1) * step_size if fmus[name].is_ours else 0.0
-            slave.initialize(start_values.get(name, {}), start, stop + more)
-        return_to(here)
+            own = tolerance or fmus[name].tolerance
+            slave.enter_initialization(start_values.get(name, {}), start, stop + more, own)
         master = Master(
             list(slaves.values()),
             system.outputs,
@@ -323,6 +325,14 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             stepper=stepper,
             not_finite=system.not_finite,
         )
+        if external is not None or not system.external:
+            unsettled = master.initialize(np.empty((1, 0)) if external is None else external)
+            if unsettled and on_message is not None:
+                text = f"{unsettled[1]} does not settle between FMUs; start values are used"
+                on_message(unsettled[0], "Warning", f"initialization: {text}")
+        for slave in slaves.values():
+            slave.exit_initialization()
+        return_to(here)
         yield OpenSystem(master, slaves, fmus)
 
 

@@ -130,7 +130,7 @@ def _no_folder(folder: Path) -> str:
 def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     """Describe a scenario of other FMUs, whose code is not run; no robot's conditions are seen."""
     scenario, assembly = prepared.scenario, prepared.assembly
-    fmus = read_fmus(assembly.system, assembly.changed(prepared.values), scenario.coupling)
+    fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
     seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
     hints = _diagnostics("hint", [*assembly.notes, *_suggestions(assembly), *seen])
     hints += _diagnostics("good", conversions(fmus, assembly.system))

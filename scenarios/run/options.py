@@ -32,6 +32,7 @@ TOP: Final = (
     "robot",
     "gains",
     "coupling",
+    "tolerance",
     "interpolation",
     "timing",
     "timing_share",

@@ -53,7 +53,7 @@ class Prepared:
     def start_values(self) -> StartValues:
         """Return the start values that the FMUs are given, with those of driven inputs."""
         assembly = self.assembly
-        values = assembly.changed(self.values)
+        values = assembly.changed(self.values, self.scenario.sections)
         for (instance, name), driven in assembly.driven.items():
             values[instance] = values.get(instance, {}) | {
                 name: driven.at_start(assembly.start_time)
@@ -80,6 +80,8 @@ class Prepared:
             stop=start + self.scenario.duration + longer,
             step_size=self.scenario.step,
             coupling=self.scenario.coupling,
+            external=self.inputs().at_start(),
+            tolerance=self.scenario.tolerance,
             on_message=hear,
             isolate=self.options.isolate,
             step_timeout=self.options.step_timeout,
@@ -200,6 +202,10 @@ class Inputs:
         for column, value in self._held.items():
             rows[:, column] = value
         return rows
+
+    def at_start(self) -> Array:
+        """Return the row of the start (1, inputs)."""
+        return self._computed(0, 1)
 
     def _computed(self, first: int, count: int) -> Array:
         count = min(count, self.shape[0] - first)

@@ -52,9 +52,8 @@ def start_values(
             own["controller"] = asdict(gains)
         if scenario.mismatch.has_sensors:
             own["sensors"] = {"robot": scenario.robot}
-    sections = {"plant": scenario.plant, "controller": scenario.controller}
     mismatch = scenario.mismatch.start_values()
-    layers: list[Overrides] = [own, mismatch, sections, scenario.parameters, overrides or {}]
+    layers: list[Overrides] = [own, mismatch, scenario.sections, overrides or {}]
     return (assembly or assemble(scenario)).start_values(layers)
 
 

@@ -85,9 +85,9 @@ def _build_player(
     """Build the FMU that plays external inputs, one row for each step."""
     assembly, scenario = prepared.assembly, prepared.scenario
     columns = [assembly.external.index(name) for name in played]
-    felt, last = _felt(prepared), scenario.rows[-1].time
+    felt = _felt(prepared)
     if felt:  # rows after the end are played once others have ended early
-        ticks = max(scenario.ticks, math.ceil(last / scenario.step))
+        ticks = max(scenario.ticks, math.ceil(scenario.rows[-1].time / scenario.step))
         scenario = replace(scenario, duration=round(ticks * scenario.step, 9))
     rows = prepared.inputs(scenario)[: scenario.ticks + 1][:, columns]
     if not felt and outputs == [name for v in TRAJECTORY.of("output") for name in v.names()]:

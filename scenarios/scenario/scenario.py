@@ -149,6 +149,7 @@ class Scenario:
     # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
+    tolerance: Annotated[float, Quantity(0.0, 1.0, "1")] = 0.0  # of FMUs; 0: as they say
     order: tuple[Annotated[str, Line()], ...] = ()  # of stepping; empty: by the connections
     not_finite: tuple[Annotated[str, Line()], ...] = ()  # outputs that may be NaN or infinite
     # Steps of an FMU as multiples of the system's.
@@ -190,6 +191,11 @@ class Scenario:
     def is_system(self) -> bool:
         """Whether it is a system of FMUs without a commanded hand."""
         return self.table is None and not self.route
+
+    @property
+    def sections(self) -> dict[str, Mapping[str, Parameter]]:
+        """Start values that it states, by FMU."""
+        return {"plant": self.plant, "controller": self.controller, **self.parameters}
 
     @property
     def pushed(self) -> tuple[str, ...]:

@@ -43,8 +43,8 @@ _OWN_PLANT: Final = (
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
 # Keys that are written if they say something.
-_RARE = ("system", "step", "timing", "timing_share", "route", "mujoco", "preflight",
-         "input_scale")  # fmt: skip
+_RARE = ("system", "step", "tolerance", "order", "timing", "timing_share", "route", "mujoco",
+         "preflight", "input_scale")  # fmt: skip
 
 
 def make_scenario(
@@ -126,7 +126,7 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
 def settings_text(scenario: Scenario) -> str:
     """Return the text of scenario.toml."""
     values = {name: getattr(scenario, name) for name in KEYS}
-    top = {n: v for n, v in values.items() if isinstance(v, bool | str | float)}
+    top = {n: v for n, v in values.items() if n == "order" or isinstance(v, bool | str | float)}
     for name in _RARE:
         if top[name] == getattr(Scenario, name):
             del top[name]

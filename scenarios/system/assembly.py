@@ -134,12 +134,20 @@ class Assembly:
                    for s, (i, n) in zip(scalars, self.external, strict=True)]  # fmt: skip
         return np.array(content, np.float64 if is_number else object)
 
-    def changed(self, values: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, Value]]:
-        """Return the start values that FMUs are given; of others' only those not their own."""
+    def changed(
+        self,
+        values: Mapping[str, Mapping[str, Value]],
+        stated: Mapping[str, Mapping[str, ParameterValue]],
+    ) -> dict[str, dict[str, Value]]:
+        """Return the start values that FMUs are given; of others' what is stated, or not theirs."""
         own = {name: scalar.start for name, scalar in self.scalars.items()}
+        given = {i: {*expand(i, each, stated.get(i, {})), *self.start.get(i, {})}
+                 for i, each in self.interfaces.items()}  # fmt: skip
         ours = {part.name for part in self.parts if part.file is None}
         return {
-            i: {n: v for n, v in named.items() if i in ours or own.get((i, n)) != v}
+            i: {
+                n: v for n, v in named.items() if i in ours or n in given[i] or own.get((i, n)) != v
+            }
             for i, named in values.items()
         }
 

@@ -146,8 +146,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
             return build_fmu(model, target=replace(target or Target(), mujoco=scenario.mujoco))
 
         return Part(name, path, model.interface, make)
-    values = {"plant": scenario.plant, "controller": scenario.controller, **scenario.parameters}
-    fmu = read_fmu(path).restructured(values.get(name, {}))
+    fmu = read_fmu(path).restructured(scenario.sections.get(name, {}))
     return Part(name, path, described_interface(fmu), lambda _target=None: path)
 
 
