@@ -17,14 +17,6 @@ from . import startup
 class Terminated(BaseException):
     """SIGTERM arrived while no FMU was stepping."""
 
-    def __del__(self) -> None:
-        """Have the signal sent again if nobody has seen its exception, which a library dropped."""
-        ending.dropped()
-
-
-class _Interrupted(KeyboardInterrupt):
-    __del__ = Terminated.__del__
-
 
 AGAIN = 0.05  # [s] later, when other code runs
 INTERRUPTS = (KeyboardInterrupt, Terminated)
@@ -37,9 +29,7 @@ class _Ending:
     """
 
     def __init__(self) -> None:
-        self._number = 0  # of the signal that has ended the command
-        self._raises = True
-        self._is_seen = False  # the exception, by the program
+        self._error: BaseException | None = None
         self._since = 0.0
 
     def listen(self) -> None:
@@ -49,39 +39,36 @@ class _Ending:
 
     def settle(self) -> None:
         """Raise nothing from now on."""
-        if self._raises:
-            self._since = time.monotonic()
-        self._raises, self._is_seen = False, True
+        if self._error is None:
+            self._error, self._since = SystemExit(), time.monotonic()
 
     def is_meant(self) -> None:
         """Take a signal as the way to end this command: errors after it are reported."""
-        self._number, self._is_seen = 0, True
+        self._error = SystemExit()
 
     @property
     def code(self) -> int:
         """Exit code of a command that a signal has ended; 0: none has."""
-        return self._number and 128 + self._number
+        return exit_code(self._error) if isinstance(self._error, INTERRUPTS) else 0
 
     def _handle(self, number: int, _frame: object) -> None:
-        if self._raises:
-            self._number, self._raises, self._since = number, False, time.monotonic()
-            raise _Interrupted if number == signal.SIGINT else Terminated
+        if self._error is None:
+            self._error = KeyboardInterrupt() if number == signal.SIGINT else Terminated()
+            self._since = time.monotonic()
+            raise self._error
         from ..run.stopping import end_if_late  # noqa: PLC0415 - the first signal comes before it
 
         end_if_late(number, self._since)
 
-    def dropped(self) -> None:
-        """Send a signal again, unless its exception was seen."""
-        if not self._is_seen:
-            from threading import Timer  # noqa: PLC0415 - few signals meet such code
-
-            self._raises = True
-            Timer(AGAIN, os.kill, (os.getpid(), self._number)).start()
-
     def _not_raised(self, args: sys.UnraisableHookArgs) -> None:
-        """Report what a library drops, but for a signal, which comes again."""
-        if not isinstance(args.exc_value, INTERRUPTS):
+        """Send a signal again whose exception met code that has no caller, as in a C library."""
+        if self._error is None or args.exc_value is not self._error:
             sys.__unraisablehook__(args)
+            return
+        from threading import Timer  # noqa: PLC0415 - few signals meet such code
+
+        number, self._error = exit_code(self._error) - 128, None
+        Timer(AGAIN, os.kill, (os.getpid(), number)).start()
 
 
 def exit_code(error: BaseException) -> int:
@@ -101,5 +88,4 @@ def main() -> None:
 
         run_program()
     except INTERRUPTS as error:
-        ending.settle()
         sys.exit(exit_code(error))
