@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from forked import command
-from panda_cosim import CosimError, InputError, load_scenario
+from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.recording import Recording
@@ -287,17 +287,6 @@ def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path
     assert re.search(f"red +missed +{missed['missed']}", done.stdout)
     with pytest.raises(InputError, match=r"has no row 4711; must be one of its .* rows, from 0 to"):
         promote_row(whole / "out", 4711, tmp_path / "other")
-
-
-def test_a_sweep_whose_files_are_removed_ends_instead_of_counting_failures(
-    tmp_path: Path, fmus: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
-    with Local(job(short_sweep(tmp_path), fmus), 1) as local:
-        (place,) = (tmp_path / "cache").rglob("plant.fmu")
-        place.unlink()
-        with pytest.raises(CosimError, match="somebody removed files of the running sweep"):
-            list(local.run([Task(0, 0, {FORCE: 1.0})]))
 
 
 def test_a_run_that_cannot_start_is_a_row_with_its_reason(

@@ -86,7 +86,6 @@ class Local(Backend):
         self._jobs = jobs
         self._folder = self.enter_context(temporary_folder(cache_folder()))
         unpack_job(job, self._folder)
-        self._files = [path for path in self._folder.rglob("*") if path.is_file()]
         self._workers = self.enter_context(Workers(jobs, ATTEMPTS))
 
     def _room(self) -> int:
@@ -102,14 +101,6 @@ class Local(Backend):
             late=lambda _: self._lost("timeout", chunk, late),
             time_limit=None if limit is None else limit + GRACE,
         )
-
-    def _result(self, future: Rows, chunk: list[Task]) -> list[Done]:
-        if not all(path.exists() for path in self._files):  # for which no row is to blame
-            raise CosimError(
-                f"{self._folder}: somebody removed files of the running sweep; the rows up to then "
-                "are kept, and the same command resumes it"
-            )
-        return super()._result(future, chunk)
 
 
 def keep(job: Job) -> Job:
