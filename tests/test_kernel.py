@@ -162,7 +162,8 @@ def shipped(names: list[str], stepper: Stepper) -> list[tuple[str, str, str]]:
     done = []
     for name in names:
         prepared = prepare(load_scenario(name), Options(master=stepper))
-        with Execution(prepared, writes=False) as execution:
+        in_c_in_any_case = patch("panda_cosim.fmus.master.kernel.changed", lambda _: ())
+        with in_c_in_any_case, Execution(prepared, writes=False) as execution:
             execution.advance(execution.ticks, StopRequest())
             run = execution.close()
         digest = hashlib.sha256()

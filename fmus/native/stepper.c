@@ -23,6 +23,8 @@ typedef enum { SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK } action;
 /* Statuses beyond those of FMI. */
 enum { WARNING = 1, ENDED = 100, EARLY, NOT_FINITE, EVENT };
 
+static const double ROUNDING = 1e-9; /* of a step: an FMU's clock may sum */
+
 /* Getters and setters differ in `const` only. */
 typedef unsigned access2(void *instance, const uint32_t *references, size_t count, double *values);
 typedef unsigned access3(void *instance, const uint32_t *references, size_t count, double *values, size_t size);
@@ -117,7 +119,7 @@ static unsigned step(course *r, const call *c, double time)
         const unsigned status =
             c->function.step3(c->instance, time, size, !c->later, &event, &ended, &early, &r->reached);
         if (status > WARNING) return status;
-        if (ended && r->reached < end) return ENDED;
+        if (ended && r->reached < end - ROUNDING * r->step_size) return ENDED;
         if (ended) r->ended = r->failed + 1;
         else if (event) return EVENT;
         if (ended || !early || r->reached >= end) return status;

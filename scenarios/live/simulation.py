@@ -192,7 +192,7 @@ class Simulation:
 
     @property
     def _is_over(self) -> bool:
-        return self._session.tick >= self._session.ticks
+        return self._session.is_over
 
     def _anchor(self) -> None:
         """Restart the clock from here."""

@@ -229,6 +229,11 @@ class Execution:
         return self._master.steps
 
     @property
+    def is_over(self) -> bool:
+        """Whether no step is left, or an FMU has ended the simulation."""
+        return self.tick >= self.ticks or self._master.ended is not None
+
+    @property
     def ticks(self) -> int:
         """Steps from t = 0 to the scenario's end."""
         return self.scenario.ticks
