@@ -16,7 +16,7 @@ import tomllib
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 ROOT: Final = Path(__file__).parents[1]  # the folder of `assets`, `fmus` and the others
 PROVEN: Final = ROOT / "fmus" / "twins.json"
@@ -31,11 +31,8 @@ NAMED: Final = 3  # most files that a notice names
 @cache
 def changed(twin: str) -> tuple[str, ...]:
     """Files that do not say what the twin in C is proven equal to; paths below `ROOT`."""
-    proofs = proven()[twin].items()
-    return tuple(
-        file for file, (raw, meaning) in proofs if raw_digest(file) != raw
-        and meaning_digest(file) != meaning
-    )  # fmt: skip
+    different = [each for each in proven()[twin].items() if raw_digest(each[0]) != each[1][0]]
+    return tuple(file for file, (_, meaning) in different if meaning_digest(file) != meaning)
 
 
 def notice(twins: Iterable[str] = IN_RUNS) -> str:
@@ -44,7 +41,7 @@ def notice(twins: Iterable[str] = IN_RUNS) -> str:
     if not by_twin:
         return ""
     files = list(dict.fromkeys(file for each in by_twin.values() for file in each))
-    more = f" and {len(files) - NAMED} more" if len(files) > NAMED else ""
+    more = ", ..." if len(files) > NAMED else ""
     ticks = 1.0 + sum(LONGER[twin] for twin in by_twin)
     return (
         f"{', '.join(files[:NAMED])}{more}: changed, so that Python runs instead of its twin in "
@@ -82,16 +79,15 @@ def meaning_digest(file: str) -> str:
 
 def _code(text: str) -> str:
     """Return Python code in one form, without comments and strings that stand alone."""
-    tree: Any = ast.parse(text)
+    tree = ast.parse(text)
     for node in ast.walk(tree):
-        if isinstance(body := getattr(node, "body", None), list):
-            node.body = [line for line in body if not _is_text(line)]  # type: ignore[attr-defined]
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [line for line in node.body if not _is_text(line)]
     return ast.unparse(tree)
 
 
 def _is_text(line: ast.stmt) -> bool:
-    constant = line.value if isinstance(line, ast.Expr) else None
-    return isinstance(constant, ast.Constant) and isinstance(constant.value, str)
+    return isinstance(line, ast.Expr) and isinstance(getattr(line.value, "value", None), str)
 
 
 def _hash(content: bytes) -> str:

@@ -49,7 +49,7 @@ MOST_BYTES = {"native": 3_500_000, "python": 200_000}
 
 @pytest.fixture(
     scope="module",
-    params=[Target(), Target(fmi=3), Target("python"), Target("python", 3)],
+    params=[Target("native"), Target("native", 3), Target("python"), Target("python", 3)],
     ids=lambda target: f"{target.kind}-{target.fmi}",
 )
 def target(request: pytest.FixtureRequest) -> Target:

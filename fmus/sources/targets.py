@@ -48,9 +48,8 @@ class Target:
 
     def in_python(self, name: str) -> bool:
         """Whether one of the project's own FMUs runs Python code; the sensors do in any kind."""
-        if name == "sensors" or self.kind != "auto":
-            return self.kind == "python" or name == "sensors"
-        return bool(changed(name))
+        is_python = self.kind == "python" or name == "sensors"
+        return is_python or (self.kind == "auto" and bool(changed(name)))
 
     def make(self, fmu: NativeFmu) -> bytes:
         """Make the .fmu file."""

@@ -40,11 +40,11 @@ class Prepared:
     @property
     def notes(self) -> list[str]:
         """What the user should know: unconnected inputs, unsuitable gains, Python instead of C."""
-        ours = [p.name for p in self.assembly.parts if p.file is None and p.name in IN_RUNS]
-        kernel = ["kernel"] if self.options.master == "kernel" else []
-        instead = notice([*(ours if self.options.kind == "auto" else ()), *kernel])
+        parts = self.assembly.parts if self.options.kind == "auto" else ()
+        asked = {self.options.master, *(part.name for part in parts if part.file is None)}
+        python = notice(twin for twin in IN_RUNS if twin in asked)
         gains = unsuitable_gains(self.scenario, self.values)
-        return [*self.assembly.notes, *gains, *filter(None, [instead])]
+        return [*self.assembly.notes, *gains, *filter(None, [python])]
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
         """Return the external inputs, of a changed scenario if one is given."""

@@ -92,8 +92,8 @@ def read_parts(
     for name, law in read.items():
         if not isinstance(law, Part):  # its signals are those of the parts around it
             parts[name] = _law_part(scenario, name, law, parts)
-    ours = tuple(name for name in ours if parts[name].file is None)
-    if scenario.mujoco and any(Target(kind).in_python(name) for name in ours if name != "sensors"):
+    ours = tuple(name for name in OURS if name in parts and parts[name].file is None)
+    if scenario.mujoco and any(map(Target(kind).in_python, ours)):
         raise InputError("mujoco: FMUs in Python use the installed version; must be left out")
     if scenario.mujoco and not any(part.is_model for part in parts.values()):
         raise InputError("mujoco: no FMU here is made from a MuJoCo model; must be left out")

@@ -249,9 +249,8 @@ def _law() -> tuple[Path, Interface]:
         for variable in CONTROLLER.variables
     )
     interface = replace(CONTROLLER, variables=free)
-    return build_fmu(
-        replace(own_fmu(LAW, in_python=Target().in_python(LAW)), interface=interface)
-    ), interface
+    law = own_fmu(LAW, in_python=Target().in_python(LAW))
+    return build_fmu(replace(law, interface=interface)), interface
 
 
 def joint_reference(

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby
-from textwrap import shorten
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -27,7 +26,7 @@ from ..scenario.limits import METRICS, robot_of
 from .columns import Thinning, describe_time, encode
 
 MOMENTS: Final = 8  # most marks on the timeline
-FACT_LENGTH: Final = 60  # most characters of a fact in the header
+PARTS: Final = 6  # most FMUs, and the stepper, of which the header says what ran
 JOINTS: Final = range(1, 8)
 CURVES: Final = (
     ("Tracking error", ["tracking error"]),
@@ -212,6 +211,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         )
     thinning = Thinning.of(source.time)
     title, about = describe_run(source)
+    ran = [*metadata.get("code", {}).items(), ("stepped by", run.summary.get("stepped_by"))]
     with ThreadPoolExecutor(1) as second:  # zlib compresses without Python's lock
         recorded = _signals(source, thinning, columns["qpos"], second)
         signals = [*_derived(source, thinning, against), *recorded]
@@ -226,7 +226,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         "name": run.name,
         "title": title,
         "purpose": str(metadata.get("purpose") or ""),
-        "facts": [*about.split(" · "), *what_ran(run.summary, metadata)],
+        "facts": [*about.split(" · "), *[f"{part}: {by}" for part, by in ran if by][-PARTS:]],
         "model": model_key,
         "verdict": verdict(run.summary, metadata),
         "criteria": criteria_of(run.summary),
@@ -242,17 +242,6 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         "bounds": {name: pair for name, pair in bounds.items() if name in known},
         "curves": shown_curves(CURVES, known),
     }
-
-
-def what_ran(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what ran in the FMUs, those with the same in one text, and what stepped them."""
-    by_code: dict[str, list[str]] = {}
-    for name, code in dict(metadata.get("code", {})).items():
-        by_code.setdefault(code, []).append(name)
-    for code, names in by_code.items():
-        yield shorten(f"{code}: {', '.join(names)}", FACT_LENGTH, placeholder=" ...")
-    if stepper := summary.get("stepped_by"):
-        yield f"stepped by {stepper}"
 
 
 def _columns(source: RunData, signal: str) -> list[str]:

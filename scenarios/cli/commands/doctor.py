@@ -127,11 +127,10 @@ def _fmu_libraries() -> str:
 def _stepper() -> str:
     from ....fmus.master.kernel import load_stepper  # noqa: PLC0415 - numpy may be missing
 
-    if changed("kernel"):
-        return "in Python"
-    if load_stepper() is None:
+    is_outdated = changed("kernel")
+    if load_stepper() is None and not is_outdated:
         raise CosimError("its library cannot be loaded, so steps are taken in Python")
-    return "in C"
+    return "in Python" if is_outdated else "in C"
 
 
 def _twins() -> str:

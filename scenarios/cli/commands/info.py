@@ -47,10 +47,11 @@ def command(
     panda-cosim info ./my-scenario
     ```
     """
-    interfaces, connections, order, held, files = _read(fmu)
-    code = {name: _code(name, files.get(name)) for name in interfaces}
+    interfaces, connections, order, held = _read(fmu)
+    code = {name: _code(name, interface, Path(fmu or "")) for name, interface in interfaces.items()}
     if json:
-        show_json({**_described(interfaces, connections, code), "order": order, "late": held})
+        described = _described(interfaces, connections)
+        show_json({**described, "code": code, "order": order, "late": held})
         return
     if markdown:
         drawing = [_drawing(order, connections, held)] if len(order) > 1 else []
@@ -58,8 +59,7 @@ def command(
         return
     for name, interface in interfaces.items():
         show(f"{interface.model} (instance {name}): {interface.description}", "bold")
-        alone = " (it has no twin in C)" if interface is SENSORS else ""
-        show(f"What runs in it: {code[name]} code{alone}")
+        show(f"What runs in it: {code[name]}{', as it has no twin in C' * (interface is SENSORS)}")
         for variables in _variables_tables(interface):
             show(variables)
         show("")
@@ -72,24 +72,20 @@ def command(
         show(shown(order, []))
 
 
-Files = Mapping[str, Path | None]  # of FMUs; None, or none: the project's own
-
-
 def _read(
     name: str | None,
-) -> tuple[Mapping[str, Interface], Sequence[Connection], list[str], list[str], Files]:
-    """Return FMUs, connections, order, what is late, and files; these are read, and not run."""
+) -> tuple[Mapping[str, Interface], Sequence[Connection], list[str], list[str]]:
+    """Return FMUs, connections, order and what is late; files are read, and no code is run."""
     if name is None:
         order = stepping_order(INTERFACES, CONNECTIONS)
-        return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling), {}
+        return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling)
     if name in INTERFACES:
-        return {name: INTERFACES[name]}, CONNECTIONS, [name], [], {}
+        return {name: INTERFACES[name]}, CONNECTIONS, [name], []
     if name == "sensors":
-        return {name: SENSORS}, (), [name], [], {}
+        return {name: SENSORS}, (), [name], []
     path = Path(name)
     if path.suffix == ".fmu":
-        interfaces = {path.stem: described_interface(Fmu(path))}
-        return interfaces, (), [path.stem], [], {path.stem: path}
+        return {path.stem: described_interface(Fmu(path))}, (), [path.stem], []
     if path.suffix == ".ssp":
         scenario = system_scenario(path)
     elif (path / SCENARIO_FILE).is_file():
@@ -106,17 +102,14 @@ def _read(
             f"{error}; `panda-cosim build --slave FILE.py:CLASS` makes an FMU that can be shown"
         ) from None
     order, held = [*assembly.interfaces], assembly.late(scenario.coupling)
-    files = assembly.ssp.fmus if assembly.ssp else {p.name: p.file for p in assembly.parts}
-    return assembly.interfaces, assembly.connections, order, held, files
+    return assembly.interfaces, assembly.connections, order, held
 
 
-def _code(name: str, file: Path | None) -> str:
-    """Return what runs in an FMU; models become native ones, laws and slaves stay Python."""
-    if file is None:
+def _code(name: str, interface: Interface, file: Path) -> str:
+    """Return what runs in one of the project's own FMUs or in an .fmu file."""
+    if any(interface is each for each in (*INTERFACES.values(), SENSORS)):
         return "python" if Target().in_python(name) else "native"
-    if file.suffix == ".fmu":
-        return read_fmu(file).code
-    return "python" if file.suffix == ".py" else "native"
+    return read_fmu(file).code if file.suffix == ".fmu" else "its own"
 
 
 def _drawing(order: Sequence[str], connections: Iterable[Connection], held: Sequence[str]) -> str:
@@ -136,16 +129,13 @@ def _quoted(text: str) -> str:
 
 
 def _described(
-    interfaces: Mapping[str, Interface],
-    connections: Iterable[Connection],
-    code: Mapping[str, str],
+    interfaces: Mapping[str, Interface], connections: Iterable[Connection]
 ) -> dict[str, Any]:
     """Return all variables of some instances, and the connections from or to them."""
     fmus = {
         name: {
             "model": interface.model,
             "description": interface.description,
-            "code": code[name],
             "variables": interface.variables,
         }
         for name, interface in interfaces.items()
