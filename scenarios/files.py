@@ -33,6 +33,18 @@ def model_file(recording: object) -> Path | None:
     return model if model is not None and model.is_file() else None
 
 
+def scenario_files(folder: Path) -> list[Path]:
+    """Return all scenario.toml in a folder and below, but for hidden ones and copies in runs."""
+    files = sorted(folder.rglob("scenario.toml"))
+    hidden = {f for f in files if any(p.startswith(".") for p in f.relative_to(folder).parts)}
+    return [file for file in files if file not in hidden and not is_copy(file)]
+
+
+def is_copy(scenario: Path) -> bool:
+    """Whether a scenario.toml is what a run keeps of its scenario."""
+    return scenario.parent.name == "scenario" and any(scenario.parent.parent.glob("recording.*"))
+
+
 def as_argument(folder: Path) -> str:
     """Return a scenario's folder as commands take it in a shell."""
     # A bare name gets a "./", as it could be that of a shipped scenario, which takes precedence.

@@ -215,6 +215,7 @@ WRONG = [
     (B, B + "\nlevel = 2.0", "level: only valid with reduce = 'duration_above'"),
     (B, B + "\n" + SIGNAL, "is taken"),
     (B, B + '\nname = "max_tilt"', "name 'max_tilt' is taken"),
+    (B, B + f'\nabove = 1.0\nname = "f"\n{SIGNAL}name = "f below"', "name 'f below' is taken"),
     (B, B + "\nto = 3000", "to: value 3000.0; must be within the run, from"),
     (B, B + '\nfrom = "end"\nto = 1.0', "to: value 1.0 is before from, 'end'"),
     (B, B + "\nabove = 61.0", "so that it can never hold; must be at most be"),

@@ -318,6 +318,34 @@ def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -
     assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
 
 
+def test_nested_scenarios_are_found_and_a_stray_sweep_is_named(
+    approved: Path, tmp_path: Path
+) -> None:
+    """As pytest finds them; what a run keeps of its scenario, and what is hidden, is none."""
+    for place in ("same", "group/same", "group/deep/other", "runs/first/scenario", ".old/same"):
+        shutil.copytree(approved, tmp_path / "mine" / place)
+    (tmp_path / "mine" / "runs" / "first" / "recording.parquet").touch()
+    (tmp_path / "mine" / "group" / "sweep.toml").write_text("[vary]\n")
+    done = cli("regress", "--scenarios", tmp_path / "mine", "--json")
+    assert done.returncode == 0, done.stderr
+    results = json.loads(done.stdout)["scenarios"]
+    assert [each["name"] for each in results] == ["other", "group/same", "same"]
+    assert all(each["compared"] == 162 and each["uncompared"] == [] for each in results)
+    assert "sweep.toml: has no scenario.toml beside it, so that it is not run" in done.stderr
+    tests = run_pytest(tmp_path, "-v", "--panda-scenarios", "mine", "mine")
+    assert "3 passed" in tests.stdout
+    assert "has no scenario.toml beside it" in tests.stdout
+
+
+def test_a_new_scenario_notices_what_its_template_used_to_hide(tmp_path: Path) -> None:
+    assert cli("new", tmp_path / "lift").returncode == 0
+    regress = ("regress", "--scenarios", tmp_path)
+    assert cli(*regress, "--update", "--yes").returncode == 0
+    for change in ("plant.block_friction=0.5", "plant.payload=0.05", "controller.kp=7.5"):
+        done = cli(*regress, "--set", change)
+        assert done.returncode == 1, f"{change}: {done.stdout}{done.stderr}"
+
+
 def test_pytest_collects_the_sweep_of_a_scenario(swept: Path) -> None:
     (swept / "short" / "sweep.toml").write_text(SWEEP.replace("0.75", "0.76"))
     jobs = ("--panda-jobs", "1")

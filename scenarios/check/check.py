@@ -42,6 +42,7 @@ from ..run.start import (
     StartValues,
     carried_mass,
     instants,
+    late_pushes,
     law_gains,
     resolve,
     start_values,
@@ -268,9 +269,7 @@ def _remarks(scenario: Scenario) -> Iterator[str]:
             f"{TABLE_FILE}: the last row is at {last:g} s, after the duration of "
             f"{scenario.duration:g} s: it is never reached"
         )
-    for push in scenario.push:
-        if push.start >= scenario.duration:
-            yield f"{SCENARIO_FILE}: [[push]] at {push.start:g} s begins after the end"
+    yield from late_pushes(scenario)
 
 
 def _limits(prepared: Prepared) -> Iterator[str]:

@@ -28,7 +28,9 @@ from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
 from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...fmus.master.wiring import Name
 from ...fmus.reading import file_inside, finite_number, read_xml
-from ..files import check_new, read_text
+from ..compare.tubes import distances
+from ..files import as_argument, check_new, read_text
+from ..judging.limits import Level
 from ..recording import Recording
 from ..run.options import Options
 from ..run.prepare import prepare
@@ -89,6 +91,7 @@ class Outcome:
     experiment: str
     tolerance: float
     values: int = 0  # that were compared
+    left_out: int = 0  # that were not, as they are at no instant of the run
     largest_difference: float = math.nan  # relative to reference values above 1
     variable: str = ""
     time: float = math.nan  # [s]
@@ -98,13 +101,19 @@ class Outcome:
         """Whether something was compared, and all of it is within the tolerance."""
         return self.largest_difference <= self.tolerance
 
+    @property
+    def level(self) -> Level:
+        """What `check` calls it: good only if nothing was left out."""
+        return "wrong" if not self.ok else "hint" if self.left_out else "good"
+
     def __str__(self) -> str:
+        left = f"{self.left_out} more at no instant of the run" if self.left_out else ""
         if not self.values:
-            return f"{self.experiment}: nothing could be compared"
+            return f"{self.experiment}: nothing could be compared" + (left and f", {left}")
         largest = f"{self.largest_difference:.3g} ({self.variable} at t = {self.time:g} s)"
         return (
             f"{self.experiment}: {self.values} values, largest difference {largest}, tolerance "
-            f"{self.tolerance:g}"
+            f"{self.tolerance:g}" + (left and f"; {left}, not compared")
         )
 
 
@@ -120,15 +129,21 @@ def check_experiments(path: Path) -> list[Outcome]:
 def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
     times, *expected = experiment.references.values() or [np.zeros(0)]
     names, (rows, ticks) = list(experiment.references)[1:], experiment.compared()
+    left_out = (len(times) - rows.size) * len(names)
     if not rows.size or not expected:
-        return Outcome(experiment.name, experiment.tolerance)
-    recording = _run(fmu, experiment)
-    answers = np.stack([recording[f"{_IT}.{name}"][ticks] for name in names], axis=1)
-    references = np.stack(expected, axis=1)[rows]
-    errors = np.abs(answers - references) / np.maximum(np.abs(references), 1.0)
+        return Outcome(experiment.name, experiment.tolerance, left_out=left_out)
+    recording, columns = _run(fmu, experiment), []
+    for name, reference in zip(names, (values[rows] for values in expected), strict=True):
+        answers = recording[f"{_IT}.{name}"][ticks]
+        is_text = reference.dtype == object
+        if is_text:  # bytes as in the file
+            answers = np.array([a if isinstance(a, str) else a.hex() for a in answers], object)
+        apart = distances(answers, np.arange(rows.size), reference, 0.0, 0)
+        columns.append(apart if is_text else apart / np.maximum(np.abs(reference), 1.0))
+    errors = np.stack(columns, axis=1)
     row, column = divmod(int(errors.argmax()), errors.shape[1])
-    return Outcome(experiment.name, experiment.tolerance, errors.size, float(errors[row, column]),
-                   names[column], float(times[rows[row]]))  # fmt: skip
+    return Outcome(experiment.name, experiment.tolerance, errors.size, left_out,
+                   float(errors[row, column]), names[column], float(times[rows[row]]))  # fmt: skip
 
 
 def _run(fmu: Fmu, experiment: Experiment) -> Recording:
@@ -159,14 +174,16 @@ def _scenario(fmu: Fmu, experiment: Experiment) -> Scenario:
     )  # fmt: skip
 
 
-def import_experiment(path: Path, folder: Path) -> list[Path]:
-    """Make a scenario of the first experiment in an FMU, judged by its references at the end."""
+def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
+    """Make a scenario of the first experiment in an FMU; returns its files, and what judges it."""
+    # Its references at the end, or at the last instant for which there are some.
     check_name(folder)
     fmu = read_fmu(path)
     experiment = _first(fmu)
     if experiment.start != 0.0:
         raise InputError(f"{path}: startTime {experiment.start:g} of its experiment; must be 0")
-    criteria, names = [], list(experiment.references)[1 : 1 + MOST_COMPARED]
+    criteria, values = [], list(experiment.references.items())[1:]
+    names = [name for name, each in values if each.dtype != object][:MOST_COMPARED]
     rows, ticks = experiment.compared()
     for name in names if rows.size else ():
         value = float(experiment.references[name][rows[-1]])
@@ -184,7 +201,11 @@ def import_experiment(path: Path, folder: Path) -> list[Path]:
     check_new([folder / path.name])
     write_scenario(scenario, folder)
     shutil.copy(path, folder / path.name)
-    return sorted(folder.iterdir())
+    total = sum(each.size for _, each in values)
+    about = f"Criteria: {len(criteria)} of {total} reference values, at most one of an output"
+    return sorted(
+        folder.iterdir()
+    ), f"{about}; panda-cosim check {as_argument(path)} compares the rest"
 
 
 # Read.
@@ -251,22 +272,32 @@ def _member(fmu: Fmu, file: Path, source: str) -> Path:
 
 
 def _series(fmu: Fmu, file: Path) -> Series:
-    """Read a CSV; a cell of an array has all its elements. Texts are left out."""
+    """Read a CSV; a cell of an array has all its elements, bytes are hexadecimal digits."""
     arrays, place = by_array(fmu.variables.values()), f"{fmu.label}: {file.name}"
     table = InputTable.of_text(read_text(file, MAX_BYTES), place)
     series = {"time": np.array(table.times)}
     for name, cells in table.columns.items():
         scalars = arrays.get(name) or [fmu.variable(name)]
-        if scalars[0].variable.kind in TEXTS:
-            continue
+        kind, rows = (
+            scalars[0].variable.kind,
+            [cell.split() if len(scalars) > 1 else [cell.strip()] for cell in cells],
+        )
         try:
-            rows = [[float(_SWITCHES.get(word, word)) for word in cell.split()] for cell in cells]
-            values = np.array(rows).reshape(len(rows), len(scalars))
+            parts = [[_cell(kind, word) for word in row] for row in rows]
+            values = np.array(parts, object if kind in TEXTS else float)
+            values = values.reshape(len(rows), len(scalars))
         except ValueError as error:
-            what = f"{len(scalars)} numbers" if len(scalars) > 1 else "a number"
+            what = "text" if kind in TEXTS else "number"
+            what = f"{len(scalars)} {what}s" if len(scalars) > 1 else f"a {what}"
             raise InputError(f"{place}: {name}: must have {what} in each row") from error
         series |= zip((scalar.name for scalar in scalars), values.T, strict=True)
     return series
+
+
+def _cell(kind: str, word: str) -> float | str:
+    if kind in TEXTS:
+        return word.lower() if kind == "Binary" else word
+    return float(_SWITCHES.get(word, word))
 
 
 def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:

@@ -159,18 +159,19 @@ class Reference:
             writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
 
     def _blocks(self, recording: Recording, origins: Mapping[str, float]) -> Iterator[list[Array]]:
-        before = 0  # rows at the start of a block that were in the one before
-        for block in recording.in_blocks(*self.quanta, *self.held, before=2):
-            columns = [values[before:] for values in block]
-            for i, (name, quantum) in enumerate(self.quanta.items()):
-                steps = np.round((block[i] - origins[name]) / quantum)
+        held = [recording[name] for name in self.held]  # not in blocks, which are of float64
+        row = before = 0  # `before`: rows at the start of a block that were in the one before
+        for block in recording.in_blocks("time", *self.quanta, before=2):
+            columns, end = [], row + len(block[0]) - before
+            for (name, quantum), values in zip(self.quanta.items(), block[1:], strict=True):
+                steps = np.round((values - origins[name]) / quantum)
                 differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)[before:]
                 if np.abs(differences).max(initial=0.0) > _LARGEST:
                     problem = "the tolerance is too small for its values"
                     raise InputError(f"[regression] {name}: {problem}")
-                columns[i] = differences
-            yield columns
-            before = 2
+                columns.append(differences)
+            yield [*columns, *(values[row:end] for values in held)]
+            row, before = end, 2
 
     @classmethod
     def read(cls, path: Path) -> Self:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
+from ..files import scenario_files
 from ..judging.criterion import Criterion, unmeasured_text, verdict_of
 from ..recording import Recording
 from ..recording.storage import TEXTS
@@ -48,15 +50,11 @@ TIMEOUT: Final = 600.0
 class Unusable:
     """A scenario's folder that cannot be read: it alone fails, the rest of the suite runs."""
 
+    name: str  # of the folder, or its path in the suite
     folder: Path
     error: str  # the problem in one line
     purpose: str = ""
     duration: float = 0.0
-
-    @property
-    def name(self) -> str:
-        """Name of the folder."""
-        return self.folder.resolve().name
 
 
 @dataclass(frozen=True)
@@ -249,7 +247,9 @@ def find_scenarios(
     """Load scenarios by name, or all; an unusable folder becomes an `Unusable`."""
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
     place = "the shipped ones" if folder is None else str(folder)
-    scenarios = [read_scenario(_choose(name, known, place)) for name in names or known]
+    chosen = [_choose(name, known, place) for name in names or known]
+    own = {path: name for name, path in known.items()}
+    scenarios = [read_scenario(path, own.get(path, "")) for path in chosen]
     for name in (scenario.name for scenario in scenarios):
         if sum(scenario.name == name for scenario in scenarios) > 1:
             raise InputError(f"scenario {name!r}: is listed twice")
@@ -259,12 +259,13 @@ def find_scenarios(
     return scenarios
 
 
-def read_scenario(folder: Path) -> Scenario | Unusable:
-    """Read a scenario of a suite."""
+def read_scenario(folder: Path, name: str = "") -> Scenario | Unusable:
+    """Read a scenario of a suite, in which it has this name; "": that of its folder."""
+    name = name or folder.resolve().name
     try:
-        scenario = Scenario.read(folder)
+        scenario = replace(Scenario.read(folder), name=name)
     except InputError as error:
-        return Unusable(folder, str(error))
+        return Unusable(name, folder, str(error))
     try:
         check_criteria(scenario)
         start_values(scenario)
@@ -272,17 +273,21 @@ def read_scenario(folder: Path) -> Scenario | Unusable:
             columns = assemble(scenario).recorded(scenario.coupling)
             scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
     except InputError as error:
-        return Unusable(folder, f"{folder / SCENARIO_FILE}: {error}")
+        return Unusable(name, folder, f"{folder / SCENARIO_FILE}: {error}")
     return scenario
 
 
 def _scenarios_in(folder: Path) -> dict[str, Path]:
     if (folder / SCENARIO_FILE).is_file():
         return {folder.resolve().name: folder}
-    files = sorted(folder.glob(f"*/{SCENARIO_FILE}"))
-    if not files:
+    folders = [file.parent for file in scenario_files(folder)]
+    if not folders:
         raise InputError(f"{folder}: no scenarios there; must hold folders with {SCENARIO_FILE}")
-    return {file.parent.name: file.parent for file in files}
+    counts = Counter(each.name for each in folders)  # those of one name are told by their paths
+    return {
+        each.name if counts[each.name] == 1 else each.relative_to(folder).as_posix(): each
+        for each in folders
+    }
 
 
 def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:

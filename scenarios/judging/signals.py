@@ -56,7 +56,6 @@ def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> 
         values, length = _measure(criterion, recording, events)
     except ValueError as error:
         reason = str(error)
-    is_double = None not in (criterion.below, criterion.above)
     judged = []
     for direction in DIRECTIONS:
         bound = getattr(criterion, direction)
@@ -66,7 +65,7 @@ def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> 
         value = (max if direction == "below" else min)(values, default=None)
         if value is not None and criterion.reduce == "settle" and length < value <= bound:
             value, reason = None, f"does not settle within its window of {length:g} s"
-        name = f"{criterion.label} {direction}" if is_double else criterion.label
+        name = criterion.labels[direction]
         judged.append(Criterion.judge(name, value, bound, unit, direction, reason))
     return judged
 
@@ -77,7 +76,7 @@ def _measure(
     """Reduce each element; also return the window's length [s]."""
     time = recording.time
     start, stop = (time_of(each, events) for each in (criterion.from_, criterion.to))
-    rows = (time >= start - SLACK) & (time <= stop + SLACK)
+    rows = (time >= start - _slack(time)) & (time <= stop + _slack(time))
     if not rows.any():
         raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
     signal = by_rows(recording, partial(_evaluate, criterion), *criterion.names)
@@ -93,10 +92,15 @@ def _measure(
 def row_at(instant: Instant, time: Array, events: Events) -> int:
     """Return the row of an instant."""
     at = time_of(instant, events)
-    rows = np.flatnonzero(time <= at + SLACK)
-    if not len(rows) or at > time[-1] + SLACK:
+    rows = np.flatnonzero(time <= at + _slack(time))
+    if not len(rows) or at > time[-1] + _slack(time):
         raise UnmeasuredError(f"no sample at {at:g} s")
     return int(rows[-1])
+
+
+def _slack(time: Array) -> float:
+    """Rounding of k * dt [s]: a millionth of the shortest step."""
+    return min(SLACK, 1e-6 * float(np.diff(time).min(initial=1.0)))
 
 
 def time_of(instant: Instant, events: Events) -> float:

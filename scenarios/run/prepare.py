@@ -22,7 +22,15 @@ from ..system.assembly import Assembly, assemble
 from .folder import model_in
 from .guarded import GuardedCommands
 from .options import Options, with_options
-from .start import StartValues, check_criteria, resolve, start_pose, start_values, unsuitable_gains
+from .start import (
+    StartValues,
+    check_criteria,
+    late_pushes,
+    resolve,
+    start_pose,
+    start_values,
+    unsuitable_gains,
+)
 
 Array = NDArray[np.float64]
 CHUNK = 16_384  # ticks of inputs computed at a time; a whole hour would take 0.4 GB
@@ -39,12 +47,13 @@ class Prepared:
 
     @property
     def notes(self) -> list[str]:
-        """What the user should know: unconnected inputs, unsuitable gains, Python instead of C."""
+        """What the user should know, such as unconnected inputs, unsuitable gains, late pushes."""
         parts = self.assembly.parts if self.options.kind == "auto" else ()
         asked = {self.options.master, *(part.name for part in parts if part.file is None)}
         python = notice(twin for twin in IN_RUNS if twin in asked)
         gains = unsuitable_gains(self.scenario, self.values)
-        return [*self.assembly.notes, *gains, *filter(None, [python])]
+        late = late_pushes(self.scenario)
+        return [*self.assembly.notes, *gains, *late, *filter(None, [python])]
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
         """Return the external inputs, of a changed scenario if one is given."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
@@ -167,6 +167,13 @@ def law_gains(scenario: Scenario, values: StartValues) -> Gains:
     parameters.pop("period")
     gains = Gains(**parameters)
     return gains if gains.law == "reference" else default
+
+
+def late_pushes(scenario: Scenario) -> Iterator[str]:
+    """Say of each push that it has no effect, as it begins after the end."""
+    for push in scenario.push:
+        if push.start >= scenario.duration:
+            yield f"{SCENARIO_FILE}: [[push]] at {push.start:g} s begins after the end"
 
 
 def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:

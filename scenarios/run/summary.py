@@ -23,7 +23,7 @@ from ..judging.holds import COMMAND, Events, events, find_holds, measure_block, 
 from ..judging.limits import all_lacking, first_limit, largest_share, limit_shares
 from ..judging.signals import judge_bodies, judge_signals
 from ..recording import Recording, by_rows
-from ..scenario.criteria import Success
+from ..scenario.criteria import Success, split_instant
 from ..scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -212,6 +212,11 @@ def unrecorded(success: Success, recorded: Container[str]) -> Iterator[str]:
         reason = _lacking(definition.metric, recorded) if definition is not None else None
         if reason and getattr(success, name) is not None:
             yield f"{name}: {reason}"
+    windows = [(each.label, at) for each in success.signal for at in (each.from_, each.to)]
+    for label, at in (*windows, *((each.body, each.at) for each in success.body)):
+        reason = _lacking(f"events.{split_instant(at)[0]}", recorded) if isinstance(at, str) else ""
+        if reason:
+            yield f"{label}: {at} never happens: {reason}"
 
 
 def _lacking(metric: str, recorded: Container[str]) -> str | None:

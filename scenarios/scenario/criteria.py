@@ -36,7 +36,7 @@ HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts a
 LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
 NEVER: Final = "so that it can never hold"
 ALWAYS: Final = "so that it can never fail"
-SLACK: Final = 1e-9  # [s] rounding of k * dt
+SLACK: Final = 1e-9  # [s] rounding of k * dt; less of a run that is shorter than a second
 EVENTS: Final = (
     "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
     "end", "collision",
@@ -187,6 +187,13 @@ class SignalCriterion:
         return f"{self.reduce} {signal_text(self.signal)}{window}"
 
     @property
+    def labels(self) -> dict[str, str]:
+        """Name in results of each of its bounds, by where the value must be."""
+        bounds = {"below": self.below, "above": self.above}
+        given = [name for name, bound in bounds.items() if bound is not None]
+        return {name: f"{self.label} {name}" if len(given) > 1 else self.label for name in given}
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the recorded signals that it needs."""
         return (self.signal,) if isinstance(self.signal, str) else self.signal[1]
@@ -200,7 +207,8 @@ def check_within(key: str, instant: Instant, start: float, end: float) -> float 
         if event not in ("start", "end"):
             return None
         at = offset + (start if event == "start" else end)
-    if not start - SLACK <= float(at) <= end + SLACK:
+    slack = SLACK * min(end - start, 1.0)
+    if not start - slack <= float(at) <= end + slack:
         raise ValueError(
             f"{key}: value {instant!r}; must be within the run, from {start:g} to {end:g} s"
         )
@@ -333,7 +341,7 @@ class Success:
             )
         taken = set(field_names(Success))
         bodies = (each.label(bound) for each in self.body for bound in each.bounds)
-        for label in (*(each.label for each in self.signal), *bodies):
+        for label in (*(n for each in self.signal for n in each.labels.values()), *bodies):
             if label in taken:
                 raise ValueError(f"name {excerpt(label)} is taken; must be unique")
             taken.add(label)

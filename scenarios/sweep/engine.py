@@ -23,7 +23,7 @@ from ..judging.criterion import Criterion, miss_text
 from ..run.folder import SUMMARY_FILE, default_folder
 from ..run.options import with_values
 from ..scenario.criteria import Success
-from ..scenario.scenario import Scenario
+from ..scenario.scenario import SCENARIO_FILE, Scenario
 from ..work import cores
 from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
@@ -272,3 +272,9 @@ def find_sweeps(scenarios: Iterable[Scenario | Unusable]) -> list[SuiteSweep]:
     """Return the sweeps in the folders of a suite's scenarios."""
     files = (each.folder / FILE for each in scenarios if each.folder is not None)
     return [SuiteSweep(file) for file in files if file.is_file()]
+
+
+def stray_sweeps(folder: Path) -> list[str]:
+    """Say of each sweep in a suite that is beside no scenario that it is not run."""
+    stray = [f for f in sorted(folder.rglob(FILE)) if not (f.parent / SCENARIO_FILE).is_file()]
+    return [f"{file}: has no {SCENARIO_FILE} beside it, so that it is not run" for file in stray]

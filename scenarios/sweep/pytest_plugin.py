@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,8 +19,11 @@ SWEEP_FILE = "sweep.toml"
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SweepFile | None:
     """Make a test of a sweep beside a scenario in one of the folders."""
-    is_beside = file_path.name == SWEEP_FILE and (file_path.parent / SCENARIO_FILE).is_file()
-    if not is_beside or not is_chosen(file_path, parent.config):
+    if file_path.name != SWEEP_FILE or not is_chosen(file_path, parent.config):
+        return None
+    if not (file_path.parent / SCENARIO_FILE).is_file():
+        text = f"{file_path}: has no {SCENARIO_FILE} beside it, so that it is not run"
+        warnings.warn(pytest.PytestCollectionWarning(text), stacklevel=1)
         return None
     return SweepFile.from_parent(parent, path=file_path)
 

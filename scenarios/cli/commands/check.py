@@ -55,8 +55,9 @@ def command(  # noqa: PLR0913 - one for each option
     it.
 
     Of an .fmu, the reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
-    and the largest difference is printed. Exit code 3: it is beyond the tolerance.
-    Exit code 2: nothing could be compared.
+    and the largest difference is printed, with the number of values that were compared, and of
+    those that are at no instant of the run. Exit code 3: it is beyond the tolerance. Exit code 2:
+    an experiment has nothing that could be compared.
 
     ```
     panda-cosim check my-scenarios/lift
@@ -100,8 +101,7 @@ def _check_fmu(path: Path, *, as_json: bool) -> None:
         found = [{**asdict(each), "ok": each.ok} for each in outcomes]
         show_json({"fmu": path, "ok": all(each.ok for each in outcomes), "experiments": found})
     for each in () if as_json else outcomes:
-        level = "good" if each.ok else "wrong"
-        show(f"{level:<6} {each}", STYLES[level])
+        show(f"{each.level:<6} {each}", STYLES[each.level])
     if not all(each.values for each in outcomes) or not outcomes:
         what = "an experiment has no references at its instants" if outcomes else "no experiments"
         raise InputError(f"{path}: {what}, so that nothing was compared")

@@ -58,11 +58,11 @@ def command(
     if source is not None and source.endswith(".fmu"):
         if sweep:
             raise InputError("--from X.fmu: cannot be combined with --sweep")
-        made = import_experiment(Path(source), name)
+        made, judged = import_experiment(Path(source), name)
     else:
-        made = make_scenario(name, parts, source)
-    for path in made:
-        show(str(path))
+        made, judged = make_scenario(name, parts, source), ""
+    for text in (*map(str, made), *filter(None, [judged])):
+        show(text)
     folder = as_argument(name)
     more = f"; panda-cosim sweep {folder}/sweep.toml" if sweep else ""
     show(f"Next: panda-cosim check {folder}; panda-cosim run {folder}{more}", "dim")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from ...compare.junit import write_junit
 from ...compare.regress import (
     Outcome,
     Suite,
+    Unusable,
     candidate,
     changes,
     engine_rows,
@@ -27,7 +29,8 @@ from ...compare.regress import (
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
 from ...recording import Recording
 from ...run.folder import default_folder
-from ...sweep.engine import SuiteSweep, find_sweeps
+from ...scenario.scenario import Scenario
+from ...sweep.engine import SuiteSweep, find_sweeps, stray_sweeps
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..options import (
@@ -70,7 +73,8 @@ def command(  # noqa: PLR0913 - one for each option
         False,
     ),
     folder: Path | None = option(
-        "--scenarios DIR", "Folder with scenarios of your own, instead of the shipped ones."
+        "--scenarios DIR",
+        "Folder with scenarios of your own, at any depth, instead of the shipped.",
     ),
     sweeps: bool = option(
         "--sweeps/--no-sweeps",
@@ -121,7 +125,7 @@ def command(  # noqa: PLR0913 - one for each option
     runs_of = [v for s in chosen for v in (variants(s, engines) if engines else [s])]
     suite = Suite(runs_of, overrides(assignments), exact, jobs or cores())
     # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
-    swept = find_sweeps(chosen) if sweeps and not update and not engines else []
+    swept = _swept(chosen, folder) if sweeps and not update and not engines else []
     if swept and assignments:
         raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
     if report is not None:
@@ -170,6 +174,13 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
 
         advance(0, total)
         return run_suite(suite, folder, on_outcome)
+
+
+def _swept(chosen: Sequence[Scenario | Unusable], folder: Path | None) -> list[SuiteSweep]:
+    """Return the sweeps of the scenarios, and name those in the folder that are of none."""
+    for text in stray_sweeps(folder) if folder is not None else ():
+        warn(text)
+    return find_sweeps(chosen)
 
 
 def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
