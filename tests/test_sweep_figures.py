@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 import math
 import re
@@ -14,12 +13,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from browser import Page
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.results import failure_tree, influences, short_between
+from panda_cosim.scenarios.sweep.results import influences
 from scipy.stats import beta, rankdata, spearmanr
 from sweep_support import FORCE, MASS, Outcome, pretended
 
@@ -101,12 +98,6 @@ class Report:
         """Return a section's source."""
         return self.text.partition(f'class="{name}"')[2].partition("</section>")[0]
 
-    def regions(self) -> list[tuple[str, str, str]]:
-        """Return rule, share and counts of each region."""
-        rows = self.text.partition('id="tree"')[2].partition("</table>")[0]
-        cells = r'<td class="text">(.*?)</td>.*?(\d+) %</td>.*?>(\d+ of \d+)</td>'
-        return [(html.unescape(rule), share, of) for rule, share, of in re.findall(cells, rows)]
-
     def names(self, key: str) -> NDArray[Any]:
         """A column as the page writes it."""
         return np.array(
@@ -172,25 +163,6 @@ def test_successes_beyond_a_limit_are_counted(case: tuple[str, Report]) -> None:
     _, report = case
     count = int((~report.bad & (report.column["summary.limits.torque_share[1]"] > 1)).sum())
     assert f"{count} of the {(~report.bad).sum()} successes exceeded a limit" in report.tiles()
-
-
-def test_regions_select_the_rows_that_they_count(case: tuple[str, Report]) -> None:
-    _, report = case
-    regions = report.regions()
-    assert regions
-    for rule, share, of in regions:
-        chosen = np.ones(len(report.bad), dtype=bool)
-        for condition in filter(None, rule.removeprefix("everywhere").split(" and ")):
-            key, sign, value = condition.split(" ", 2)
-            if sign == "=":
-                chosen &= np.isin(report.names(key), value.split(" or "))
-            else:
-                bound = float(value.split()[0])
-                column = report.column[key]
-                chosen &= column <= bound if sign == "<=" else column > bound
-        bad = int((chosen & report.bad).sum())
-        assert of == f"{bad} of {chosen.sum()}"
-        assert share == f"{100 * bad / report.bad.sum():.0f}"
 
 
 def test_influences_are_rank_correlations_of_random_samples_alone(
@@ -287,47 +259,6 @@ def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) 
     assert f"15 of 30 rows are missing: among rows 1 to 29. No row has {on} = block." in other.text
 
 
-@given(st.floats(-1e9, 1e9), st.floats(1e-9, 1e9))
-def test_the_bound_between_two_values_parts_them(low: float, gap: float) -> None:
-    high = max(low + gap, math.nextafter(low, math.inf))
-    assert low <= short_between(low, high) < high
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "short"),
-    [(119.99999999999999, 140.0, 130.0), (0.29, 0.31, 0.3), (-0.3, 0.30000000000000004, 0.0)],
-)
-def test_the_bound_between_two_values_is_short(low: float, high: float, short: float) -> None:
-    assert short_between(low, high) == short
-
-
-@given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 3), st.booleans()), min_size=1))
-@settings(max_examples=50)
-def test_regions_part_the_failures_whatever_they_are(rows: list[tuple[int, int, bool]]) -> None:
-    number, word, bad = (np.array(column) for column in zip(*rows, strict=True))
-    words = ["nominal", "calibrated", "worn", "other"]
-    values = {"mass": number.astype(float), "preset": word.astype(float)}
-    leaves = failure_tree(values, {"preset": words}, bad, {})
-    assert sum(leaf.bad for leaf in leaves) == bad.sum()
-    assert sum(leaf.share for leaf in leaves) == pytest.approx(float(bad.any()))
-    assert all(0 < leaf.bad <= leaf.rows for leaf in leaves)
-
-
-@pytest.mark.parametrize(
-    ("name", "region"),
-    [
-        ("grid of words", ("mismatch.preset = calibrated or worn", "100", "10 of 10")),
-        ("two scenarios", ("scenario = jacobi", "100", "80 of 80")),
-    ],
-)
-def test_words_that_fail_are_named_and_no_other_key(
-    name: str, region: tuple[str, str, str], tmp_path: Path
-) -> None:
-    keys, outcome, _ = CASES[name]
-    report = Report(pretended(tmp_path, Sweep(**{"scenario": ("push",)} | keys), outcome))
-    assert report.regions() == [region]
-
-
 def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:
     result = np.linspace(-1.0, 1.0, 12)
     values = {"same": np.ones(12), "falls": -result}
@@ -355,9 +286,6 @@ def test_names_of_words_change_no_figure(tmp_path: Path) -> None:
     two = Report(
         pretended(tmp_path / "two", Sweep(scenario=("push",), **keys | {"vary": vary}), renamed)
     )
-    (rule, share, of), *_ = one.regions()
-    assert rule == "mismatch.preset = calibrated or worn"
-    assert two.regions()[0] == ("mismatch.preset = calibrated or nominal", share, of)
     for margin, each in one.data["influences"].items():
         assert [influence[0] for influence in each] == [
             i[0] for i in two.data["influences"][margin]

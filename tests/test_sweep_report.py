@@ -17,7 +17,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.results import failure_tree, share_bounds
+from panda_cosim.scenarios.sweep.results import share_bounds
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import FORCE, HEAVY, MASS, NAME, made_up, pretended, short_sweep
 
@@ -30,20 +30,6 @@ def test_bounds_hold_the_share_with_their_confidence() -> None:
     drawn = np.random.default_rng(0).binomial(50, 0.9, 100)
     held = [share_bounds(int(k), 50)[0] <= 0.9 <= share_bounds(int(k), 50)[1] for k in drawn]
     assert np.mean(held) >= 0.95
-
-
-def test_the_tree_finds_where_failures_are() -> None:
-    drawn = np.random.default_rng(2)
-    values = {"mass": drawn.uniform(0, 2, 4000), "other": drawn.uniform(0, 1, 4000)}
-    bad = (values["mass"] > HEAVY) & (values["other"] < 0.5)
-    leaf = failure_tree(values, {}, bad, {})[0]
-    assert leaf.share > 0.9
-    assert leaf.bad / leaf.rows > 0.9
-    words = leaf.rule.split()
-    assert words[:2] == ["mass", ">"]
-    assert float(words[2]) == pytest.approx(HEAVY, abs=0.05)
-    assert words[4:6] == ["other", "<="]
-    assert failure_tree(values, {}, np.zeros(4000, dtype=bool), {}) == []
 
 
 def test_many_rows_give_a_small_page_that_says_so(tmp_path: Path) -> None:
@@ -108,10 +94,6 @@ def test_the_page_draws_itself_and_asks_nobody(
     assert page.value("document.querySelector('#chart svg').clientWidth") > 0.8 * width - 40
     assert count_of(page, "#map [data-row]") == 300
     assert count_of(page, "#worst tbody tr") == 20
-    assert count_of(page, "#tree tbody tr") >= 1
-    tree = texts_of(page, "#tree tbody td")[0]
-    assert tree.startswith(f"{MASS} > 1.")
-    assert tree.endswith(" kg")
     assert count_of(page, "main section.tiles b") == 4
     unnamed = "e => !(e.labels?.length || e.textContent.trim() || e.getAttribute('aria-label'))"
     controls = "[...document.querySelectorAll('select, button, svg, canvas')]"

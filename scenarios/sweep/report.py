@@ -34,7 +34,7 @@ from ..run.run import run_scenario
 from ..scenario.scenario import Scenario
 from ..view.page import VIEW_FILE, json_text, shown_run, write_view
 from .definition import SAMPLED
-from .results import Results, failure_tree, heat_map, influences, marginal, missing, share_bounds
+from .results import Results, heat_map, influences, marginal, missing, share_bounds
 from .row import MARGIN, UNJUDGED, command, margin_column, scenario_names
 from .store import Store
 
@@ -65,16 +65,13 @@ def page(store: Store, beside: Path) -> str:
     has_bounds = is_sample and not lacking
     order = influences(results.values, results.labels, results.margins[MARGIN])
     keys = list(dict.fromkeys((*(each.key for each in order), *results.values)))
-    values = {key: results.values[key] for key in keys}
     total, good = len(results.bad), int((~results.bad).sum())
     script = (PAGE / "report.js").read_text(encoding="utf-8")
     data = _data(store, results, keys, beside, bounds=has_bounds)
     if is_sample:
         data["influences"] = dict(_influences(store, results, bounds=has_bounds))
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=shown)
-    return environment.get_template(
-        "report.html"
-    ).render(
+    return environment.get_template("report.html").render(
         title=f"Sweep of {', '.join(content['nominal'])}",
         script=Markup(script),  # noqa: S704 - our own
         digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
@@ -92,7 +89,6 @@ def page(store: Store, beside: Path) -> str:
         unjudged=UNJUDGED,
         idle=content["without_effect"],
         missed=results.missed,
-        tree=failure_tree(values, results.labels, results.bad, {k: _unit(k) for k in keys})[:6],
         shown=len(data["index"]),
         estimated=ESTIMATED,
     )
