@@ -79,7 +79,7 @@ def changed(request: pytest.FixtureRequest) -> Changed:
         slave = own_code("plant")[file]
         assert slave.count(call) == 1
         code = {file: slave.replace(call, step)}
-        return unpacked_fmu(own_fmu("plant", in_python=True, changed=code), request.param)
+        return unpacked_fmu(own_fmu("plant", "python", changed=code), request.param)
 
     return build
 

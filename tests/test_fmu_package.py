@@ -20,10 +20,9 @@ from fmu_support import copy_libraries, in_fork
 from forked import command
 from lxml import etree
 from panda_cosim.controller import controller as controller_module
-from panda_cosim.fmus.build.description import Layout, described
+from panda_cosim.fmus.build.description import LOG_CATEGORIES, Layout, described
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.inside.base import LOG_CATEGORIES
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -250,11 +249,11 @@ def test_start_values_are_those_of_the_binary(kind: Kind, name: str) -> None:
 def test_an_fmu_runs_its_own_modules_and_from_another_folder(name: str, tmp_path: Path) -> None:
     fmu = unpacked("python", name, 2)
     expected = in_fork(three_steps, fmu)
-    for module in ("plant", "controller", "assets", "fmus", "pythonfmu"):
+    for module in ("plant", "controller", "assets", "fmus"):
         (tmp_path / f"{module}.py").write_text("raise RuntimeError('the host's module was run')")
 
     def poisoned() -> list[list[float]]:
-        own = ("plant", "controller", "assets", "fmus", "pythonfmu")
+        own = ("plant", "controller", "assets", "fmus")
         for module in [m for m in sys.modules if m.partition(".")[0] in own]:
             del sys.modules[module]
         sys.path.insert(0, str(tmp_path))
@@ -271,7 +270,7 @@ def test_two_builds_run_side_by_side_each_its_own_code() -> None:
     plant = own_code("plant")["plant/plant.py"].replace(
         b'ctrl, self.inputs["ctrl"])', b"ctrl, np.full(8, 0.5))"
     )
-    fmu = own_fmu("plant", in_python=True, changed={"plant/plant.py": plant})
+    fmu = own_fmu("plant", "python", changed={"plant/plant.py": plant})
     pair = [unpacked("python", "plant", 2), Unpacked(Fmu(build_fmu(fmu)).folder)]
     assert pair[0].token != pair[1].token
     alone = [in_fork(three_steps, each) for each in pair]

@@ -56,7 +56,7 @@ def test_a_copy_of_a_shipped_scenario_is_equal_to_it(name: str, tmp_path: Path) 
 def test_what_cannot_be_copied_is_refused(tmp_path: Path) -> None:
     for options, words in (
         (("--from", "pusch"), "did you mean 'push'"),
-        (("--from", "push", "--law"), "--from: cannot be combined with --law or --plant"),
+        (("--from", "push", "--law"), "--from: cannot be combined with --law, --plant or --slave"),
     ):
         refused = CliRunner().invoke(app, ["new", str(tmp_path / "copy"), *options])
         assert refused.exit_code == 2

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import InputError, shown
-from ..inside.base import LOG_CATEGORIES
 from ..interface.variables import Interface, Scalar, Value, Variable
 from .libraries import MUJOCO, NEED_MUJOCO, licence, own_licences
 
@@ -47,6 +46,13 @@ DISPLAY_UNITS: Final = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.
 # Typical magnitudes by unit, for an arm of the size of a human's; of others it is 1.
 NOMINALS: Final = {"m": 0.1, "m/s": 0.1, "N": 10.0, "N.m": 10.0, "N/m": 1000.0, "N.m/rad": 1000.0,
                    "s": 0.1, "m/s2": 10.0, "rad/s2": 10.0}  # fmt: skip
+LOG_CATEGORIES: Final = {
+    "logStatusWarning": "Values that were out of range and have been clamped.",
+    "logStatusDiscard": "Steps that were rejected, with the reason.",
+    "logStatusError": "Failures, with cause and traceback.",
+    "logStatusFatal": "Failures after which the instance cannot be used.",
+    "logAll": "All messages.",
+}
 _PART: Final = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED: Final = re.compile(rf"{_PART}(\.{_PART})*", re.A)  # as `arm.joint[3].angle`
 
@@ -166,20 +172,23 @@ def _documents(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
     opens_mujoco = fmu.backend in NEED_MUJOCO
     glibc = "2.27" if opens_mujoco else "2.17"
     systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."
-    needs, folder = (*fmu.needs, systems), "documentation/licenses"
+    packed = fmu.backend == "pythonfmu"
+    needs, folder = (*fmu.needs, *([] if packed else [systems])), "documentation/licenses"
     files = {
         "documentation/index.html": documentation(fmu, layout, needs),
         "documentation/externalDependencies.txt": "\n".join((*needs, "")).encode(),
         **{f"{folder}/{name}": text for name, text in own_licences().items()},
         f"{folder}/third_party.txt": render(
             "third_party.txt.j2",
-            in_python=fmu.backend == "python",
+            in_python=packed or fmu.backend == "python",
             mujoco=version(MUJOCO) if opens_mujoco else "",
+            pythonfmu=version("pythonfmu") if packed else "",
         ),
     }
-    for file in distribution(MUJOCO).files or [] if opens_mujoco else []:
-        if "dist-info/licenses" in str(file):
-            files[f"{folder}/{MUJOCO}-{file.stem}.txt"] = licence(MUJOCO, file.name)
+    for package in [MUJOCO] * opens_mujoco + ["pythonfmu"] * packed:
+        for file in distribution(package).files or []:
+            if "dist-info/licenses" in str(file):
+                files[f"{folder}/{package}-{file.stem}.txt"] = licence(package, file.name)
     if fmu.model in PICTURES:
         place = "model.png" if layout.fmi == 2 else "terminalsAndIcons/icon.png"
         files[place] = Path(__file__).with_name(PICTURES[fmu.model]).read_bytes()

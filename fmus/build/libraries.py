@@ -279,7 +279,7 @@ def _download(platform: str) -> bytes:
         done = run(command, environment=os.environ | {"TMPDIR": str(folder)})
         wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
-            reason = _last_line(done.stderr)
+            reason = last_line(done.stderr)
             raise CosimError(f"MuJoCo's library for {platform} cannot be downloaded: {reason}")
         return wheels[0].read_bytes()
 
@@ -336,7 +336,7 @@ def made_with(version: str, make: Callable[[], bytes]) -> bytes:
         done = run(command, environment=environment)
         if done.returncode:
             kind = InputError if done.returncode == InputError.exit_code else CosimError
-            raise kind(f"with MuJoCo {version}: {_last_line(done.stderr)}")
+            raise kind(f"with MuJoCo {version}: {last_line(done.stderr)}")
         return answer.read_bytes()
 
 
@@ -359,11 +359,12 @@ def _installed(version: str) -> Path:
             options = ("--no-deps", "--only-binary", ":all:", "--retries", "1", "--target")
             done = run([*pip, *options, str(partial), *(f"{p}=={version}" for p in packages)])
             if done.returncode:
-                raise CosimError(f"MuJoCo {version} cannot be installed: {_last_line(done.stderr)}")
+                raise CosimError(f"MuJoCo {version} cannot be installed: {last_line(done.stderr)}")
             with suppress(OSError):  # another process was first
                 partial.rename(folder)
     return folder
 
 
-def _last_line(text: str) -> str:
+def last_line(text: str) -> str:
+    """Return what a program that failed has said last."""
     return (text.strip().splitlines() or ["no reason is known"])[-1]

@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import IO, Final
 from urllib.parse import quote
 
-from ..inside.base import TICK
+from ...assets import STEP_SIZE
 from ..interface.variables import Interface, Numbers, Variable
 from .description import NOTHING, STOP_TIME, Layout
 from .description import members as description_of
@@ -35,7 +35,7 @@ class NativeFmu:
     options: tuple[Option, ...] = ()  # for the backend
     recorded: tuple[Option, ...] = ()  # options that depend on this machine
     needs: tuple[str, ...] = (NOTHING,)  # run-time requirements, one paragraph each
-    step_size: float = TICK  # internal step [s]
+    step_size: float = STEP_SIZE  # internal step [s]
     stop_time: float = STOP_TIME  # of the default experiment [s]
     # Describes it once more, under another MuJoCo; None: it has no part in it.
     again: Callable[[], NativeFmu] | None = field(default=None, compare=False)

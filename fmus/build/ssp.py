@@ -17,8 +17,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 from xml.etree import ElementTree as ET
 
+from ...assets import STEP_SIZE
 from ..errors import InputError
-from ..inside.base import TICK
 from ..interface.tables import Connection
 from ..interface.units import BASES, PLAIN, Units, conversion
 from ..interface.variables import Scalar, Value, Variable, by_array
@@ -71,7 +71,7 @@ class WrittenSystem:
     components: Mapping[str, Component]  # in the order of stepping
     connections: Sequence[Connection]
     stop_time: float  # [s]
-    step_size: float = TICK  # [s]
+    step_size: float = STEP_SIZE  # [s]
     coupling: str = "gauss-seidel"
 
     def scalar(self, name: Name) -> Scalar:

@@ -8,11 +8,12 @@ from typing import Any, Final, cast
 import mujoco
 import numpy as np
 
+from ...assets import STEP_SIZE
 from ...assets.franka import HOME_XQUAT
 from ...controller.controller import Controller
 from ...controller.gains import Gains
 from ..interface.controller import CONTROLLER
-from .base import TICK, Array, SharedSlave
+from .base import Array, SharedSlave
 
 # [1] A quaternion with a length in this range is used as it is.
 SHORTEST: Final = 1.0 - 5e-7
@@ -29,9 +30,9 @@ class ControllerSlave(SharedSlave):
     def rebuild(self, start_time: float) -> None:
         """Make the controller."""
         period = cast(float, self.parameter("period"))
-        self._period_ticks = round(period / TICK)
-        if abs(period - self._period_ticks * TICK) > PERIOD_TOLERANCE:
-            raise ValueError(f"period: {period!r} s must be a whole multiple of {TICK} s")
+        self._period_ticks = round(period / STEP_SIZE)
+        if abs(period - self._period_ticks * STEP_SIZE) > PERIOD_TOLERANCE:
+            raise ValueError(f"period: {period!r} s must be a whole multiple of {STEP_SIZE} s")
         self._ticks = 0
         self._last = np.zeros(8)  # last valid quaternions; no measurement of the hand yet
         self._last[:4] = HOME_XQUAT

@@ -7,10 +7,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from ...assets import STEP_SIZE
 from ...controller.sensor_errors import SensorErrors
 from ...controller.sensors import Sensors
 from ..interface.tables import SENSORS
-from .base import TICK, SharedSlave
+from .base import SharedSlave
 
 
 class SensorsSlave(SharedSlave):
@@ -25,7 +26,7 @@ class SensorsSlave(SharedSlave):
 
     def _errors(self) -> SensorErrors:
         given: dict[str, Any] = {f.name: self.parameter(f.name) for f in fields(SensorErrors)}
-        return SensorErrors(**given | {"delay": round(cast(float, given["delay"]) / TICK)})
+        return SensorErrors(**given | {"delay": round(cast(float, given["delay"]) / STEP_SIZE)})
 
     def tune(self) -> None:
         """Take over errors that have changed."""

@@ -7,9 +7,10 @@ from typing import Any, Final, cast
 
 import numpy as np
 
+from ...assets import STEP_SIZE
 from ...assets.franka import HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ..interface.tables import TABLE_FILE, TRAJECTORY
-from .base import TICK, Array, SharedSlave
+from .base import Array, SharedSlave
 
 NAMES: Final = tuple(name for v in TRAJECTORY.of("output") for name in v.names())
 HOME: Final = (*HOME_XPOS, *HOME_XQUAT, *(0.0,) * 6, OPENING_MAX)
@@ -31,7 +32,7 @@ class TrajectorySlave(SharedSlave):
         """Read the table."""
         path = cast(str, self.parameter("table"))
         self._table = read_commands(Path(path)) if path else self._built_in
-        self._tick = round(start_time / TICK)
+        self._tick = round(start_time / STEP_SIZE)
         self._show()
 
     def _show(self) -> None:
@@ -61,7 +62,8 @@ def read_commands(path: Path) -> Array:
         raise ValueError(f"table: {path}: cannot be read: {error}") from error
     if header != ["time", *NAMES]:
         raise ValueError(f"table: {path}: line 1: columns {header}; must be time, {NAMES}")
-    on_time = np.allclose(rows[:, 0], np.arange(len(rows)) * TICK, rtol=0.0, atol=TIME_TOLERANCE)
+    grid = np.arange(len(rows)) * STEP_SIZE
+    on_time = np.allclose(rows[:, 0], grid, rtol=0.0, atol=TIME_TOLERANCE)
     if not rows.size or rows.shape[1] != len(header) or not np.isfinite(rows).all() or not on_time:
-        raise ValueError(f"table: {path}: must be 15 finite numbers per {TICK} s, from 0 on")
+        raise ValueError(f"table: {path}: must be 15 finite numbers per {STEP_SIZE} s, from 0 on")
     return np.ascontiguousarray(rows[:, 1:])

@@ -80,8 +80,8 @@ TRAJECTORY = Interface(
         *(output(v.name, v.shape, v.unit, v.description)
           for v in CONTROLLER.of("input") if v.name in COMMANDS),
         Variable("table", (), "", "parameter", "fixed", "CSV file to play instead of the built-in "
-                 "table, as `panda-cosim inputs` writes it; empty: the built-in one. Only FMUs of "
-                 "kind python read it", "", kind="String"),
+                 "table, as `panda-cosim inputs` writes it; empty: the built-in one. Only FMUs "
+                 "that run Python read it", "", kind="String"),
     ),
     {"command": COMMANDS},
 )  # fmt: skip

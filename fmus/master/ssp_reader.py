@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
+from ...assets import STEP_SIZE
 from ..build.ssp import PREFIXES
 from ..errors import InputError, did_you_mean
-from ..inside.base import TICK
 from ..interface.tables import Connection
 from ..interface.units import PLAIN, Units, doubt
 from ..interface.variables import Value
@@ -255,7 +255,7 @@ def _experiment(structure: Structure) -> tuple[float, float, float]:
     start = min(_times(structure, "startTime", [times.get("startTime")]), default=0.0)
     stops = _times(structure, "stopTime", [times.get("stopTime")])
     stop = max(stops, default=start + DEFAULT_STOP)
-    step = min(_times(structure, "stepSize", steps[:1]), default=TICK)
+    step = min(_times(structure, "stepSize", steps[:1]), default=STEP_SIZE)
     if step <= 0:
         structure.document.refuse(f"stepSize = {step!r}", "above 0")
     return start, stop, step

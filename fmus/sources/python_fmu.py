@@ -12,7 +12,7 @@ import json
 import os
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,17 +20,19 @@ from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final, cast
 
-from ..build.libraries import SOURCES, digest
+from ...assets import STEP_SIZE
+from ..build.libraries import SOURCES, digest, last_line, package_version
 from ..build.native import NativeFmu, Option
 from ..errors import CosimError, InputError, did_you_mean, one_line
-from ..inside.base import TICK
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
 from ..processes import SAFE_PATH, run
 
 HOST: Final = "python_host.py"  # what the library calls Python through
 BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
 MIN_PYTHON: Final = "3.11"
-NEEDS: Final = MappingProxyType({"numpy": "2.3", "mujoco": "3.10"})  # as in pyproject.toml
+PYTHONFMU: Final = "pythonfmu"
+# As in pyproject.toml.
+NEEDS: Final = MappingProxyType({"numpy": "2.3", "mujoco": "3.10", PYTHONFMU: "0.7"})
 PATHS_VARIABLE: Final = "PANDA_COSIM_PYTHONPATH"  # see fmus/native/python_host.py
 # CPython 3.11 counts the depth of a syntax tree for all threads together: two that parse at once
 # can end with a SystemError ("recursion depth mismatch").
@@ -47,23 +49,20 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
     *,
     resources: Mapping[str, bytes] | None = None,
     private: bool = False,
-    step_size: float = TICK,
+    step_size: float = STEP_SIZE,
 ) -> NativeFmu:
     """Describe the FMU of a slave class."""
-    package = f"{interface.model.lower()}_{digest(code)[:12]}"
-    packed = {"__init__.py": b'"""The code of one FMU."""\n', **code}
-    files = {HOST: (SOURCES / HOST).read_bytes()}
-    files |= {f"{package}/{path}": content for path, content in packed.items()}
+    package, files = package_of(interface, code)
+    files[HOST] = (SOURCES / HOST).read_bytes()
     options = [("package", package), ("slave", " ".join(slave))]
     if private:  # the names by which the code's modules, or their packages, are imported
         tops = (path.partition("/")[0].removesuffix(".py") for path in code)
         options += [("private", name) for name in dict.fromkeys(tops)]
     options += [("need", f"{name} {NEEDS.get(name, '*')}") for name in needs]
     options.append(("minimum", MIN_PYTHON))
-    packages = ", ".join(f"{name} {NEEDS.get(name, '')}".strip() for name in needs)
     requirements = (
         f"The FMU runs Python inside the importer's process: Python {MIN_PYTHON} or newer, with "
-        f"{packages} or newer.",
+        f"{listed_needs(needs)} or newer.",
         "In a Python importer, its own packages are used. In any other, the Python that built the "
         "FMU is started; resources/variables.txt records its path.",
         f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
@@ -81,11 +80,33 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
     )
 
 
+def listed_needs(needs: Iterable[str]) -> str:
+    """Packages with their lowest versions, for people."""
+    return ", ".join(f"{name} {NEEDS.get(name, '')}".strip() for name in needs)
+
+
+def package_of(interface: Interface, code: Mapping[str, bytes]) -> tuple[str, dict[str, bytes]]:
+    """Name of the package of an FMU's code, and its files by path."""
+    package = f"{interface.model.lower()}_{digest(code)[:12]}"
+    packed = {"__init__.py": b'"""The code of one FMU."""\n', **code}
+    return package, {f"{package}/{path}": content for path, content in packed.items()}
+
+
+def require_pythonfmu() -> str:
+    """Return the version of PythonFMU, which our slaves derive from; refuse to go on without."""
+    if find_spec(PYTHONFMU) is None:
+        raise InputError(
+            f"the package {PYTHONFMU} is not installed, which FMUs that run Python need: "
+            f"`pip install {PYTHONFMU}`"
+        )
+    return package_version(PYTHONFMU)
+
+
 # The Python that a host without one starts: this one, at its path on this machine.
 
 
 @cache
-def recorded_python(needs: tuple[str, ...] = ("numpy", "mujoco")) -> tuple[Option, ...]:
+def recorded_python(needs: tuple[str, ...] = ("numpy", "mujoco", PYTHONFMU)) -> tuple[Option, ...]:
     """Options for the Python backend: the path and version of this Python and of packages."""
     library, specs = python_library(), map(find_spec, needs)
     folders = [str(Path(s.origin).parent.parent) for s in specs if s is not None and s.origin]
@@ -214,6 +235,7 @@ _CAUSALITIES: Final = ("input", "output", "parameter", "local")
 
 def slave_fmu(path: Path, name: str = "") -> NativeFmu:
     """Describe the FMU of a PythonFMU slave. This runs the slave's file."""
+    require_pythonfmu()
     chosen = name or _only_slave(path)
     code = code_of(path, path.parent)
     description, law, rows = _described(path, chosen)
@@ -224,7 +246,7 @@ def slave_fmu(path: Path, name: str = "") -> NativeFmu:
         law or chosen,
         code,
         (path.stem, chosen),
-        ("pythonfmu",),
+        (PYTHONFMU,),
         private=True,
         step_size=0.0,
     )
@@ -247,8 +269,8 @@ def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
     answers = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
     if child.returncode or not answers:
         class_of(path, name)  # which may be mistyped
-        reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
-        raise CosimError(f"{path}: {name} cannot be instantiated: {one_line(reason)}")
+        reason = one_line(last_line(child.stderr))
+        raise CosimError(f"{path}: {name} cannot be instantiated: {reason}")
     description, law, rows = json.loads(answers[-1][6:])
     return description, law, rows
 

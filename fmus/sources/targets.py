@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets import SCENES
+from ...assets import SCENES, STEP_SIZE
 from ...assets.franka import ROBOTS
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
 from ..build.description import STOP_TIME, Layout
 from ..build.libraries import code_digest, digest, made_with, own_licences, this_platform
-from ..inside.base import TICK
+from ..errors import InputError
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.tables import SENSORS, TABLE_FILE, TRAJECTORY
@@ -29,7 +29,7 @@ from ..twins import ROOT, changed
 if TYPE_CHECKING:
     from ..build.native import NativeFmu
 
-Kind = Literal["auto", "native", "python"]
+Kind = Literal["auto", "native", "python", "pythonfmu"]
 INSTANCES: Final = ("plant", "controller")
 
 
@@ -37,8 +37,8 @@ INSTANCES: Final = ("plant", "controller")
 class Target:
     """Kind of FMUs, and FMI version and platforms that they are built for."""
 
-    # "native": compiled, and needs nothing; "python": runs this project's Python code; "auto":
-    # native while it is proven equal to the Python code, see `twins`.
+    # "native": compiled, and needs nothing; "python": runs this project's Python code, as does
+    # "pythonfmu" in PythonFMU's wrapper; "auto": native while it is proven equal, see `twins`.
     kind: Kind = "auto"
     fmi: int = 2  # major version of FMI, 2 or 3
     platforms: tuple[str, ...] = ()  # keys of `libraries.PLATFORMS`; empty: this one
@@ -46,10 +46,20 @@ class Target:
     flat: bool = False  # names such as `q_1` instead of `q[1]`
     mujoco: str = ""  # version of MuJoCo in those that have one; empty: the installed one
 
-    def in_python(self, name: str) -> bool:
-        """Whether one of the project's own FMUs runs Python code; the sensors do in any kind."""
-        is_python = self.kind == "python" or name == "sensors"
-        return is_python or (self.kind == "auto" and bool(changed(name)))
+    def __post_init__(self) -> None:
+        """Refuse what PythonFMU cannot make."""
+        if self.kind == "pythonfmu" and (self.fmi != 2 or self.platforms):
+            raise InputError(
+                "kind pythonfmu: PythonFMU makes FMUs of FMI 2.0, for its own platforms; kind "
+                "python has others"
+            )
+
+    def kind_of(self, name: str) -> Kind:
+        """Kind of one of the project's own FMUs; the sensors run Python code in any."""
+        if self.kind in ("python", "pythonfmu"):
+            return self.kind
+        is_python = name == "sensors" or (self.kind == "auto" and changed(name))
+        return "python" if is_python else "native"
 
     def make(self, fmu: NativeFmu) -> bytes:
         """Make the .fmu file."""
@@ -96,9 +106,9 @@ def outdated(target: Target | None = None) -> list[str]:
 
 def _own(name: str, target: Target, commands: bytes = b"") -> Path:
     def make() -> bytes:
-        fmu = own_fmu(name, in_python=target.in_python(name), commands=commands)
+        fmu = own_fmu(name, target.kind_of(name), commands=commands)
         rows = len(commands) // (8 * sum(v.size for v in TRAJECTORY.of("output")))
-        return target.make(replace(fmu, stop_time=(rows - 1) * TICK) if rows > 1 else fmu)
+        return target.make(replace(fmu, stop_time=(rows - 1) * STEP_SIZE) if rows > 1 else fmu)
 
     return cached(_own_place(name, target, commands), make)
 
@@ -106,10 +116,10 @@ def _own(name: str, target: Target, commands: bytes = b"") -> Path:
 def _own_place(name: str, target: Target, commands: bytes = b"") -> Path:
     """Place in the cache; found without making the description, which takes time."""
     python = ""
-    if target.in_python(name):
-        from .python_fmu import recorded_python  # noqa: PLC0415 - few runs have one
+    if target.kind_of(name) != "native":
+        from .python_fmu import recorded_python, require_pythonfmu  # noqa: PLC0415 - few have one
 
-        python = repr(recorded_python())
+        python = target.kind_of(name) + require_pythonfmu() + repr(recorded_python())
     return _place(OWN[name].interface.model, target, code_digest(), commands, python)
 
 
@@ -151,18 +161,23 @@ OWN: Final = MappingProxyType({
 
 
 def own_fmu(
-    name: str, *, in_python: bool, commands: bytes = b"", changed: Mapping[str, bytes] | None = None
-) -> NativeFmu:
+    name: str, kind: Kind = "native", *, commands: bytes = b"",
+    changed: Mapping[str, bytes] | None = None,
+) -> NativeFmu:  # fmt: skip
     """Describe one of the project's own FMUs."""
     # These modules take time to import, and are needed only for what the cache has not.
     own = OWN[name]
     table = {TABLE_FILE: commands} if commands else {}
-    if in_python:
-        from .python_fmu import python_fmu  # noqa: PLC0415 - see above
+    if kind != "native":
+        from .packed_fmu import packed_fmu  # noqa: PLC0415 - see above
+        from .python_fmu import PYTHONFMU, python_fmu  # noqa: PLC0415 - see above
 
         code = own_code(name) | dict(changed or {})
-        return python_fmu(own.interface, "", code, own.slave, own.needs, resources=table)
-    again = partial(own_fmu, name, in_python=False)
+        if kind == PYTHONFMU:
+            return packed_fmu(own.interface, code, own.slave, own.needs, table)
+        needs = (*own.needs, PYTHONFMU)
+        return python_fmu(own.interface, "", code, own.slave, needs, resources=table)
+    again = partial(own_fmu, name)
     if name == "plant":
         from ...plant.scene import load_scene  # noqa: PLC0415 - see above
         from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above

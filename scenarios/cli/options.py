@@ -74,7 +74,11 @@ MESHES = option(
     "never",
 )
 OUT_RUN = option("--out -o DIR", "New folder for the run. Default: one in runs/.")
-KIND = option("--kind", "Compiled FMUs, or Python; auto: compiled while proven equal.", "auto")
+KIND = option(
+    "--kind",
+    "Compiled FMUs, Python, or Python packed by PythonFMU; auto: compiled while proven equal.",
+    "auto",
+)
 FMI = option("--fmi", "FMI version: 2.0 or 3.0.", "2")
 PLATFORM = option(
     "--platform LIST",

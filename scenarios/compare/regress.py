@@ -38,6 +38,7 @@ from .reference import Reference, how_to_make, reference_path
 from .tubes import widths
 
 if TYPE_CHECKING:
+    from ...fmus.sources.targets import Kind
     from ..sweep.engine import SuiteSweep
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
@@ -114,7 +115,7 @@ def start(
     workers: Workers,
     scenario: Scenario | Unusable,
     run: Path,
-    overrides: Overrides | None = None,
+    options: Options | None = None,
     *,
     exact: bool = False,
 ) -> Future[Outcome]:
@@ -124,16 +125,16 @@ def start(
         refused.set_result(Outcome(scenario, "failed", run, 0.0, error=scenario.error))
         return refused
     failed = partial(_failed, scenario, run, time.perf_counter())
-    judge = partial(_outcome, run=run, overrides=overrides or {}, exact=exact)
+    judge = partial(_outcome, run=run, options=options or Options(), exact=exact)
     limit = TIMEOUT + scenario.duration
     return workers.submit(judge, scenario, died=failed, late=failed, time_limit=limit)
 
 
-def _outcome(scenario: Scenario, *, run: Path, overrides: Overrides, exact: bool) -> Outcome:
+def _outcome(scenario: Scenario, *, run: Path, options: Options, exact: bool) -> Outcome:
     """Run a scenario in this process, and compare it."""
     began = time.perf_counter()
     try:
-        signal = run_scenario(scenario, run, Options(overrides)).signal
+        signal = run_scenario(scenario, run, options).signal
     except CosimError as error:
         return _failed(scenario, run, began, str(error))
     seconds = time.perf_counter() - began
@@ -188,6 +189,7 @@ class Suite:
     overrides: Overrides = field(default_factory=dict)  # in place of the scenarios' own
     exact: bool = False  # whether each bit must match the reference
     jobs: int = 1  # how many run at the same time
+    kind: Kind = "auto"  # of the project's own FMUs
 
     def __post_init__(self) -> None:
         """Check the parameters, before anything runs."""
@@ -210,12 +212,12 @@ def run_suite(
     from ...fmus.sources.targets import Target, build  # noqa: PLC0415 - imports much
 
     for engine in dict.fromkeys(scenario.mujoco for scenario in suite.usable):
-        build(target=Target(mujoco=engine))  # once, not in each process
-    outcomes = {}
+        build(target=Target(suite.kind, mujoco=engine))  # once, not in each process
+    outcomes, options = {}, Options(suite.overrides, kind=suite.kind)
     with Workers(suite.jobs) as workers:
         futures = [
-            start(workers, scenario, folder / scenario.name, suite.overrides, exact=suite.exact)
-            for scenario in sorted(suite.scenarios, key=lambda s: -s.duration)
+            start(workers, each, folder / each.name, options, exact=suite.exact)
+            for each in sorted(suite.scenarios, key=lambda s: -s.duration)
         ]
         for future in as_completed(futures):
             outcome = future.result()

@@ -60,8 +60,8 @@ class Options:
         coupling: Coupling, instead of the scenario's; None: the scenario's.
         realtime: Speed relative to the wall clock; 0: as fast as possible.
         fmus: FMU files by instance; None: the project's own.
-        kind: Kind of the project's own: "native", "python", or "auto": native while they are
-            proven equal to the Python code.
+        kind: Kind of the project's own: "native", "python", "pythonfmu" (in Python, packed by
+            PythonFMU), or "auto": native while they are proven equal to the Python code.
         isolate: Run each FMU in a separate process, so that a crash ends only that process.
         step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
         time_limit: Wall time that all steps may take [s]; None: unlimited. Checked between

@@ -38,10 +38,11 @@ def start_values(
 ) -> StartValues:
     """Parameters of each FMU: scene and gains of our own, the sections, then the overrides."""
     own: dict[str, Any] = {}
+    assembly = assembly or assemble(scenario)
     if not scenario.is_system:
-        if "plant" not in scenario.fmus:
+        if assembly.is_ours("plant"):
             own["plant"] = {"scene": scenario.scene, "robot": scenario.robot}
-        if "controller" not in scenario.fmus:
+        if assembly.is_ours("controller"):
             gains = replace(
                 PRESETS[scenario.gains],
                 reading_delay=scenario.mismatch.known_delay,
@@ -54,7 +55,7 @@ def start_values(
             own["sensors"] = {"robot": scenario.robot}
     mismatch = scenario.mismatch.start_values()
     layers: list[Overrides] = [own, mismatch, scenario.sections, overrides or {}]
-    return (assembly or assemble(scenario)).start_values(layers)
+    return assembly.start_values(layers)
 
 
 def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:

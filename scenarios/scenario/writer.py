@@ -34,11 +34,14 @@ INPUTS_FILE: Final = "inputs.csv"
 FROM_TEMPLATE: Final = {  # files of the template that an option of `new` adds
     "law": ("my_law.py",),
     "plant": ("my_scene.xml", "my_scene.toml"),
+    "slave": ("my_slave.py",),
     "sweep": ("sweep.toml",),
 }
-_OWN_PLANT: Final = (
-    'plant = "my_scene.xml"  # a scene of its own; my_scene.toml says what its FMU has\n'
-)
+_FMUS: Final = {  # lines of the section [fmus]
+    "plant": 'plant = "my_scene.xml"  # a scene of its own; my_scene.toml says what its FMU has\n',
+    "slave": 'gust = "my_slave.py:Gust"  # a slave for PythonFMU\n',
+}
+_GUST: Final = '\n[connect]\n"plant.push_force[2]" = "gust.force"\n'
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
@@ -75,10 +78,11 @@ def _template(parts: Collection[str]) -> dict[str, str]:
     """Return settings that name the parts, and the table, by file."""
     file = "scenario_with_law.toml" if "law" in parts else SCENARIO_FILE
     settings, table = ((TEMPLATE / name).read_text(encoding="utf-8") for name in (file, TABLE_FILE))
-    if "plant" in parts:
+    for part in (part for part in _FMUS if part in parts):
         head = "[fmus]\n"
         settings = settings if head in settings else f"{settings}\n{head}"
-        settings = settings.replace(head, head + _OWN_PLANT)
+        settings = settings.replace(head, head + _FMUS[part])
+    settings += _GUST if "slave" in parts else ""
     return {SCENARIO_FILE: settings, TABLE_FILE: table}
 
 

@@ -134,6 +134,12 @@ class Assembly:
                    for s, (i, n) in zip(scalars, self.external, strict=True)]  # fmt: skip
         return np.array(content, np.float64 if is_number else object)
 
+    def is_ours(self, name: str) -> bool:
+        """Whether plant or controller is the project's own, by its model and parameters."""
+        own, given = INTERFACES[name], self.interfaces[name]
+        names = ({v.name for v in interface.of("parameter")} for interface in (own, given))
+        return given.model == own.model and next(names) <= next(names)
+
     def changed(
         self,
         values: Mapping[str, Mapping[str, Value]],

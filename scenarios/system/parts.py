@@ -92,8 +92,8 @@ def read_parts(
     for name, law in read.items():
         if not isinstance(law, Part):  # its signals are those of the parts around it
             parts[name] = _law_part(scenario, name, law, parts)
-    ours = tuple(name for name in OURS if name in parts and parts[name].file is None)
-    if scenario.mujoco and any(map(Target(kind).in_python, ours)):
+    ours = (name for name in OURS if name in parts and parts[name].file is None)
+    if scenario.mujoco and any(Target(kind).kind_of(name) != "native" for name in ours):
         raise InputError("mujoco: FMUs in Python use the installed version; must be left out")
     if scenario.mujoco and not any(part.is_model for part in parts.values()):
         raise InputError("mujoco: no FMU here is made from a MuJoCo model; must be left out")
@@ -104,6 +104,10 @@ def read_parts(
 
 def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
     interface = SENSORS if name == "sensors" else INTERFACES[name]
+    if own.kind_of(name) != "native":
+        from ...fmus.sources.python_fmu import require_pythonfmu  # noqa: PLC0415 - few need it
+
+        require_pythonfmu()
 
     def make(target: Target | None = None) -> Path:
         chosen = replace(target, mujoco=own.mujoco) if target else own

@@ -249,7 +249,7 @@ def _law() -> tuple[Path, Interface]:
         for variable in CONTROLLER.variables
     )
     interface = replace(CONTROLLER, variables=free)
-    law = own_fmu(LAW, in_python=Target().in_python(LAW))
+    law = own_fmu(LAW, Target().kind_of(LAW))
     return build_fmu(replace(law, interface=interface)), interface
 
 

@@ -108,7 +108,7 @@ def _read(
 def _code(name: str, interface: Interface, file: Path) -> str:
     """Return what runs in one of the project's own FMUs or in an .fmu file."""
     if any(interface is each for each in (*INTERFACES.values(), SENSORS)):
-        return "python" if Target().in_python(name) else "native"
+        return Target().kind_of(name)
     return read_fmu(file).code if file.suffix == ".fmu" else "its own"
 
 

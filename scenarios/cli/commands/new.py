@@ -24,7 +24,7 @@ from ..options import (
 )
 
 
-def command(
+def command(  # noqa: PLR0913 - one for each option
     name: Path = argument("NAME", "Folder to create."),
     source: str | None = option(
         "--from SCENARIO",
@@ -36,6 +36,7 @@ def command(
     plant: bool = option(
         "--plant", "Add a scene of your own with one more body, for you to edit.", False
     ),
+    slave: bool = option("--slave", "Add a slave for PythonFMU, which blows at the hand.", False),
     sweep: bool = option("--sweep", "Add a sweep, which `regress` judges, too.", False),
 ) -> None:
     """Create a scenario of your own, ready to run.
@@ -47,13 +48,14 @@ def command(
     panda-cosim new my-scenarios/lift
     panda-cosim run my-scenarios/lift
     panda-cosim new my-law --law --sweep
+    panda-cosim new my-gust --slave
     panda-cosim new my-push --from push
     panda-cosim new their-test --from Theirs.fmu
     ```
     """
-    if source is not None and (law or plant):
-        raise InputError("--from: cannot be combined with --law or --plant")
-    options = {"law": law, "plant": plant, "sweep": sweep}
+    if source is not None and (law or plant or slave):
+        raise InputError("--from: cannot be combined with --law, --plant or --slave")
+    options = {"law": law, "plant": plant, "slave": slave, "sweep": sweep}
     parts = [part for part, is_asked_for in options.items() if is_asked_for]
     if source is not None and source.endswith(".fmu"):
         if sweep:

@@ -11,6 +11,7 @@ import typer
 
 from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
+from ....fmus.sources.targets import Kind
 from ...compare.differences import multiple
 from ...compare.junit import write_junit
 from ...compare.regress import (
@@ -36,6 +37,7 @@ from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..options import (
     ENGINES,
     JSON,
+    KIND,
     OVERWRITE,
     PARAMETERS,
     announce_python,
@@ -82,6 +84,7 @@ def command(  # noqa: PLR0913 - one for each option
         True,
     ),
     overwrite: bool = OVERWRITE,
+    kind: Kind = KIND,
     mujoco: str = ENGINES,
     yes: bool = option("--yes -y", "With --update: do not ask.", False),
     json: bool = JSON,
@@ -98,6 +101,8 @@ def command(  # noqa: PLR0913 - one for each option
 
     A sweep.toml in a scenario's folder is judged by the success rate that it requires.
 
+    With `--kind`, scenarios run with FMUs of that kind, and without sweeps.
+
     With `--mujoco`, scenarios also run with other versions of MuJoCo, and without sweeps. A table
     says of each whether it is equal to the installed one, differs by rounding, or has changed, from
     which tick on, and which signal leaves its tube first.
@@ -106,6 +111,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress
     panda-cosim regress push jacobi --set controller.kp=7.6 --report report
     panda-cosim regress --scenarios my-scenarios --update
+    panda-cosim regress --kind pythonfmu
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
     ```
     """
@@ -115,17 +121,18 @@ def command(  # noqa: PLR0913 - one for each option
             "unchanged scenarios"
         )
     engines = list(dict.fromkeys(mujoco.split(","))) if mujoco else []
-    if engines and (update or exact):
-        raise InputError("--mujoco: cannot be combined with --update or --exact")
+    if engines and (update or exact or kind != "auto"):
+        raise InputError("--mujoco: cannot be combined with --update, --exact or --kind")
     if yes and not update:
         raise InputError("--yes: needs --update")
     if overwrite and report is None:
         raise InputError("--overwrite: needs --report")
     chosen = find_scenarios(scenarios or (), folder)
     runs_of = [v for s in chosen for v in (variants(s, engines) if engines else [s])]
-    suite = Suite(runs_of, overrides(assignments), exact, jobs or cores())
+    suite = Suite(runs_of, overrides(assignments), exact, jobs or cores(), kind)
     # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
-    swept = _swept(chosen, folder) if sweeps and not update and not engines else []
+    alone = update or engines or kind != "auto"
+    swept = _swept(chosen, folder) if sweeps and not alone else []
     if swept and assignments:
         raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
     if report is not None:
@@ -138,7 +145,7 @@ def command(  # noqa: PLR0913 - one for each option
             runs = stack.enter_context(temporary_folder(parent))
         except OSError as error:
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
-        announce_python()
+        announce_python(kind)
         outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
         rows = engine_rows(chosen, len(engines), outcomes) if engines else []
         outcomes = [outcome for row in rows for outcome in row] or outcomes
