@@ -183,6 +183,15 @@ def ecos(_: dict[str, Path]) -> tuple[str, ...]:
     return "Ecos", versions, how, "Jacobi, 300 steps: within 1e-12"
 
 
+def pythonfmu(_: dict[str, Path]) -> tuple[str, ...]:
+    """FMUs that PythonFMU packs, coupled in FMPy alone."""
+    _tested("tests/test_pythonfmu.py::test_plain_fmpy_gives_the_bits_of_native_fmus")
+    how = "`build --kind pythonfmu`; `FMU2Slave`, plant and controller"
+    agreement = "Gauss-Seidel, pick_and_place, tutorial and push: qpos and ctrl bit for bit"
+    versions = f"{version('fmpy')}, {version('pythonfmu')}"
+    return "FMPy, PythonFMU", versions, how, agreement
+
+
 def c_host(_: dict[str, Path]) -> tuple[str, ...]:
     """A program that is not Python, in a folder with only the FMUs and the C library."""
     _tested("tests/test_c_hosts.py::test_a_host_without_python_records_what_the_master_does")
@@ -193,7 +202,7 @@ def c_host(_: dict[str, Path]) -> tuple[str, ...]:
     return "a plain C host", f"gcc {gcc[0] if gcc else ''}", how, agreement
 
 
-ROWS = (fmpy_, libcosim, ecos, fmuloader, pathsim, c_host)
+ROWS = (fmpy_, libcosim, ecos, fmuloader, pathsim, pythonfmu, c_host)
 
 
 def _row(name: str, folders: dict[str, Path]) -> tuple[str, ...]:
