@@ -328,7 +328,7 @@ def test_without_the_package_only_what_needs_it_fails_in_one_line(
 # Our own FMUs as parts.
 
 
-@pytest.mark.parametrize("target", [Target(), PACKED], ids=lambda target: target.kind)
+@pytest.mark.parametrize("target", [Target("native"), PACKED], ids=lambda target: target.kind)
 def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(
     target: Target, tmp_path: Path
 ) -> None:
@@ -338,7 +338,7 @@ def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(
     given = prepare(scenario, Options(parts=parts))
     own = start_values(scenario)
     assert given.values == own
-    assert given.assembly.changed(given.values)["plant"] == {"scene": "tutorial"}
+    assert given.assembly.changed(given.values, {})["plant"] == {"scene": "tutorial"}
 
 
 def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path: Path) -> None:
@@ -357,5 +357,5 @@ def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path: Path) -> Non
 
 
 def test_an_unknown_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="must be one of native, python, pythonfmu"):
+    with pytest.raises(InputError, match="must be one of auto, native, python, pythonfmu"):
         Options(kind="pythonfmus")  # type: ignore[arg-type]

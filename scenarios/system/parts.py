@@ -92,7 +92,7 @@ def read_parts(
     for name, law in read.items():
         if not isinstance(law, Part):  # its signals are those of the parts around it
             parts[name] = _law_part(scenario, name, law, parts)
-    ours = (name for name in OURS if name in parts and parts[name].file is None)
+    ours = tuple(name for name in OURS if name in parts and parts[name].file is None)
     if scenario.mujoco and any(Target(kind).kind_of(name) != "native" for name in ours):
         raise InputError("mujoco: FMUs in Python use the installed version; must be left out")
     if scenario.mujoco and not any(part.is_model for part in parts.values()):
