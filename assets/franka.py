@@ -6,7 +6,6 @@ which name their sources; the rest is of the MJCF files.
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -83,8 +82,9 @@ FINGER_SPEED_MAX: Final = 0.05  # [m/s] per finger (Franka Hand data sheet)
 
 Seven = tuple[float, float, float, float, float, float, float]
 HOME_Q: Final[Seven] = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853)  # [rad] keyframe `home`
-HOME_XPOS: Final = (0.554499478, 0.0, 0.624502429)  # [m] hand body at `home`, world frame
-HOME_XQUAT: Final = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)  # (w, x, y, z), world frame
+# The hand's body there, world frame: [m], and (w, x, y, z), 0.1 mrad off a half turn.
+HOME_XPOS: Final = (0.5544994780317353, 0.0, 0.6245024294875894)
+HOME_XQUAT: Final = (0.0, 0.707141498682236, 0.7070720619862167, 0.0)
 CTRL_OPEN: Final = 255.0  # [1] gripper servo target at OPENING_MAX
 # Stiffness of the servos [N.m/rad], their damping, and their lag behind a ramp [s]:
 # (servo damping + the Panda's joint damping) / stiffness.

@@ -48,8 +48,8 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 
 
 def test_a_plant_starts_at_home(plant: Plant) -> None:
-    np.testing.assert_allclose(plant.outputs["hand_xpos"], HOME_XPOS, atol=1e-8)
-    np.testing.assert_allclose(plant.outputs["hand_xquat"], HOME_XQUAT, atol=1e-4)
+    np.testing.assert_allclose(plant.outputs["hand_xpos"], HOME_XPOS, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(plant.outputs["hand_xquat"], HOME_XQUAT, rtol=0.0, atol=1e-12)
     np.testing.assert_array_equal(plant.inputs["ctrl"], HOME_CTRL)
     assert not plant.inputs["push_force"].any()
     assert not plant.outputs["qvel"].any()

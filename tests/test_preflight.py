@@ -13,12 +13,13 @@ import pytest
 from fake_recording import FakeRecording
 from forked import command
 from numpy.typing import NDArray
-from panda_cosim import Recording, load_scenario
+from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import FINGERTIPS, ArmModel
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.judging.limits import CHECKS, outcome
 from panda_cosim.scenarios.judging.preflight import preflight
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.sweep.row import metrics
 from panda_cosim.scenarios.view import run
 from random_tasks import run_in_memory
@@ -412,6 +413,15 @@ def test_all_but_twenty_packets_may_be_lost_by_a_robot_that_stands(
     assert (told["lost_packets"], told["late"]) == (19, {})
 
 
+def test_who_stays_at_home_asks_nothing_of_the_robot() -> None:
+    """The first command is where the hand is, so that no correction opens each run."""
+    rows = tuple(TableRow(t, "home", (0.0, 0.0, 0.0), 0.08) for t in (0.0, 1.0))
+    done = run_in_memory(Scenario("home", TrajectoryTable(rows), 0.1, preflight="fer"))
+    assert max(done.summary.preflight["joint_jerk_share"]) < 1e-6
+    assert done.summary.preflight["lost_packets"] == 19
+    assert max(done.summary.limits["torque_rate_share"]) < 0.01
+
+
 def test_a_long_recording_is_judged_in_blocks_as_a_whole(
     fast: tuple[dict[str, Any], Recording],
 ) -> None:
@@ -530,9 +540,13 @@ def test_refusals_are_a_criterion(fast: tuple[dict[str, Any], Recording]) -> Non
 
 
 def test_what_retime_writes_for_a_robot_is_accepted_by_it(tmp_path: Path) -> None:
-    new, fr3 = tmp_path / "new", ("--robot", "fr3")
-    assert command("check", "payload", *fr3).returncode == 3
-    done = command("retime", "payload", "--keep-times", *fr3, "--out", new)
+    fast, new, fr3 = tmp_path / "fast", tmp_path / "new", ("--robot", "fr3")
+    fast.mkdir()
+    (fast / "scenario.toml").write_text("duration = 1.5\n")
+    table = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.6,home,0.1,0.2,-0.1,0.08\n"
+    (fast / "trajectory.csv").write_text(table)
+    assert command("check", fast, *fr3).returncode == 3
+    done = command("retime", fast, "--keep-times", *fr3, "--out", new)
     assert done.returncode == 0, done.stderr
     assert load_scenario(new).robot == "fr3"
     assert command("check", new, *fr3).returncode == 0

@@ -209,7 +209,7 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     criteria = run.summary.criteria if run.summary.complete else ()
     if verdict_of(criteria) == "not measured":  # what they wait for never happens
         file = f"{scenario.folder}/{SCENARIO_FILE}"
-        unmeasured = (miss_text(criterion) for criterion in criteria if not criterion.measured)
+        unmeasured = (miss_text(criterion) for criterion in criteria if not criterion.ok)
         wrong = _diagnostics("wrong", [f"{file}: [success] {text}" for text in unmeasured])
         return [*wrong, *trouble, *real]
     about = _about(scenario)

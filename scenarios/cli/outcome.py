@@ -26,7 +26,6 @@ from ..judging.criterion import (
     margin_text,
     missed_text,
     quantity,
-    unmeasured_text,
     verdict_of,
 )
 from ..judging.limits import exceeded, outcome
@@ -240,7 +239,7 @@ def _fault(done: Run) -> Fault | None:
     if not summary.complete:
         return "error", "ended early", str(summary.reason)
     if verdict_of(summary.criteria) == "not measured":
-        return "error", "not measured", unmeasured_text(summary.criteria)
+        return "error", "not measured", missed_text(summary.criteria)
     message = missed_text(summary.criteria) or f"{NOT_FAILED}: {summary.expect_reason}"
     return "failure", "missed", message
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..files import scenario_files
-from ..judging.criterion import Criterion, unmeasured_text, verdict_of
+from ..judging.criterion import Criterion, missed_text, verdict_of
 from ..recording import Recording
 from ..recording.storage import TEXTS
 from ..run.folder import SUMMARY_FILE
@@ -143,7 +143,7 @@ def _outcome(scenario: Scenario, *, run: Path, options: Options, exact: bool) ->
     if signal:
         return _failed(scenario, run, began, f"was stopped by signal {signal}")
     if summary["complete"] and verdict_of(criteria) == "not measured":  # the scenario's error
-        return _failed(scenario, run, began, unmeasured_text(criteria))
+        return _failed(scenario, run, began, missed_text(criteria))
     verdict, problem, comparison = _judged(scenario, run, summary, exact)
     return Outcome(scenario, verdict, run, seconds, comparison, problem, criteria)
 

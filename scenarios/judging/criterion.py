@@ -140,8 +140,3 @@ def line(criterion: Criterion) -> str:
 def missed_text(criteria: Iterable[Criterion]) -> str:
     """List the criteria that are missed or not measured in one line; "" if all hold."""
     return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.ok)
-
-
-def unmeasured_text(criteria: Iterable[Criterion]) -> str:
-    """List the criteria that were not measured in one line; "" if all were."""
-    return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.measured)

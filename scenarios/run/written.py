@@ -106,11 +106,8 @@ def _build_player(
     interface = Interface(
         TRAJECTORY.model, "Plays a scenario's inputs", (*felt.values(), *variables)
     )
-    moving = [
-        output
-        for output, (_, name) in zip(outputs, played, strict=True)
-        if scenario.inputs_move or name.partition("[")[0] in scenario.commands
-    ]
+    stay = () if scenario.inputs_move else assembly.driven  # the last ones; pushes are the first
+    moving = [o for o, name in zip(outputs, played, strict=True) if name not in stay]
     files = {"table": TABLE_FILE, **({"guards": "guards.bin", "left": "left.bin"} if felt else {})}
     content = {"table": rows, **(prepared.inputs().guarded.packed(len(rows)) if felt else {})}
     resources = {files[key]: content[key].astype("<f8").tobytes() for key in files}

@@ -41,7 +41,6 @@ SIZES: Final[Mapping[str, Sizes]] = {
     "worn": Sizes(math.radians(0.06), 3e-5, (0.6, 3.0), 0.15, 0.003, 1.5e-3, math.radians(0.9)),
 }
 PRESETS: Final = ("nominal", *SIZES)
-_UNKNOWN: Final = {"hand_pose_source": "model"}  # the truth would tell the controller of the masses
 
 
 def draw_robot(sizes: Sizes, seed: int) -> dict[str, Any]:
@@ -125,18 +124,16 @@ class Mismatch:
         sizes = SIZES.get(self.preset)
         drawn = {} if sizes is None else draw_robot(sizes, self.seed)
         values = drawn | {n: v for n, v in self.given.items() if n not in ("preset", "seed")}
-        default = _UNKNOWN if {"payload", "link_mass_scale"} & values.keys() else {}
+        # The truth would tell the controller of these masses.
+        default = (
+            {"hand_pose_source": "model"} if {"payload", "link_mass_scale"} & values.keys() else {}
+        )
         return values | default | values
 
     @property
     def known_delay(self) -> float:
         """Delay of the readings that the controller was set up for [s]: the preset's."""
         return SIZES[self.preset].delay if self.preset in SIZES else 0.0
-
-    @property
-    def has_model(self) -> bool:
-        """Whether the controller gets what the robot's own model says."""
-        return self.values.get("hand_pose_source") == "model"
 
     @property
     def has_sensors(self) -> bool:

@@ -214,7 +214,8 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     connector.drive(driven)
     if scenario.mismatch.has_sensors:  # they feed the controller, unless [connect] does
         inputs = {v.name for v in connector.parts["controller"].interface.of("input")}
-        for name in (*MEASURED, *SEEN, *([INERTIA] if scenario.mismatch.has_model else [])):
+        modelled = [INERTIA] if scenario.mismatch.values.get("hand_pose_source") == "model" else []
+        for name in (*MEASURED, *SEEN, *modelled):
             if name in inputs and not connector.is_fed("controller", name):
                 connector.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
     for part in parts:
