@@ -330,9 +330,9 @@ def test_bounds_that_are_not_limits_and_the_end_effector_are_said() -> None:
 
 @pytest.fixture(scope="module")
 def fast(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Recording]:
-    """The Panda's fast cycle, as FR3 sees it; its observer is on, and one refusal allowed."""
+    """The Panda's fast cycle, as FR3 sees it; its observer is on, and no refusal allowed."""
     out = tmp_path_factory.mktemp("fast") / "run"
-    values = ("preflight=fr3", "controller.observer=true", "success.max_refusals=1")
+    values = ("preflight=fr3", "controller.observer=true", "success.max_refusals=0")
     options = ("--no-video", "--no-view", "--out", out, *(f"--set={value}" for value in values))
     done = command("run", "pick_and_place_fast", *options)
     assert done.returncode == 3, done.stdout + done.stderr
@@ -347,13 +347,11 @@ def test_the_pandas_fast_cycle_asks_too_much_acceleration_of_fr3(
     fast: tuple[dict[str, Any], Recording],
 ) -> None:
     told = fast[0]["preflight"]
-    assert told["refusals"] == 2
+    assert told["refusals"] == 1
     assert max(told["joint_acceleration_share"]) == pytest.approx(1.59, abs=0.005)
     assert max(told["joint_velocity_share"]) < 1.0
-    assert [each["error"] for each in told["findings"] if each["interface"] == "joint"][:2] == [
-        "joint_motion_generator_acceleration_discontinuity",
-        "joint_motion_generator_velocity_discontinuity",
-    ]
+    first = next(each for each in told["findings"] if each["interface"] == "joint")
+    assert first["error"] == "joint_motion_generator_velocity_discontinuity"
 
 
 def refused_after(q: Array, at: int, count: int) -> int | None:
@@ -507,7 +505,7 @@ def test_view_and_sweeps_have_what_the_summary_has(fast: tuple[dict[str, Any], R
     groups = ["events", "tracking", "orientation", "block", "contact", "limits", "energy", "timing"]
     content: dict[str, Any] = {group: {} for group in groups} | {"preflight": told}
     columns = dict(metrics(SimpleNamespace(**content)))
-    assert columns["summary.preflight.refusals"] == 2.0
+    assert columns["summary.preflight.refusals"] == 1.0
     assert columns["summary.preflight.joint_jerk_share[7]"] == told["joint_jerk_share"][6]
     assert columns["summary.preflight.lost_packets"] == told["lost_packets"]
 
@@ -536,7 +534,7 @@ def test_fr3_accepts_its_own_fast_cycle() -> None:
 
 def test_refusals_are_a_criterion(fast: tuple[dict[str, Any], Recording]) -> None:
     criterion = next(each for each in fast[0]["criteria"] if each["name"] == "max_refusals")
-    assert (criterion["value"], criterion["ok"]) == (2, False)
+    assert (criterion["value"], criterion["ok"]) == (1, False)
 
 
 def test_what_retime_writes_for_a_robot_is_accepted_by_it(tmp_path: Path) -> None:
