@@ -68,7 +68,7 @@ def definitions() -> str:
     numbers = [
         (f"`{key}`", d.what, d.window.replace("all rows", ""),
          ", ".join(f"`{name}`" for name in d.signals), d.unmeasured)
-        for key, d in DEFINITIONS.items() if not key.startswith("success.")
+        for key, d in DEFINITIONS.items() if not key.startswith(("success.", "analysis."))
     ]  # fmt: skip
     criteria = [
         (f"`{d.key.removeprefix('success.')}`", f"`{d.metric}`", d.unit)
@@ -79,6 +79,16 @@ def definitions() -> str:
         table(["key", "what it is", "rows", "signals", "null if"], numbers),
         table(["criterion", "bounds", "unit"], criteria),
     ))  # fmt: skip
+
+
+def margins() -> str:
+    """What each number of an analysis is."""
+    rows = [
+        (f"`{key.removeprefix('analysis.')}`", d.what, d.unmeasured)
+        for key, d in DEFINITIONS.items()
+        if key.startswith("analysis.")
+    ]
+    return table(["key", "what it is", "null if"], rows)
 
 
 def variables() -> str:
@@ -117,7 +127,7 @@ def build(out: Path, *, with_gallery: bool) -> None:
         work, docs = Path(name), Path(name, "docs")
         shutil.copytree(ROOT / "docs", docs)
         (work / ".ci").symlink_to(ROOT / ".ci")
-        made = {f.__name__: f for f in (commands, definitions, history, python, variables)}
+        made = {f.__name__: f for f in (commands, definitions, history, margins, python, variables)}
         made["gallery"] = partial(gallery, docs) if with_gallery else str
         for page in docs.rglob("*.md"):
             text = page.read_text(encoding="utf-8")

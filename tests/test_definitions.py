@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QDD_MAX, QDDD_MAX
+from panda_cosim.scenarios.analysis.analysis import Loop, Margins
 from panda_cosim.scenarios.fields import field_names
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.judging.holds import find_holds
@@ -303,6 +304,8 @@ def test_every_definition_is_of_a_number_event_or_criterion(tmp_path: Path) -> N
     keys = {key for key, _ in told(json.loads((out / "summary.json").read_text()))}
     keys |= {f"success.{name}" for name in field_names(Success)}
     keys -= {"success.block_position", "success.signal", "success.body"}
+    keys |= {f"analysis.{name}" for name in field_names(Margins)}
+    keys |= {f"analysis.loops.{name}" for name in field_names(Loop)}
     own = {key for key in DEFINITIONS if not key.startswith("success.body.")}
     assert own == keys
     assert {key.removeprefix("events.") for key in own if key.startswith("events.")} == {*EVENTS}

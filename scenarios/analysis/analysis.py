@@ -20,161 +20,130 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.variables import Value
+from ..fields import field_names
 from ..judging.signals import time_of
 from ..run.options import Options
-from ..run.prepare import Prepared, prepare
+from ..run.prepare import Inputs, Prepared, prepare
 from ..run.run import Execution
 from ..run.stopping import StopRequest
 from ..scenario.criteria import check_instant, check_within
 from ..scenario.scenario import Scenario, load_scenario
-from .responses import DECAYED, LINEAR, Responses, measure
+from .responses import DECAYED, ENOUGH, LINEAR, Responses, measure
+from .sensitivity import Limits, disk_margin, limits
 
 if TYPE_CHECKING:
     import control
 
 Array = NDArray[np.float64]
-Response = NDArray[np.complex128]
 
-STEP_TIME = 0.5  # [s] of step responses
-BALANCING = 10  # rounds
+SETTLED: Final = 0.02  # of a position's largest distance from its end
+RESTING: Final = 0.002  # likewise, by which it moves at most in the last quarter of the responses
 FREQUENCIES = 600  # points of a frequency response
 
 
 @dataclass(frozen=True)
-class Loop:
-    """One loop, opened at its input with the others closed."""
+class Loop(Limits):
+    """One loop, opened at its input with the others closed; definitions.toml says what each is."""
 
     input: str  # such as plant.ctrl[1]
     joint: int  # from 1: the element of the input, or a number of its own
-    gain_margin_db: float  # smallest change of gain, up or down, that makes it unstable
-    phase_margin_deg: float  # the smallest
-    delay_margin_ms: float  # smallest further delay that makes it unstable
-    crossover_hz: float  # highest frequency at which the loop's gain is 1
-    bandwidth_hz: float  # where the closed loop has fallen to -3 dB
-    # Of the joint's response to a step of the input [position per unit of the input]; None: there
-    # is no such position.
-    peak_ratio: float | None
-    settling_ms: float | None  # until 2 % of that peak for good; infinite if beyond half a second
+    # Of the joint's response to a step of the input; None: it is not known, or drifts.
+    peak_ratio: float | None  # position per unit of the input
+    settling_ms: float | None
 
 
 @dataclass(frozen=True)
-class Margins:
-    """The loops for one period and one coupling."""
+class Margins(Limits):
+    """The loops for one period and one coupling; definitions.toml says what each is.
 
-    period: float  # between updates of the controller [s]
+    Without margins, all numbers but the first are 0.
+    """
+
+    period: float  # [s]
     coupling: str  # with `jacobi`, targets and readings are one tick late
-    stable: bool  # the responses to a pulse are linear, and decay or at least do not grow
-    pole_modulus: float  # factor per period by which they change at last
-    linear: bool  # whether twice a pulse gives almost twice the response; else there are no margins
-    loops: tuple[Loop, ...]  # none where the system is not stable
-    # Of all loops at once [1]: each may change, at the same time and in its own way, by any gain
-    # and phase within the disk. 0: unstable.
-    disk_margin: float
-    disk_gain_db: float  # change of gain alone within the disk, up or down
-    disk_phase_deg: float  # change of phase alone within the disk
+    stable: bool
+    reason: str  # why there are no margins, or empty
+    pole_modulus: float
+    linear: bool
+    loops: tuple[Loop, ...] = ()
+    # Of all loops at once, each in its own way.
+    disk_margin: float = 0.0
+    disk_gain_db: float = 0.0
+    disk_phase_deg: float = 0.0
 
 
 def judge(responses: Responses, coupling: str) -> Margins:
     """Judge all loops of one measurement."""
-    stable, linear = responses.stable, responses.linear
-    about = (responses.period, coupling, stable, responses.growth, linear)
-    if not stable:
-        return Margins(*about, (), 0.0, 0.0, 0.0)
-    disk = disk_margin(sensitivity(responses, frequencies(responses)))
+    reason, sensitivity = _reason(responses), responses.sensitivity
+    about: dict[str, Any] = {
+        "period": responses.period, "coupling": coupling, "stable": not reason, "reason": reason,
+        "pole_modulus": responses.growth, "linear": responses.linear,
+    }  # fmt: skip
+    if reason:
+        none: dict[str, Any] = dict.fromkeys(field_names(Limits), 0.0)
+        return Margins(**none, **about)
+    loops = tuple(_judge(responses, loop) for loop in range(len(responses.inputs)))
+    disk = disk_margin(sensitivity)
     gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
     phase = math.degrees(2.0 * math.atan(0.5 * disk))
-    loops = tuple(_judge(responses, loop) for loop in range(len(responses.inputs)))
-    return Margins(*about, loops, disk, gain, phase)
+    return Margins(**vars(limits(sensitivity)), **about, loops=loops, disk_margin=disk,
+                   disk_gain_db=gain, disk_phase_deg=phase)  # fmt: skip
+
+
+def _reason(responses: Responses) -> str:
+    """Why there are no margins, or nothing."""
+    if not responses.linear:
+        return "NOT LINEAR, a doubled pulse does not double the response; no margins"
+    if responses.unstable:
+        return f"UNSTABLE, a pole of modulus {responses.growth:.4f}"
+    if responses.remaining <= ENOUGH:
+        return ""
+    left = f"NO MARGINS: {responses.remaining:.0%} of the responses is left"
+    if not responses.changed:
+        return f"{left} after {responses.window * 1e3:g} ms"
+    return (
+        f"{left} when a contact or limit changes them, {responses.window * 1e3:g} ms after "
+        f"{responses.at:g} s; choose an instant at rest"
+    )
 
 
 def frequencies(responses: Responses) -> Array:
-    """Frequencies (m,) [rad/s] that the responses resolve: of one wave in them to Nyquist's."""
+    """Frequencies (m,) [rad/s] of a picture: of one wave in the responses to Nyquist's."""
     ends = 2.0 * np.pi / responses.window, 0.999 * np.pi / responses.period
     omega: Array = np.geomspace(*ends, FREQUENCIES)
     return omega
 
 
-def sensitivity(responses: Responses, omega: Array) -> Response:
-    """Return S = 1 / (1 + L) of all n loops (m, n, n) at frequencies (m,) [rad/s]."""
-    n, ticks = len(responses.inputs), np.arange(len(responses.pulses))
-    turns = np.exp(-1j * np.outer(omega * responses.period, ticks))
-    return np.asarray(np.eye(n) + np.tensordot(turns, responses.pulses[:, :n], axes=1), complex)
-
-
-def open_loop(responses: Responses, loop: int, omega: Array) -> Response:
-    """Return the response (m,) of one open loop, with the others closed."""
-    return 1.0 / sensitivity(responses, omega)[:, loop, loop] - 1.0
-
-
-def disk_margin(sensitivities: Response) -> float:
-    """Size of the largest disk of simultaneous changes that leaves all loops stable [1].
-
-    It is 1 / max |(S - T) / 2|, the largest singular value over all frequencies. Scaling rows
-    against columns balances it, as each loop changes by itself: a lower bound of the margin. The
-    sensitivities are those of k loops (m, k, k), which are stable when closed.
-
-    Source: P. Seiler, A. Packard, P. Gahinet, "An Introduction to Disk Margins", IEEE Control
-    Systems Magazine 40(5), 2020.
-    """
-    half = sensitivities - 0.5 * np.eye(sensitivities.shape[1])  # (S - T) / 2
-    for _ in range(BALANCING):
-        rows, columns = (np.linalg.norm(half, axis=axis) for axis in (2, 1))
-        scale = np.sqrt(columns / rows)
-        half = half * scale[:, :, None] / scale[:, None, :]
-    return float(1.0 / np.linalg.norm(half, ord=2, axis=(1, 2)).max())
-
-
 def steps(responses: Responses) -> Array:
     """How far each joint moves (ticks, n) if 1 is added to its input; (ticks, 0): not known."""
-    n = len(responses.inputs)
-    ticks, own = round(STEP_TIME / responses.period), range(len(responses.positions))
-    moves = np.cumsum(responses.pulses[:ticks, n:][:, own, own], axis=0)
-    longer: Array = np.pad(moves, ((0, ticks - len(moves)), (0, 0)), mode="edge")  # at rest
-    return longer
+    n, own = len(responses.inputs), range(len(responses.positions))
+    moves: Array = np.cumsum(responses.pulses[:, n:][:, own, own], axis=0)
+    return moves
+
+
+def step_figures(moves: Array) -> tuple[int, float] | None:
+    """Ticks until a position has settled, and how far it moves at most; None: it drifts."""
+    away = np.abs(moves - moves[-1])
+    if not away.max() or away[3 * len(away) // 4 :].max() > RESTING * away.max():
+        return None
+    settled = np.flatnonzero(away > SETTLED * away.max())[-1] + 1
+    return int(settled), float(np.abs(moves).max())
 
 
 def _judge(responses: Responses, loop: int) -> Loop:
     """Compute the margins and the step response of one loop."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import
-
-    omega = frequencies(responses)
-    answer = open_loop(responses, loop, omega)
-    highest = open_loop(responses, loop, np.array([np.pi / responses.period]))[0].real
-    real, imaginary, excess = (
-        CubicSpline(omega, part) for part in (answer.real, answer.imag, np.abs(answer) - 1.0)
-    )
-    # The loop is also real at the highest frequency.
-    at_180 = np.append(real(imaginary.roots(extrapolate=False)), highest)
-    gains = -1.0 / at_180[at_180 < 0.0]
-    crossings = excess.roots(extrapolate=False)
-    phases = np.degrees(np.angle(-real(crossings) - 1j * imaginary(crossings)))
-    delays = np.radians(np.where(phases > 0, phases, phases + 360.0)) / crossings
-    closed = np.abs(answer / (1.0 + answer))
-    above = np.flatnonzero(closed >= math.sqrt(0.5))
-    peak = settling = None
-    if responses.positions:
-        step = np.abs(steps(responses)[:, loop])
-        peak = float(step.max())
-        late = np.flatnonzero(step > 0.02 * peak).max(initial=0)  # the last such sample
-        at_rest = late < len(step) - 1
-        settling = float(late) * responses.period * 1e3 if at_rest else math.inf
+    found: dict[str, Any] = vars(limits(responses.sensitivity.loop(loop)))
+    figures = step_figures(steps(responses)[:, loop]) if responses.positions else None
+    settled, peak = figures or (None, None)
+    settling = None if settled is None else settled * responses.period * 1e3
     element = responses.inputs[loop].partition("[")[2].rstrip("]")
-    return Loop(
-        input=responses.inputs[loop],
-        joint=int(element) if element.isdigit() else loop + 1,
-        gain_margin_db=float(np.abs(20.0 * np.log10(gains)).min(initial=math.inf)),
-        phase_margin_deg=float(np.abs(phases).min(initial=math.inf)),
-        delay_margin_ms=float(delays.min(initial=math.inf)) * 1e3,
-        crossover_hz=float(crossings.max(initial=0.0)) / (2.0 * math.pi),
-        bandwidth_hz=float(omega[above[-1]] / (2.0 * math.pi)) if len(above) else 0.0,
-        peak_ratio=peak,
-        settling_ms=settling,
-    )
+    joint = int(element) if element.isdigit() else loop + 1
+    return Loop(**found, input=responses.inputs[loop], joint=joint, peak_ratio=peak,
+                settling_ms=settling)  # fmt: skip
 
 
 ORDER: Final = 40  # largest of a model
 HANKEL: Final = 80  # rows and columns of Hankel's matrix; more are slow, and seldom better
-MOTION: Final = 0.05  # [rad] of a joint meanwhile, by which its loops hardly change
 FIT: Final = 1e-3  # of the peak, by which a model's response may differ from the measured one
 
 
@@ -253,8 +222,6 @@ class Analysis:
             f"{is_.remaining:.1%} of the responses is left after {window}": is_.remaining > DECAYED,
             f"a doubled pulse gives a response that is off by {is_.linearity:.1%}":
                 is_.linearity > LINEAR,
-            f"the arm moves by up to {is_.motion:.2g} rad within {window}, and its loops change "
-            "with it; an instant at rest says more": is_.motion > MOTION,
             f"the state-space model's response differs by up to {self.model_error:.1%} of its peak":
                 self.model_error > 10 * FIT,
         }  # fmt: skip
@@ -275,8 +242,9 @@ def analyze(
     """Measure the control loops of any scenario at an instant of its run.
 
     Small pulses are added to each input of the plant that is controlled, one after the other, and
-    the FMUs go back to the same state before each. Commands and pushes stay as they are at that
-    instant.
+    the FMUs go back to the same state before each. Commands and pushes continue as in the run;
+    responses are differences from it. The margins are those of the loops at that instant, if the
+    responses fall below 1 % before a contact or a limit changes them.
 
     Args:
         scenario: A scenario, a shipped one's name, or a folder.
@@ -295,36 +263,39 @@ def analyze(
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
     prepared = prepare(scenario, options)
-    tick = _tick(prepared, at)
-    responses = measure(prepared, tick, loop)
+    tick, inputs = _instant(prepared, at)
+    responses = measure(prepared, inputs, tick, loop)
     connections = prepared.assembly.system.connections
     fed_by = {".".join(c.target): c.source[0] for c in connections}[responses.inputs[0]]
     return Analysis(
         scenario.name,
-        prepared.assembly.start_time + tick * prepared.scenario.step,
+        responses.at,
         judge(responses, prepared.scenario.coupling),
         responses,
         grouped(prepared.assembly.interfaces[fed_by], prepared.values[fed_by]),
     )
 
 
-def _tick(prepared: Prepared, at: float | str) -> int:
-    """Tick of a time, or of an event, for which the scenario is run first, in memory."""
-    start, scenario = prepared.assembly.start_time, prepared.scenario
+def _instant(prepared: Prepared, at: float | str) -> tuple[int, Inputs]:
+    """Tick of a time or an event, and the run's inputs.
+
+    Where events, or rows that end early, depend on the run, it is run first, in memory.
+    """
+    start, scenario, inputs = prepared.assembly.start_time, prepared.scenario, prepared.inputs()
     span = start, start + scenario.duration
     with suppress(ValueError):
         at = float(at) if isinstance(at, str) else at
     try:
         instant = check_instant(at)
         time = check_within("at", instant, *span)
-        if time is None:
+        if time is None or inputs.guarded.guards:
             with Execution(prepared, writes=False) as execution:
                 execution.advance(execution.ticks, StopRequest())
-                events = execution.close().summary.events
+                inputs, events = execution.inputs, execution.close().summary.events
             time = check_within("at", time_of(instant, events), *span)
     except ValueError as error:
         raise InputError(f"at: {str(error).removeprefix('at: ')}") from None
-    return round(((time or 0.0) - start) / scenario.step)
+    return round(((time or 0.0) - start) / scenario.step), inputs
 
 
 def _realised(responses: Responses) -> tuple[Any, float]:
@@ -334,6 +305,7 @@ def _realised(responses: Responses) -> tuple[Any, float]:
     n, peaks = len(responses.inputs), np.abs(responses.pulses).max(axis=(0, 2))
     peaks[peaks == 0.0] = 1.0
     pulses = responses.pulses / peaks[:, None]
+    pulses = np.pad(pulses, ((0, max(4 - len(pulses), 0)), (0, 0), (0, 0)))  # the fewest it takes
     rows = max(min(HANKEL, len(pulses) // 2 - 1), 1)
     order = min(ORDER, rows)
     with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..pictures.panels import COLOURS, DPI, GREY
 from ..pictures.plot import own_style
-from .analysis import STEP_TIME, Analysis, Margins, frequencies, open_loop, steps
+from .analysis import Analysis, Margins, frequencies, steps
 
 WANTED_PHASE_DEG, WANTED_DELAY_MS = 45.0, 3.0
 GAINS: Final = ("kp", "ki", "kd", "ik_gain")  # of our own law
@@ -44,8 +44,8 @@ def _details(analysis: Analysis) -> str:
     names = [name for name in parameters if name != "period"][:SHOWN]
     names = list(GAINS) if parameters.keys() >= set(GAINS) else names
     gains = [f"{name} {_short(parameters[name])}" for name in names]
-    why = [] if margins.stable else ["UNSTABLE" if margins.linear else "NOT LINEAR"]
-    return " · ".join([f"period {margins.period * 1e3:g} ms", margins.coupling, *gains, *why])
+    about = [f"period {margins.period * 1e3:g} ms", margins.coupling, *gains, margins.reason]
+    return " · ".join(filter(None, about))
 
 
 def _short(value: Any) -> str:
@@ -57,7 +57,7 @@ def _bode(analysis: Analysis, gain: Any, phase: Any) -> None:
     omega = frequencies(analysis.responses)
     hertz = omega / (2 * math.pi)
     for i, loop in enumerate(analysis.margins.loops):
-        answer = open_loop(analysis.responses, i, omega)
+        answer = 1.0 / analysis.responses.sensitivity.loop(i).at(omega)[:, 0, 0] - 1.0
         style: dict[str, Any] = {"color": COLOURS[i % len(COLOURS)]}
         gain.semilogx(hertz, 20 * np.log10(np.abs(answer)), label=f"joint {loop.joint}", **style)
         phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(answer))), **style)
@@ -85,20 +85,20 @@ def _steps(analysis: Analysis, axes: Any) -> None:
     times = 1e3 * analysis.period * np.arange(len(moves))
     for i, move in enumerate(moves.T):
         axes.plot(times, move, color=COLOURS[i % len(COLOURS)])
-    axes.set_xlim(0.0, 1e3 * STEP_TIME)
+    axes.set_xlim(0.0)
 
 
 def _margins(variants: Sequence[Margins], axes: Any) -> None:
     names = [f"{1e3 * v.period:g} ms\n{v.coupling}" for v in variants]
     place = np.arange(len(names))
     axes.set_xticks(place, names, fontsize="small")
-    axes.set_title("Smallest margins of all loops (unstable: 0); dashed: target")
+    axes.set_title("Margins of all loops at once (none: 0); dashed: target")
     for side, shift, colour, key, wanted, label in (
-        (axes, -0.2, COLOURS[0], "phase_margin_deg", WANTED_PHASE_DEG, "phase margin [deg]"),
+        (axes, -0.2, COLOURS[0], "disk_phase_deg", WANTED_PHASE_DEG, "phase within the disk [deg]"),
         (axes.twinx(), 0.2, COLOURS[1], "delay_margin_ms", WANTED_DELAY_MS, "delay margin [ms]"),
     ):
-        least = [min((getattr(x, key) for x in v.loops), default=0.0) for v in variants]
-        side.bar(place + shift, np.where(np.isfinite(least), least, 0.0), 0.4, color=colour)
+        values = [getattr(variant, key) for variant in variants]
+        side.bar(place + shift, np.where(np.isfinite(values), values, 0.0), 0.4, color=colour)
         side.axhline(wanted, color=colour, ls="--", lw=0.8)
         side.set_ylabel(label, color=colour)
         side.grid(visible=False)

@@ -29,7 +29,8 @@ WINDOWS: Final = {"start": "the first row", "end": "the last row"}
 class Definition:
     """What one number means; definitions.toml says what the fields are."""
 
-    key: str  # in summary.json, such as `block.slip_mm`; of a criterion `success.` and its key
+    # In summary.json, such as `block.slip_mm`; `success.` and the key of a criterion; `analysis.`.
+    key: str
     what: str
     signals: tuple[str, ...] = ()
     window: str = "all rows"

@@ -19,7 +19,7 @@ from .folder import claimed_folder
 from .journal import END, Action, Adjustments
 from .options import Options
 from .output import Output
-from .prepare import Prepared, prepare
+from .prepare import Inputs, Prepared, prepare
 from .result import Run
 from .stopping import StopRequest, exit_guard, stopping_on_signals
 from .summary import Summary
@@ -222,6 +222,11 @@ class Execution:
             for column, name in enumerate(self._begun.signals):
                 self._columns.setdefault(name.partition("[")[0], []).append(column)
         return np.asarray(self._master.latest()[self._columns[signal]], float)
+
+    @property
+    def inputs(self) -> Inputs:
+        """External inputs of each tick, with the rows that have ended early."""
+        return self._adjustments.inputs
 
     @property
     def tick(self) -> int:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from textwrap import fill
+from threading import Thread
 
 import numpy as np
 from pydantic_core import to_json
 
 from ....fmus.atomic import MARK, check_replaceable, replacing
 from ....fmus.master.step import SWITCHED
-from ...analysis.analysis import STEP_TIME, Analysis, Margins, analyze
+from ...analysis.analysis import Analysis, Margins, analyze
 from ...analysis.plot import plot_analysis
 from ...files import marked_json
 from ...run.options import Options
@@ -35,11 +37,12 @@ from ..options import (
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s] of our own controller
 _COLUMNS = {  # heading and unit: attribute of a loop
     "joint": "joint",
-    "gain\nmargin\n[dB]": "gain_margin_db",
+    "gain\nup\n[dB]": "gain_up_db",
+    "gain\ndown\n[dB]": "gain_down_db",
     "phase\nmargin\n[deg]": "phase_margin_deg",
     "delay\nmargin\n[ms]": "delay_margin_ms",
-    "crossover\n[Hz]": "crossover_hz",
-    "bandwidth\n[Hz]": "bandwidth_hz",
+    "cross-\nover\n[Hz]": "crossover_hz",
+    "band-\nwidth\n[Hz]": "bandwidth_hz",
     "step\npeak": "peak_ratio",
     "settling\n[ms]": "settling_ms",
 }
@@ -69,9 +72,10 @@ def command(  # noqa: PLR0913 - one for each option
     """Measure the control loops: margins, Bode plots, a state-space model.
 
     Takes any scenario whose FMUs can save and restore their state (canGetAndSetFMUState). Small
-    pulses are added to each servo target, or torque, at one instant of the run. For the margins of
-    a joint, its loop is opened there, with the others closed. The disk margin lets all loops vary
-    at once. The folder gets loops.png, analysis.json, and the model in analysis.npz.
+    pulses are added to each servo target, or torque, at one instant of the run, which continues.
+    First come the delay and the gain that all loops bear alike, then the disk margin, by which each
+    may vary in its own way, at the same time; then those of each joint, while the others stay as
+    they are. The folder gets loops.png, analysis.json, and the model in analysis.npz.
 
     ```
     panda-cosim analyze
@@ -85,6 +89,7 @@ def command(  # noqa: PLR0913 - one for each option
     files = [out / name for name in (NUMBERS_FILE, PLOT_FILE, MODEL_FILE)]
     check_replaceable(*files, overwrite=overwrite)
     tell("Measuring the loops ...")
+    Thread(target=import_module, args=("control",), daemon=True).start()  # 1 s, while FMUs step
     first = analyze(chosen, at, options, loop=loop)
     variants = [first.margins]
     for others in _variants(chosen, options, first):
@@ -125,24 +130,23 @@ def _variants(scenario: Scenario, options: Options, first: Analysis) -> Iterator
 
 
 def _show_variant(margins: Margins) -> None:
-    """Show the loops' table and the disk margin of one period and coupling."""
+    """Show what one period and coupling bears: all loops alike, each in its own way, one alone."""
     head = f"period {margins.period * 1e3:g} ms, {margins.coupling}"
-    if not margins.linear:
-        show(f"{head}: NOT LINEAR, a doubled pulse does not double the response; no margins\n")
-    elif not margins.stable:
-        show(f"{head}: UNSTABLE, a pole of modulus {margins.pole_modulus:.4f}\n")
-    else:
-        rows = [[_cell(key, getattr(loop, key)) for key in _COLUMNS.values()]
-                for loop in margins.loops]  # fmt: skip
-        show(table(tuple(_COLUMNS), rows, right=tuple(_COLUMNS), title=f"{head}: stable"))
-        gain, phase = f"{margins.disk_gain_db:.1f} dB", f"{margins.disk_phase_deg:.0f} deg"
-        show(f"All joints at once: disk margin {margins.disk_margin:.2f}, any gains within {gain}")
-        show(f"or any phases within {phase}\n")
+    if margins.reason:
+        show(fill(f"{head}: {margins.reason}", 79) + "\n")
+        return
+    show(f"{head}: stable")
+    gains = f"{_cell(margins.gain_up_db)} dB up, {_cell(margins.gain_down_db)} dB down"
+    show(f"Delay margin, common to all loops: {margins.delay_margin_ms:.2f} ms")
+    show(f"Gain margin, common to all loops: {gains}")
+    gain, phase = f"{margins.disk_gain_db:.1f} dB", f"{margins.disk_phase_deg:.0f} deg"
+    show(f"Disk margin: {margins.disk_margin:.2f}, each loop by its own gain within {gain}")
+    show(f"or its own phase within {phase}, all at the same time\n")
+    rows = [[_cell(getattr(loop, key)) for key in _COLUMNS.values()] for loop in margins.loops]
+    title = "One loop, while the others stay as they are"
+    show(table(tuple(_COLUMNS), rows, right=tuple(_COLUMNS), title=title))
+    show("")
 
 
-def _cell(key: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    if key == "settling_ms" and math.isinf(value):
-        return f"> {STEP_TIME * 1e3:g}"
-    return f"{value:.4g}"
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
