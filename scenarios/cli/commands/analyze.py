@@ -140,8 +140,9 @@ def _show_variant(margins: Margins) -> None:
     show(f"Delay margin, common to all loops: {margins.delay_margin_ms:.2f} ms")
     show(f"Gain margin, common to all loops: {gains}")
     gain, phase = f"{margins.disk_gain_db:.1f} dB", f"{margins.disk_phase_deg:.0f} deg"
-    show(f"Disk margin: {margins.disk_margin:.2f}, each loop by its own gain within {gain}")
-    show(f"or its own phase within {phase}, all at the same time\n")
+    disk = f"disk margin {margins.disk_margin:.2f}"
+    show(f"Each in its own way, at once: {disk}, any gains within {gain}")
+    show(f"or any phases within {phase}\n")
     rows = [[_cell(getattr(loop, key)) for key in _COLUMNS.values()] for loop in margins.loops]
     title = "One loop, while the others stay as they are"
     show(table(tuple(_COLUMNS), rows, right=tuple(_COLUMNS), title=title))
