@@ -41,6 +41,7 @@ from ..run.start import (
     Overrides,
     StartValues,
     carried_mass,
+    check_tolerances,
     instants,
     late_pushes,
     law_gains,
@@ -104,6 +105,10 @@ def check_folder(
     # An .ssp file has neither a purpose nor criteria.
     remarks = [] if folder.suffix == SYSTEM else [*_remarks(prepared.scenario)]
     remarks += unsuitable_gains(prepared.scenario, prepared.values)
+    try:
+        check_tolerances(prepared.scenario, prepared.assembly)
+    except InputError as error:  # which `run` ignores, and `regress` refuses
+        remarks.append(f"{SCENARIO_FILE}: {error}")
     if not has_engine(engine := prepared.scenario.mujoco):
         remarks.append(f"mujoco: {engine} is not installed, but would be by a run; checked with "
                        f"{mujoco_version()}")  # fmt: skip

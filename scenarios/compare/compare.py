@@ -190,7 +190,7 @@ class Comparison:
         return len(self.deviations) + self.equal
 
     @property
-    def hidden(self) -> list[str]:
+    def constant_fits(self) -> list[str]:
         """Columns that vary, but in whose tube a constant stays, too."""
         extents = defaultdict[tuple[str, str], float](float)
         for d in self.deviations:
@@ -206,13 +206,13 @@ class Comparison:
     def count(self) -> str:
         """Say how many columns were compared, how many not, and how many a constant matches."""
         share = f" of {self.compared + len(self.uncompared)}" if self.uncompared else ""
-        fits = f", a constant would match {len(self.hidden)}" if self.hidden else ""
+        fits = f", a constant would match {len(self.constant_fits)}" if self.constant_fits else ""
         return f"{self.compared}{share} columns{fits}"
 
     @property
     def scope(self) -> str:
         """Say what was compared, what was not, and which signals a constant would match, too."""
-        others = {"not compared": self.uncompared, "a constant": sorted(self.hidden)}
+        others = {"not compared": self.uncompared, "a constant": sorted(self.constant_fits)}
         names = [f" ({what}: {signal_names(each)})" for what, each in others.items() if each]
         return "".join([f"Compared: {self.count}", *names, "."])
 

@@ -57,9 +57,8 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFi
     """Make a test from a scenario file in one of the folders."""
     from ..files import is_copy  # noqa: PLC0415 - only where there is a scenario
 
-    if file_path.name != SCENARIO_FILE or not is_chosen(file_path, parent.config):
-        return None
-    if is_copy(file_path):
+    is_scenario = file_path.name == SCENARIO_FILE and not is_copy(file_path)
+    if not (is_scenario and is_chosen(file_path, parent.config)):
         return None
     return ScenarioFile.from_parent(parent, path=file_path)
 

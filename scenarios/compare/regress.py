@@ -24,14 +24,12 @@ from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..files import scenario_files
 from ..judging.criterion import Criterion, missed_text, verdict_of
 from ..recording import Recording
-from ..recording.storage import TEXTS
 from ..run.folder import SUMMARY_FILE
 from ..run.options import Options
 from ..run.run import run_scenario
-from ..run.start import Overrides, check_criteria, start_values
+from ..run.start import Overrides, check_criteria, check_tolerances, start_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..scenario.tolerances import Tolerances
-from ..system.assembly import assemble
 from ..work import Workers
 from .compare import Comparison, compare_with_reference, describe, unexpected_text
 from .reference import Reference, how_to_make, reference_path
@@ -271,9 +269,7 @@ def read_scenario(folder: Path, name: str = "") -> Scenario | Unusable:
     try:
         check_criteria(scenario)
         start_values(scenario)
-        if scenario.regression.values:
-            columns = assemble(scenario).recorded(scenario.coupling)
-            scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
+        check_tolerances(scenario)
     except InputError as error:
         return Unusable(name, folder, f"{folder / SCENARIO_FILE}: {error}")
     return scenario

@@ -74,6 +74,13 @@ def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None
             raise InputError(f"{place}{error}") from None
 
 
+def check_tolerances(scenario: Scenario, assembly: Assembly | None = None) -> None:
+    """Check that the signals of the scenario's tolerances will be recorded."""
+    if scenario.regression.values:
+        columns = (assembly or assemble(scenario)).recorded(scenario.coupling)
+        scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
+
+
 def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = None) -> StartPose:
     """Poses of hand and block at the start, the block's as the camera sees it."""
     block, errors = PlantParameters(), seen or {}  # a foreign plant has no block

@@ -208,15 +208,10 @@ def _line(outcome: Outcome) -> str:
 
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
-    worst = outcome.comparison.worst if outcome.comparison else None
-    first = outcome.comparison.first if outcome.comparison else None
     names = ("name", "verdict", "reason", "seconds", "criteria", "difference")
+    of_comparison = ("worst", "first", "compared", "uncompared", "constant_fits")
     return {name: getattr(outcome, name) for name in names} | {
-        "worst": worst,
-        "first": first,
-        "compared": outcome.comparison and outcome.comparison.compared,
-        "uncompared": outcome.comparison and outcome.comparison.uncompared,
-        "constant_fits": outcome.comparison and outcome.comparison.hidden,
+        name: getattr(outcome.comparison, name, None) for name in of_comparison
     }
 
 
