@@ -8,29 +8,23 @@ their instant. Next gives way what is fed by outputs that depend on no input. Th
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from ..interface.tables import Connection
+
+if TYPE_CHECKING:
+    from ..interface.variables import Interface
+    from .fmu_file import Fmu
 
 Ends = tuple[tuple[str, str], tuple[str, str]]  # source and target: instance and scalar
 OF_MODEL, OF_STATE, OF_INPUT = range(3)  # what gives way first, next and last
 
 
-class Described(Protocol):
-    """What an FMU's description says of its place; `Interface` and `Fmu` have it."""
-
-    @property
-    def is_model(self) -> bool:
-        """Whether it is a MuJoCo model."""
-
-    @property
-    def independent(self) -> Collection[str]:
-        """Outputs, as scalars, of which it says that they depend on no input."""
-
-
-def stepping_order(fmus: Mapping[str, Described], connections: Sequence[Connection]) -> list[str]:
+def stepping_order(
+    fmus: Mapping[str, Fmu | Interface], connections: Sequence[Connection]
+) -> list[str]:
     """Return the FMUs' names in the order of stepping; no order of the arguments has an effect."""
     firmness: dict[tuple[str, str], int] = {}  # of what is stepped earlier and later
     for (source, output), target in ((c.source, c.target[0]) for c in connections):
