@@ -62,8 +62,7 @@ def outcome(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[L
             yield "hint", f"{robot} refuses over the {each['interface']} interface: {_text(each)}"
     if (preflight["refusals"] or 0) > 1:
         yield "hint", f"{robot} stops at the first refusal; later ones may follow from it"
-    one_more = preflight["late"].get("lost_packets")
-    if one_more and not preflight["joint_refusals"]:
+    if (one_more := preflight["late"].get("lost_packets")) and not preflight["joint_refusals"]:
         borne = f"{preflight['lost_packets']} lost packets in a row"
         yield "hint", f"{robot} tolerates {borne}; one more, and it refuses: {_text(one_more)}"
 
