@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -190,9 +190,9 @@ class StepCall(ABC):
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step to its end; raises SimulationEndedError if the FMU ends the simulation."""
 
-    @abstractmethod
-    def fail(self, status: int, time: float) -> None:
+    def fail(self, status: int, time: float) -> NoReturn:
         """Raise the error of a status."""
+        self.slave.fail(self.name, status, time)
 
     def ending(self, time: float, reached: float) -> SimulationEndedError:
         """What says that the FMU has ended the simulation."""

@@ -78,7 +78,7 @@ class _Fmi2Step(StepCall):
         with suppress(FMICallException):
             if status == DISCARD and instance.getBooleanStatus(fmi2Terminated):
                 raise self.ending(time, instance.getRealStatus(fmi2LastSuccessfulTime))
-        self.slave.fail(self.name, status, time)
+        super().fail(status, time)
 
 
 @cache
@@ -212,10 +212,6 @@ class _Fmi3Step(StepCall):
             if reached <= time:
                 self.refuse_early(time, reached)
             time, size = reached, end - reached
-
-    def fail(self, status: int, time: float) -> NoReturn:
-        """Raise the error of a status."""
-        self.slave.fail(self.name, status, time)
 
     def meet_event(self, time: float) -> None:
         """Handle an event that ended a step; without event mode, it is an error."""

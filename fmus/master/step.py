@@ -54,6 +54,8 @@ class Step:
                 slave.slave.leads = slave in self.leaders
         self.leader_columns = _columns(self.leaders)
         self.fed_back = _columns(_feeding_back(self.leaders))
+        inputs = {column for slave in slaves for column in slave.inputs}
+        self._fed = sorted(inputs.intersection(_columns(slaves)))
         self.size, self._rows, self._complete = size, rows, complete
 
     def take(self, row: int, time: float) -> None:
@@ -96,18 +98,6 @@ class IteratedStep(Step):
     Inputs from outside are those at its end, too. What is not a real number, such as a text, takes
     part as it is.
     """
-
-    def __init__(
-        self,
-        slaves: Sequence[BoundSlave],
-        coupling: Coupling,
-        size: float,
-        rows: Array,
-        complete: Callable[[int], None],
-    ) -> None:
-        super().__init__(slaves, coupling, size, rows, complete)
-        fed = {column for slave in slaves for column in slave.inputs}
-        self._fed = sorted(fed.intersection(_columns(slaves)))
 
     def take(self, row: int, time: float) -> None:
         """Step from `time` [s]."""
