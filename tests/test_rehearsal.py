@@ -114,7 +114,7 @@ def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
     assert re.search(pattern, texts[1])
     aside = check_folder(FOLDER, settings={"mismatch.block_position_error[2]": 0.05})
     # The slip of what is not grasped cannot be measured; that it is not lifted is a verdict.
-    assert {finding.level for finding in aside} == {"hint"}
+    assert "wrong" not in {finding.level for finding in aside}
     assert any("max_slip not measured" in finding.text for finding in aside)
     assert any("min_lift 0 mm, required 100 mm" in finding.text for finding in aside)
 
