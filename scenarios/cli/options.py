@@ -50,7 +50,7 @@ _START_VALUE = (
     "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
     "joints). `panda-cosim info` lists the parameters. May be repeated."
 )
-_KEYS = " Also keys of the scenario: duration=3, table.rows[3].x=0.4, mismatch.delay=0.003."
+_KEYS = " Also keys of the scenario: duration=3, table.rows[3].x=0.4, mismatch.seed=4."
 SCENARIO = scenario_argument(_NAME_OR_FOLDER)
 SCENARIO_OR_DEFAULT = scenario_argument(_NAME_OR_FOLDER, DEFAULT_SCENARIO)
 RUN = argument("RUN", "Folder of a run, or its recording.", show_default=False)
