@@ -54,7 +54,7 @@ def test_commands_on_the_page_are_made_of_checked_fields(tmp_path: Path) -> None
     (folder / "sweep.json").write_text(json.dumps(content), encoding="utf-8")
     text = write_report(folder).read_text(encoding="utf-8")
     assert "panda-cosim run --out" not in text
-    assert f"panda-cosim run {Path('--out=x').resolve()} --set" in text
+    assert "panda-cosim run ./--out=x --set" in text
     indices = pa.array([f"{i}; touch x" for i in range(table.num_rows)])
     pq.write_table(table.set_column(0, "index", indices), part)
     with pytest.raises(InputError, match=r"results: cannot be read: column index has no whole num"):

@@ -35,7 +35,7 @@ from ..scenario.scenario import Scenario
 from ..view.page import VIEW_FILE, json_text, shown_run, write_view
 from .definition import SAMPLED
 from .results import Results, heat_map, influences, marginal, missing, share_bounds
-from .row import MARGIN, UNJUDGED, command, margin_column, scenario_names
+from .row import MARGIN, UNJUDGED, command, margin_column
 from .store import Store
 
 REPORT_FILE: Final = "report.html"
@@ -118,7 +118,7 @@ def _rows(
     """Return how the drawn rows ended, what repeats them, and links to them in 3D."""
     content = store.content
     keys, given = content["keys"], content["origin"]["definition"]["scenario"]
-    names = dict(zip(content["nominal"], scenario_names(given), strict=True))
+    names = dict(zip(content["nominal"], given, strict=True))
     rows = store.rows(chosen.tolist(), ["status", "missed", "error", "scenario", *keys])
     views = {}
     for index in chosen.tolist():

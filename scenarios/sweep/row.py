@@ -291,7 +291,7 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float | None]]:
 
 def command(scenario: str, values: Mapping[str, ParameterValue]) -> str:
     """Return the command that repeats a row; the repr of a float reads back as the same bits."""
-    words = ["panda-cosim", "run", scenario]
+    words = ["panda-cosim", "run", f"./{scenario}" if scenario.startswith("-") else scenario]
     for key, value in values.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
         words += ["--set", f"{key}={text}"]
