@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import json
+import re
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
@@ -45,6 +46,8 @@ TEXT = "".join((
     *HOSTILE[:-1], "[bold]x[/red]", "\x1b]0;title\x07\x9b31m", "a\0b\rc", "{{7*7}}`id`$(id);#\n id",
     "\u2066\u05e9\u05dc\u05d5\u05dd\u2067", HOSTILE[-1],
 ))  # fmt: skip
+CODE_RAN = """[...document.querySelectorAll("[data-code]")].every(
+    ({ dataset: { code } }) => window[`Panda${code[0].toUpperCase()}${code.slice(1)}`])"""
 STOLEN = "<script>window.stolen = 1</script><img src=x onerror='window.stolen = 1'>"
 
 
@@ -53,6 +56,7 @@ def shown(page: Page, path: Path, scripts: int) -> None:
     page.errors.clear()
     page.requests.clear()
     page.open(path)
+    page.wait(CODE_RAN)
     assert page.value("document.querySelectorAll('script').length") == scripts
     assert page.value("document.querySelectorAll('main img, body > img, iframe').length") == 0
     assert page.value("[...document.all].filter((e) => e.onerror || e.onfocus).length") == 0
@@ -97,7 +101,7 @@ def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path: Path) -> None:
     (folder / "shown" / "0000001").mkdir(parents=True)
     (folder / "shown" / "0000001" / "view.html").touch()
     text = write_report(folder, tmp_path / "page.html").read_text(encoding="utf-8")
-    data = json.loads(text.partition('id="data">')[2].partition("</script>")[0])
+    data = json.loads(text.partition('data-view="&quot;sweep&quot;">')[2].partition("</script>")[0])
     link = "./javascript%3Ax%27%3Bid%20%23%2541%3F/shown/0000001/view.html"
     assert data["views"] == {"1": link}
     assert shlex.split(data["show"])[-1] == str(folder)
@@ -149,7 +153,7 @@ def test_texts_in_a_page_stay_text(page: Page, tmp_path: Path, kind: str) -> Non
 @pytest.mark.parametrize("kind", PAGES)
 def test_a_script_that_got_into_a_page_would_not_run(page: Page, tmp_path: Path, kind: str) -> None:
     path, text = tmp_path / "page.html", PAGES[kind][0](tmp_path / "x", "x").decode()
-    path.write_text(text.replace("<body>", f"<body>{STOLEN}"), encoding="utf-8")
+    path.write_text(re.sub("(<body[^>]*>)", rf"\1{STOLEN}", text), encoding="utf-8")
     page.open(path)
     assert page.value("document.querySelectorAll('img').length") == 1
     assert page.value("window.stolen") is None

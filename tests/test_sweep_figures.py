@@ -83,7 +83,7 @@ class Report:
 
     def __init__(self, folder: Path) -> None:
         self.text = write_report(folder).read_text(encoding="utf-8")
-        data = re.search(r'id="data">(.*?)</script>', self.text, re.DOTALL)
+        data = re.search(r'data-view="&quot;sweep&quot;">(.*?)</script>', self.text)
         assert data is not None
         self.data = json.loads(data[1])
         table = pq.read_table(folder / "results").to_pydict()
@@ -240,8 +240,8 @@ def test_a_search_is_drawn_with_its_worst_so_far(page: Page, tmp_path: Path) -> 
     margin = np.array([-1e9 if v is None else v for v in report.column["margin"]], dtype=float)
     lowest = [min(margin[: i + 1]) for i in range(len(margin))]
     page.open(tmp_path / "report.html")
-    page.wait("window.sweepReport !== undefined")
-    drawn = page.value("sweepReport.bestSoFar(sweepReport.data.points[sweepReport.data.searched])")
+    page.wait("window.PandaSweep !== undefined")
+    drawn = page.value("PandaSweep.bestSoFar(PandaSweep.data.points[PandaSweep.data.searched])")
     assert [-1e9 if v is None else v for v in drawn] == pytest.approx(lowest, rel=1e-4)
     assert page.value("document.querySelectorAll('#search circle').length") > 10
 

@@ -86,8 +86,8 @@ def test_the_page_draws_itself_and_asks_nobody(
     page.errors.clear()
     page.requests.clear()
     page.open(path, width, 844, scheme)
-    page.wait("window.sweepReport !== undefined")
-    bad = page.value("sweepReport.data.bad.filter(Boolean).length")
+    page.wait("window.PandaSweep !== undefined")
+    bad = page.value("PandaSweep.data.bad.filter(Boolean).length")
     assert count_of(page, "#chart .cross") == bad > 100
     assert count_of(page, "#chart .dot") == 300 - bad
     assert page.value("document.documentElement.scrollWidth") <= width
@@ -112,7 +112,7 @@ def test_a_grid_is_drawn_at_its_values(page: Page, tmp_path: Path) -> None:
         return "missed" if values[FORCE] == 100 else "success", -3.0 * values[FORCE]
 
     page.open(write_report(pretended(tmp_path, sweep, outcome)))
-    page.wait("window.sweepReport !== undefined")
+    page.wait("window.PandaSweep !== undefined")
     for key, names in ((FORCE, ["1", "2", "4", "100"]), ("mismatch.preset", ["a", "b"])):
         select(page, "key", key)
         assert [text for text in texts_of(page, "#chart text") if text in names] == names
@@ -150,9 +150,9 @@ def test_each_cell_of_the_map_counts_the_rows_of_its_place(
 
     folder = pretended(tmp_path, sweep, outcome)
     page.open(write_report(folder))
-    page.wait("window.sweepReport !== undefined")
+    page.wait("window.PandaSweep !== undefined")
     select(page, "metric", "failures")
-    keys, table = page.value("sweepReport.data.maps[0].keys"), Store(folder).table()
+    keys, table = page.value("PandaSweep.data.maps[0].keys"), Store(folder).table()
     columns = [table[key].to_numpy() for key in keys]
     bad = table["status"].to_numpy() != "success"
     drawn = page.value(
@@ -189,7 +189,7 @@ def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(
     definition = short_sweep(tmp_path, 0, design="grid", keep="all", **gains)
     folder = sweep(definition, tmp_path / "out", jobs=1).folder
     page.open(write_report(folder))
-    page.wait("window.sweepReport !== undefined")
+    page.wait("window.PandaSweep !== undefined")
     select(page, "metric", "summary.tracking.max_mm")
     assert "tracking.max [mm]" in texts_of(page, "#chart text")
     assert count_of(page, "#chart .curve") == 1
@@ -212,7 +212,7 @@ def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(
 
 def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:
     page.open(write_report(made_up(tmp_path / "sweep", 300, third=True)))
-    page.wait("window.sweepReport !== undefined")
+    page.wait("window.PandaSweep !== undefined")
     page.value(
         """(() => {
         const canvas = document.getElementById("parallel"), box = canvas.getBoundingClientRect();

@@ -216,7 +216,7 @@ def test_no_text_of_a_run_is_html_in_the_page() -> None:
     assert "<img" not in text
     # The page's own: show, model, run, code, loader.
     assert len(re.findall(r"<script\b", text)) == len(re.findall("</script>", text)) == 5
-    assert len(script_sources()) == 2
+    assert len(script_sources("view")) == 2
 
 
 def test_a_notebook_gets_a_frame_with_the_page() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 VIEW = Path(__file__).parent.parent / "scenarios" / "view"
-BUILT = ("code.json", "view.css", "LICENSES.txt")
+BUILT = ("LICENSES.txt", "code.json", "sweep.css", "view.css")
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +42,14 @@ def node(folder: Path, *command: str) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def content(file: Path) -> bytes:
+def content(file: Path) -> dict[str, bytes]:
     """A built file; code as it runs, since another zlib may deflate it to other bytes."""
     if file.suffix != ".json":
-        return file.read_bytes()
-    built = json.loads(file.read_text())
+        return {file.name: file.read_bytes()}
+    return {name: code_of(built) for name, built in json.loads(file.read_text()).items()}
+
+
+def code_of(built: dict[str, str]) -> bytes:
     code = zlib.decompress(base64.b64decode(built["deflated"]))
     assert base64.b64encode(hashlib.sha256(code).digest()).decode() == built["sha256"]
     return code
@@ -67,11 +70,12 @@ def test_the_page_codes_own_tests_pass(source: Path) -> None:
 def test_the_bundle_carries_its_licences_and_asks_nobody() -> None:
     notice = (VIEW / "page" / "LICENSES.txt").read_text(encoding="utf-8")
     versions = json.loads((VIEW / "source" / "package.json").read_text())["dependencies"]
-    code = content(VIEW / "page" / "code.json").decode()
+    bundles = content(VIEW / "page" / "code.json")
     for name, version in versions.items():
         assert f"{name} {version}" in notice
+        assert f"{name} {version}".encode() in bundles["view"]
     assert notice.count("Permission is hereby granted") == len(versions)
-    assert notice in code
+    assert notice.encode() in bundles["view"]
     for word in ("fetch(", "WebSocket", "innerHTML", "eval(", "importScripts"):
         ours = [path for path in (VIEW / "source/src").rglob("*.ts") if word in path.read_text()]
         # A live run's page speaks to its server; its policy allows no other, a file's none.

@@ -81,9 +81,9 @@ class Views:
             return NO_VIEW
         data = data_elements(Contents("", [], self._documents, self._models))
         return {
-            "sources": " ".join(script_sources()),
-            "style": style(),
-            "elements": f"{data}\n{code_elements()}",
+            "sources": " ".join(script_sources("view")),
+            "style": style(["view"]),
+            "elements": f"{data}\n{code_elements(['view'])}",
         }
 
 

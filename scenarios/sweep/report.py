@@ -5,8 +5,6 @@ A row can be run again: to show it in 3D beside the unvaried scenario, or as a s
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import math
 import re
 import shutil
@@ -19,12 +17,10 @@ from typing import Any, Final
 from urllib.parse import quote as quote_address
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...fmus.atomic import cache_folder, replacing, temporary_folder
-from ...fmus.errors import InputError, legible, printable, shown
+from ...fmus.errors import InputError, legible, printable
 from ...fmus.interface.tables import INTERFACES
 from ..compare.reference import REFERENCE_FILE, Reference
 from ..judging.definitions import DEFINITIONS, Definition
@@ -32,14 +28,22 @@ from ..run.folder import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
 from ..run.options import with_values
 from ..run.run import run_scenario
 from ..scenario.scenario import Scenario
-from ..view.page import VIEW_FILE, json_text, shown_run, write_view
+from ..view.page import (
+    TITLE,
+    VIEW_FILE,
+    data_element,
+    document,
+    rendered,
+    shown_run,
+    write_view,
+)
 from .definition import SAMPLED
 from .results import Results, heat_map, influences, marginal, missing, share_bounds
 from .row import MARGIN, UNJUDGED, command, margin_column
 from .store import Store
 
 REPORT_FILE: Final = "report.html"
-PAGE: Final = Path(__file__).parent / "page"
+TEMPLATE: Final = Path(__file__).with_name("report.html")
 OPENED: Final = 20  # kept rows whose 3D page is written with the report, the worst
 POINTS: Final = 4000  # drawn one by one
 ESTIMATED: Final = 10_000  # rows of which the influence on a metric is estimated
@@ -66,17 +70,13 @@ def page(store: Store, beside: Path) -> str:
     order = influences(results.values, results.labels, results.margins[MARGIN])
     keys = list(dict.fromkeys((*(each.key for each in order), *results.values)))
     total, good = len(results.bad), int((~results.bad).sum())
-    script = (PAGE / "report.js").read_text(encoding="utf-8")
     data = _data(store, results, keys, beside, bounds=has_bounds)
     if is_sample:
         data["influences"] = dict(_influences(store, results, bounds=has_bounds))
-    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=shown)
-    return environment.get_template("report.html").render(
-        title=f"Sweep of {', '.join(content['nominal'])}",
-        script=Markup(script),  # noqa: S704 - our own
-        digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
-        data=Markup(json_text(_seen(data))),  # noqa: S704 - escaped
+    title = f"Sweep of {', '.join(content['nominal'])}"
+    body = rendered(
+        TEMPLATE,
+        title=title,
         definition=definition,
         versions=content["origin"]["versions"],
         lacking=lacking,
@@ -92,6 +92,7 @@ def page(store: Store, beside: Path) -> str:
         shown=len(data["index"]),
         estimated=ESTIMATED,
     )
+    return document(legible(title, TITLE), body, data_element("sweep", data), ["sweep"])
 
 
 def _metric(column: str) -> dict[str, str]:
@@ -209,19 +210,6 @@ def _evenly(rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
 
 def _rounded(column: NDArray[Any]) -> list[float | None]:
     return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in column.tolist()]
-
-
-def _seen(value: Any) -> Any:
-    """Return plain values with all texts in them as the page shows them."""
-    match value:
-        case str():
-            return legible(value)
-        case dict():
-            return {_seen(key): _seen(each) for key, each in value.items()}
-        case list() | tuple():
-            return list(map(_seen, value))
-        case _:
-            return value
 
 
 def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:

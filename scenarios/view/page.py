@@ -1,7 +1,7 @@
-"""The page around runs: data, code and style in one HTML file that makes no requests.
+"""Pages: data, code and style in one HTML file that makes no requests.
 
 Data are JSON in script elements of a type that no browser runs; the page's code inserts them as
-text (`legible` in dom.ts). A content security policy allows only the page's two scripts, by their
+text (`legible` in dom.ts). A content security policy allows only the page's own scripts, by their
 digests, and no requests, so that nothing else would run even if a text got through as HTML.
 """
 
@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from ...fmus.atomic import cache_folder, cached, replacing
 from ...fmus.build.libraries import code_digest, digest
-from ...fmus.errors import InputError, legible
+from ...fmus.errors import InputError, legible, shown
 from ...plant.parameters import BLOCK, PlantParameters
 from ..files import model_file, read_integer
 from ..pictures.meshes import Meshes, load_model
@@ -34,15 +34,20 @@ TEMPLATE: Final = "template.html"
 TITLE: Final = 200  # [character]
 LOADER: Final = """
 (async () => {
-  const code = document.getElementById("view-code").textContent;
-  const bytes = Uint8Array.from(atob(code), (c) => c.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const script = document.createElement("script");
-  script.textContent = await new Response(stream).text();
-  document.head.append(script);
-  dispatchEvent(new Event("view-ready"));
+  for (const element of document.querySelectorAll("script[data-code]")) {
+    const bytes = Uint8Array.from(atob(element.textContent), (c) => c.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const script = document.createElement("script");
+    script.textContent = await new Response(stream).text();
+    document.head.append(script);
+    script.remove();
+  }
+  dispatchEvent(new Event("code-ready"));
 })();
 """
+VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &hellip;</p></main>
+<noscript><p class="pv-wait">This page needs JavaScript and WebGL, which are switched off. \
+The pictures in the run's folder show the run without them.</p></noscript>"""
 
 
 @dataclass(frozen=True)
@@ -57,60 +62,91 @@ class Contents:
 
 def page(contents: Contents) -> str:
     """Return the page as HTML."""
-    data = data_elements(contents) + _data("show", {"runs": list(contents.runs)})
-    return _filled(contents.title, data)
+    data = data_elements(contents) + data_element("show", {"runs": list(contents.runs)})
+    return _view(contents.title, data)
 
 
 def live_page(title: str, run: Mapping[str, Any]) -> str:
     """Return the page of a running simulation; it connects only to its own server."""
-    return _filled(title, _data("live", run), "; connect-src 'self'")
+    return _view(title, data_element("live", run), "; connect-src 'self'")
 
 
-def _filled(title: str, data: str, policy: str = "") -> str:
+def _view(title: str, data: str, policy: str = "") -> str:
+    title = legible(title, TITLE)
+    body = Template(VIEW).substitute(title=escape(title))
+    return document(title, body, data, ["view"], policy=policy)
+
+
+def document(title: str, body: str, data: str, code: Sequence[str], *, policy: str = "") -> str:
+    """Return a page as HTML.
+
+    Args:
+        title: As text.
+        body: As HTML, without scripts.
+        data: Elements, see `data_element`.
+        code: Names of bundles, which run in this order; each has a style sheet.
+        policy: Added to the content security policy.
+    """
     # Inserted text is not searched for further placeholders.
     return Template(_part(TEMPLATE)).substitute(
-        title=escape(legible(title, TITLE)),
-        scripts=" ".join(script_sources()),
+        title=escape(title),
+        scripts=" ".join(script_sources(*code)),
         more=policy,
-        style=style(),
+        style=style(code),
+        kind=code[0],
+        body=body,
         data=data,
-        code=code_elements(),
+        code=code_elements(code),
     )
+
+
+def code_elements(code: Sequence[str]) -> str:
+    """Return the elements with bundles of code, deflated, and the script that starts them."""
+    bundles = [
+        f'<script type="text/plain" data-code="{name}">{_code()[name]["deflated"]}</script>'
+        for name in code
+    ]
+    return "\n".join((*bundles, f"<script>{LOADER}</script>"))
+
+
+def style(code: Sequence[str]) -> str:
+    """Return the style sheets of bundles."""
+    return "\n".join(_part(f"{name}.css") for name in code)
+
+
+def rendered(template: Path, **content: Any) -> str:
+    """Fill in the HTML template of a page's body; all texts in it become legible."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - slow
+
+    loader = FileSystemLoader(template.parent)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, finalize=shown
+    )
+    return environment.get_template(template.name).render(content)
 
 
 def data_elements(contents: Contents) -> str:
     """Return the elements with runs and models; the page's code reads each when needed."""
-    models = [_data(f"model:{key}", model) for key, model in contents.models.items()]
-    return "\n".join(models + [_data(f"run:{run['name']}", run) for run in contents.documents])
+    models = [data_element(f"model:{key}", model) for key, model in contents.models.items()]
+    runs = [data_element(f"run:{run['name']}", run) for run in contents.documents]
+    return "\n".join(models + runs)
 
 
-def code_elements() -> str:
-    """Return the elements with the page's code, deflated, and the code that starts it."""
-    code = f'<script type="text/plain" id="view-code">{_code()["deflated"]}</script>'
-    return f"{code}\n<script>{LOADER}</script>"
-
-
-def style() -> str:
-    """Return the style sheet of a viewer."""
-    return _part("view.css")
-
-
-def script_sources() -> list[str]:
+def script_sources(*code: str) -> list[str]:
     """Return the sources for a content security policy that lets the code run."""
     loader = base64.b64encode(hashlib.sha256(LOADER.encode()).digest()).decode()
-    return [f"'sha256-{digest}'" for digest in (loader, _code()["sha256"])]
+    return [
+        f"'sha256-{digest}'" for digest in (loader, *(_code()[name]["sha256"] for name in code))
+    ]
 
 
-def json_text(value: Any) -> str:
-    """Return JSON that can stand in a script element."""
-    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
-
-
-def _data(name: str, value: Any) -> str:
+def data_element(name: str, value: Any) -> str:
+    """Return an element with JSON; `embedded` in embedded.ts reads it by its name."""
     # The name is JSON, too: HTML changes some characters of an attribute.
     label = escape(json.dumps(name))
-    return f'<script type="application/json" data-view="{label}">{json_text(value)}</script>'
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    text = text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
+    return f'<script type="application/json" data-view="{label}">{text}</script>'
 
 
 @cache
@@ -119,8 +155,8 @@ def _part(name: str) -> str:
 
 
 @cache
-def _code() -> dict[str, str]:
-    """Return the page's code as it was built: deflated, and its digest, both in base64."""
+def _code() -> dict[str, dict[str, str]]:
+    """Return each bundle as it was built: deflated, and its digest, both in base64."""
     return dict(json.loads(_part("code.json")))
 
 

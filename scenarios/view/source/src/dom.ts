@@ -59,14 +59,26 @@ export function button(label: string, className: string, action: () => void, ...
 
 const SVG = "http://www.w3.org/2000/svg";
 
+/** Draw an element of SVG with attributes; its text becomes legible. */
+export function draw<K extends keyof SVGElementTagNameMap>(
+  parent: Element,
+  tag: K,
+  attributes: Record<string, string | number>,
+  text = "",
+): SVGElementTagNameMap[K] {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, typeof value === "string" ? legible(value) : String(value));
+  if (text) element.textContent = legible(text);
+  parent.append(element);
+  return element;
+}
+
 /** Draw an icon from a path in a 24 x 24 square. */
 export function icon(path: string): SVGSVGElement {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", "0 0 24 24");
   svg.setAttribute("aria-hidden", "true");
-  const line = document.createElementNS(SVG, "path");
-  line.setAttribute("d", path);
-  svg.append(line);
+  draw(svg, "path", { d: path });
   return svg;
 }
 

@@ -2,9 +2,10 @@
 // runs shows them when it is opened.
 import "./style.css";
 import { type Place, readAddress } from "./address.ts";
-import { embedded, openRun } from "./data/library.ts";
+import { openRun } from "./data/library.ts";
 import type { RunSource } from "./data/source.ts";
 import { make } from "./dom.ts";
+import { embedded } from "./embedded.ts";
 import { openLive } from "./live/open.ts";
 import { Viewer } from "./viewer.ts";
 

@@ -1,13 +1,7 @@
 // Runs and models embedded in the page, each parsed when it is first shown.
+import { embedded } from "../embedded.ts";
 import { RecordedRun } from "./recorded.ts";
 import type { ModelData, RunData } from "./types.ts";
-
-/** Return the JSON of a page's element by its name, which is JSON as well, or null. */
-export function embedded(name: string): unknown {
-  const elements = document.querySelectorAll<HTMLScriptElement>("script[data-view]");
-  const found = Array.from(elements).find((element) => JSON.parse(element.dataset.view!) === name);
-  return found ? JSON.parse(found.textContent ?? "null") : null;
-}
 
 const opened = new Map<string, Promise<RecordedRun>>();
 

@@ -1,5 +1,5 @@
 // Opens the page of a live simulation.
-import { embedded } from "../data/library.ts";
+import { embedded } from "../embedded.ts";
 import { Viewer } from "../viewer.ts";
 import { Drag } from "./drag.ts";
 import { Link, type Command } from "./link.ts";

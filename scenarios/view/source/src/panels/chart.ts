@@ -3,13 +3,11 @@ import uPlot from "uplot";
 import { rowAt } from "../data/lookup.ts";
 import type { RunSource, Series } from "../data/source.ts";
 import type { Clock } from "../clock.ts";
+import { PALETTE } from "../colours.ts";
 import { button, hint, icon, make, number } from "../dom.ts";
 
 const HEIGHT = 132; // [px]
 const CROSS = "M6 6l12 12M18 6L6 18";
-
-/** Colours that most people can tell apart, on white and on black. */
-export const PALETTE = ["#2f7cf6", "#f2711c", "#12a594", "#d6409f", "#8e5cf5", "#d9a400", "#4aa3c7", "#c2473a"];
 
 interface Curve {
   column: string;
