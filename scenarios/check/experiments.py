@@ -37,7 +37,7 @@ from ..run.prepare import prepare
 from ..run.run import Execution
 from ..run.stopping import StopRequest
 from ..scenario.criteria import SignalCriterion, Success
-from ..scenario.scenario import Scenario
+from ..scenario.scenario import SCENARIO_FILE, Scenario
 from ..scenario.table import MAX_BYTES, InputTable
 from ..scenario.writer import check_name, write_scenario
 from .check import rehearse
@@ -183,10 +183,10 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     if experiment.start != 0.0:
         raise InputError(f"{path}: startTime {experiment.start:g} of its experiment; must be 0")
     criteria, values = [], list(experiment.references.items())[1:]
-    names = [name for name, each in values if each.dtype != object][:MOST_COMPARED]
     rows, ticks = experiment.compared()
-    for name in names if rows.size else ():
-        value = float(experiment.references[name][rows[-1]])
+    numbers = [(n, each[rows[-1]]) for n, each in values if rows.size and each.dtype != object]
+    judged = [(name, float(value)) for name, value in numbers if np.isfinite(value)]
+    for name, value in judged[:MOST_COMPARED]:
         bound = experiment.tolerance * max(abs(value), 1.0)
         end = "end" if ticks[-1] == experiment.steps else float(ticks[-1] * experiment.step)
         signal, above, below = f"{_IT}.{name}", value - bound, value + bound
@@ -202,10 +202,13 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     write_scenario(scenario, folder)
     shutil.copy(path, folder / path.name)
     total = sum(each.size for _, each in values)
-    about = f"Criteria: {len(criteria)} of {total} reference values, at most one of an output"
-    return sorted(
-        folder.iterdir()
-    ), f"{about}; panda-cosim check {as_argument(path)} compares the rest"
+    about = f"Criteria: {len(criteria)} of {total} reference values, at most one of an output; "
+    more = (
+        f"panda-cosim check {as_argument(path)} compares the rest"
+        if criteria
+        else f"add [[success.signal]] to {folder / SCENARIO_FILE}, or every run is a success"
+    )
+    return sorted(folder.iterdir()), about + more
 
 
 # Read.
@@ -256,8 +259,10 @@ def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Se
     texts["tolerance"] = str(TOLERANCE)  # not the default experiment's, which is its solver's
     for key, text in {**texts, **{k: settings[k] for k in texts if k in settings}}.items():
         number = finite_number(text)
-        if number is None or (key == "stepSize" and number <= 0.0):
-            raise InputError(f"{fmu.label}: experiment {name!r}: {key} {text!r}; must be a number")
+        bound = " above 0" if key in ("stepSize", "tolerance") else ""
+        if number is None or (bound and number <= 0.0):
+            place = f"{fmu.label}: experiment {name!r}"
+            raise InputError(f"{place}: {key} {text!r}; must be a finite number{bound}")
         numbers[key] = number
     start, stop, step, tolerance = numbers.values()
     return Experiment(name, start, stop, step, tolerance, references=references)
