@@ -204,15 +204,16 @@ class Comparison:
 
     @property
     def count(self) -> str:
-        """Say how many columns were compared, how many not, and how many a constant matches."""
+        """Say how many columns were compared, and how many of them a constant would match, too."""
         share = f" of {self.compared + len(self.uncompared)}" if self.uncompared else ""
-        fits = f", a constant would match {len(self.constant_fits)}" if self.constant_fits else ""
+        fits = f", {len(self.constant_fits)} loose" if self.constant_fits else ""
         return f"{self.compared}{share} columns{fits}"
 
     @property
     def scope(self) -> str:
         """Say what was compared, what was not, and which signals a constant would match, too."""
-        others = {"not compared": self.uncompared, "a constant": sorted(self.constant_fits)}
+        loose = "loose, as a constant would match"
+        others = {"not compared": self.uncompared, loose: sorted(self.constant_fits)}
         names = [f" ({what}: {signal_names(each)})" for what, each in others.items() if each]
         return "".join([f"Compared: {self.count}", *names, "."])
 
