@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import numpy as np
@@ -195,6 +195,13 @@ def field_names(cls: Any) -> tuple[str, ...]:
 def key_of(name: str) -> str:
     """Return a field's key in the file: `from_` stands for `from`, a keyword of Python."""
     return name.removesuffix("_")
+
+
+def check_rules(rules: Mapping[str, object]) -> None:
+    """Raise the first message whose condition, a combination that is not allowed, holds."""
+    for message, is_broken in rules.items():
+        if is_broken:
+            raise ValueError(message)
 
 
 def check_keys(place: str, keys: Collection[str], valid: Collection[str]) -> None:

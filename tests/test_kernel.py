@@ -63,7 +63,6 @@ def systems(draw: st.DrawFn) -> dict[str, Any]:
         "start": {name: {"k": draw(st.sampled_from([-1.5, 0.3, 0.9]))} for name in instances},
         "coupling": draw(st.sampled_from(["gauss-seidel", "jacobi"])),
         "steps": draw(st.lists(st.integers(1, 400), min_size=1, max_size=3)),
-        "checked_late": draw(st.booleans()),
     }
 
 
@@ -80,7 +79,6 @@ def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
         [Connection(tuple(s), tuple(t), *linear) for s, t, *linear in plan["connections"]],
         [tuple(name) for name in plan["external"]],
         plan["outputs"],
-        refuses_non_finite=plan["checked_late"],
         not_finite=[tuple(name) for name in plan.get("not_finite", ())],
     )
     count = sum(plan["steps"])
@@ -117,7 +115,7 @@ def plan(version: int, **changes: Any) -> dict[str, Any]:
         "versions": [version, 2], "external": [["toy0", "u[1,1]"]],
         "connections": [[["toy0", "y[2,1]"], ["toy1", "u[1,2]"]]],
         "outputs": {"toy0": [f"y{i}" for i in INDICES], "toy1": ["y[1,2]"]},
-        "start": {"toy0": {}}, "coupling": "gauss-seidel", "steps": [700], "checked_late": True,
+        "start": {"toy0": {}}, "coupling": "gauss-seidel", "steps": [700],
     } | changes  # fmt: skip
 
 
@@ -132,9 +130,8 @@ def test_both_end_alike(folder: Path, version: int, act: str) -> None:
     assert in_c.endswith(", 3 steps") == ends
 
 
-@pytest.mark.parametrize("late", [False, True])
-def test_both_end_at_a_value_that_is_not_finite(folder: Path, *, late: bool) -> None:
-    spoilt = plan(2, spoilt=301, checked_late=late)
+def test_both_end_at_a_value_that_is_not_finite(folder: Path) -> None:
+    spoilt = plan(2, spoilt=301)
     [[in_c, in_python]] = in_process(run, str(folder), [spoilt])
     assert in_c == in_python
     assert (
@@ -142,15 +139,12 @@ def test_both_end_at_a_value_that_is_not_finite(folder: Path, *, late: bool) -> 
     )
 
 
-@pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("allowed", [False, True])
-def test_both_allow_the_same_values_that_are_not_finite(
-    folder: Path, *, late: bool, allowed: bool
-) -> None:
+def test_both_allow_the_same_values_that_are_not_finite(folder: Path, *, allowed: bool) -> None:
     """Outputs of the first toy overflow where its input is large; the other's follow."""
     free = [(toy, f"y{i}") for toy in ("toy0", "toy1") for i in INDICES] if allowed else []
     start = {"toy0": {"k": 1.5e308}}
-    overflowing = plan(2, start=start, checked_late=late, not_finite=free)
+    overflowing = plan(2, start=start, not_finite=free)
     [[in_c, in_python]] = in_process(run, str(folder), [overflowing])
     assert in_c == in_python
     assert ("inf is not finite" in in_c) != allowed

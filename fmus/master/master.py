@@ -96,16 +96,12 @@ class Master:
         coupling: Coupling = "gauss-seidel",
         *,
         start: float = 0.0,  # t_0 [s]
-        # Whether to look for values that are not finite in many rows at once, which is faster: for
-        # slaves that refuse these themselves. Else before any follower reads a row.
-        late_check: bool = False,
         objects: Collection[Name] = (),  # columns of values that a float64 cannot hold
         multiples: Mapping[str, int] = MappingProxyType({}),  # ticks of a slave's step, if not one
         stepper: Stepper = "kernel",
         not_finite: Collection[Name] = (),  # outputs that may be NaN or infinite
     ) -> None:
         self.step_size, self.start = step_size, start
-        self._late_check = late_check
         self.external = tuple(external)
         read = [(instance, name) for instance, names in outputs.items() for name in names]
         self.columns = [*external, *read, *([ITERATIONS] if coupling == "iterated" else [])]
@@ -208,7 +204,7 @@ class Master:
             statistics.steps += taken
             statistics.in_c += taken
             if self._kernel.met_non_finite:
-                raise self._buffer.error_at(self._row)
+                self._buffer.complete(self._row)  # which says what it is
             self._kernel.check(self.time)
         except SimulationEndedError as ended:
             self._end_within(ended)
@@ -245,7 +241,7 @@ class Master:
             if self._buffer.filled <= self._row:  # else an FMU ended within the step
                 self._buffer.set_external(self._row, external)
                 self._step.finish(self._row, self.time)
-                self._buffer.filled = self._row + 1
+                self._buffer.complete(self._row)
             self.flush()
 
     def run(
@@ -282,10 +278,8 @@ class Master:
         return row
 
     def flush(self) -> None:
-        """Give all complete rows to the sink; raises SimulationError if one is not finite."""
-        non_finite = self._buffer.flush()
-        if non_finite is not None:
-            raise self._buffer.error_at(non_finite)
+        """Give all complete rows to the sink."""
+        self._buffer.flush()
 
     @property
     def checked(self) -> list[int]:
@@ -309,14 +303,12 @@ class Master:
 
     def _set_coupling(self, coupling: Coupling) -> None:
         buffer = self._buffer
-        complete = buffer.complete_unchecked if self._late_check else buffer.complete
         kind = IteratedStep if coupling == "iterated" else Step
-        self._step = kind(self._bound, coupling, self.step_size, buffer.rows, complete)
+        self._step = kind(self._bound, coupling, self.step_size, buffer.rows, buffer.complete)
         self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
-        checked = [] if self._late_check else self.checked
         self._kernel = (
-            make_kernel(self._step, buffer.rows, self.start, self._stop, checked)
+            make_kernel(self._step, buffer.rows, self.start, self._stop, self.checked)
             if self._stepper == "kernel"
             else None
         )
@@ -341,12 +333,9 @@ class Master:
 
     def _explained(self, error: SimulationError) -> SimulationError:
         """Add the time to an error; a value that is not finite is the cause, so it goes first."""
-        buffer, statistics = self._buffer, self.statistics
-        non_finite = buffer.find_non_finite(self._row + 1)
-        if non_finite is not None:
-            statistics.steps = min(statistics.steps, buffer.first + non_finite)
-            if error.instance and not error.variable:  # raised by a slave, not by the sink
-                return buffer.error_at(non_finite)
+        cause = self._buffer.non_finite(self._row)
+        if cause and error.instance and not error.variable:  # raised by a slave, not by the sink
+            return cause
         if error.time is None:
             return SimulationError(
                 error.message,

@@ -46,7 +46,6 @@ class System:
     connections: Sequence[Connection]
     external: Sequence[Name] = ()  # external inputs, set at each tick
     outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)  # to read, by instance
-    refuses_non_finite: bool = False  # whether all FMUs refuse inputs that are not finite
     steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
     not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
     labels: Mapping[str, str] = field(default_factory=dict)  # what messages call files, not paths
@@ -319,7 +318,6 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             step_size,
             coupling,
             start=start,
-            late_check=system.refuses_non_finite,
             objects=_objects(fmus, system),
             multiples=multiples,
             stepper=stepper,

@@ -292,44 +292,27 @@ class RowBuffer:
 
     def complete(self, row: int) -> None:
         """Mark a row as complete; raises SimulationError if a value is not finite."""
-        if not self._are_finite(slice(row, row + 1)).all():
-            raise self.error_at(row)
+        if error := self.non_finite(row):
+            raise error
         self.filled = row + 1
 
-    def complete_unchecked(self, row: int) -> None:
-        """Mark a row as complete; `flush` finds values that are not finite."""
-        self.filled = row + 1
+    def flush(self) -> None:
+        """Pass complete rows to the sink."""
+        if self.filled > self._flushed:
+            flushed, self._flushed = self._flushed, self.filled
+            self._sink(self.rows[flushed : self.filled])
 
-    def _are_finite(self, rows: slice) -> NDArray[np.bool_]:
-        """Whether the checked numbers of some rows are finite."""
-        part = self.rows[rows]
-        if len(self.checked) < part.shape[1]:
-            part = part[:, self.checked].astype(np.float64)
-        return np.isfinite(part)
-
-    def flush(self) -> int | None:
-        """Pass complete rows to the sink, up to the first that is not finite; returns its index."""
-        non_finite = self.find_non_finite(self.filled)
-        flushed, self._flushed = self._flushed, self.filled if non_finite is None else non_finite
-        if self._flushed > flushed:
-            self._sink(self.rows[flushed : self._flushed])
-        return non_finite
-
-    def find_non_finite(self, end: int) -> int | None:
-        """Find the first row, of those before `end` not yet flushed, that is not finite."""
-        finite = self._are_finite(slice(self._flushed, end))
-        if finite.all():
+    def non_finite(self, row: int) -> SimulationError | None:
+        """Return the error that names the first value of a row that is not finite, if one is."""
+        values = self.rows[row, self.checked].astype(np.float64)
+        is_finite = np.isfinite(values)
+        if is_finite.all():
             return None
-        return self._flushed + int(finite.all(axis=1).argmin())
-
-    def error_at(self, row: int) -> SimulationError:
-        """Return the error that names the first value of a row that is not finite."""
-        values = self.rows[row]
-        column = self.checked[int(np.flatnonzero(~self._are_finite(slice(row, row + 1))[0])[0])]
-        instance, variable = self._columns[column - 1]
+        first = int(is_finite.argmin())
+        instance, variable = self._columns[self.checked[first] - 1]
         return SimulationError(
-            f"value {values[column]} is not finite",
-            time=float(values[0]),
+            f"value {values[first]} is not finite",
+            time=float(self.rows[row, 0]),
             instance=instance,
             variable=variable,
         )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
@@ -25,6 +25,7 @@ from ..fields import (
     Vector,
     Whole,
     check_keys,
+    check_rules,
     checked,
     field_names,
     numbers,
@@ -53,6 +54,9 @@ _MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 
 DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
 SYSTEM_DURATION = Quantity(0.0, 1e12, "s")
+# Keys that act on the project's plant and controller.
+_OF_ARM = ("scene", "robot", "gains", "interpolation", "timing", "timing_share", "align",
+           "push")  # fmt: skip
 # Outputs of PandaController that are computed only if one of them is asked for.
 TOUCH = frozenset(f"controller.{name}" for name in OBSERVED)
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
@@ -163,11 +167,79 @@ class Scenario:
 
     def __post_init__(self) -> None:
         self._check_time()
-        for rule in RULES:
-            if rule.is_broken(self):
-                raise ValueError(rule.message.format(scenario=self, table=TABLE_FILE))
+        check_rules(self._rules_of_sections() | self._rules_of_arm() | self._rules_of_table())
         if not self.system:  # whose start time is in its file
             self.success.check_windows(0.0, self.duration)
+
+    def _rules_of_sections(self) -> dict[str, object]:
+        """What a system and sections must not be combined with; message, and whether it is."""
+        of_arm, of_models = map(self._first_changed, (_OF_ARM, ("mujoco", "input_scale")))
+        sections = (("plant", "scene"), ("plant", "robot"), ("controller", "gains"),
+                    ("controller", "robot"))  # fmt: skip
+        low = next((f"[{name}] {key}" for name, key in sections if key in self.sections[name]), "")
+        return {
+            f"{TABLE_FILE}: must be there, unless there is system, [fmus] or route": (
+                self.table is None and not (self.system or self.fmus or self.route)
+            ),
+            "system: cannot be combined with [fmus] and [connect]; must be one of them": (
+                self.system and (self.fmus or self.connect)
+            ),
+            f"{of_arm}: acts only on a scenario with a {TABLE_FILE}; must be left out here, as a "
+            "system has none": self.is_system and of_arm,
+            f"{of_models}: must be left out with system, which has its own FMUs": (
+                self.system and of_models
+            ),
+            'coupling: value "iterated"; must be another one with [steps], or with a '
+            f"{TABLE_FILE}": self.coupling == "iterated" and (self.steps or not self.is_system),
+            "mismatch: only valid with the project's own plant": (
+                self.mismatch.values and self.is_system
+            ),
+            f"{low}: must stand at the top, before all sections": low,
+        }
+
+    def _rules_of_arm(self) -> dict[str, object]:
+        """What scene, gains and controller must not be combined with."""
+        is_ours = not self.is_system and "controller" not in self.fmus
+        has_impedance = self.controller.get("impedance", self.gains == "impedance")
+        reaction = self.controller.get("reaction", "none")
+        has_torque = any(name.partition("[")[0] == "plant.torque" for name in self.inputs)
+        return {
+            f"scene: value {self.scene!r}; must come with a controller that gives torques, such as "
+            'gains = "impedance", or [fmus] controller = "my_law.py:MyLaw"': (
+                self.is_torque_driven and is_ours and not has_impedance
+            ),
+            f'gains: value {self.gains!r}; must come with scene = "{TORQUE_DRIVEN}"': (
+                has_impedance and is_ours and not self.is_torque_driven
+            ),
+            f'[inputs] plant.torque: acts only with scene = "{TORQUE_DRIVEN}"': (
+                has_torque
+                and "plant" not in self.fmus
+                and not (self.is_system or self.is_torque_driven)
+            ),
+            f"[controller] reaction: value {reaction!r} moves servos; with impedance, it must be "
+            '"none"': has_impedance and reaction != "none",
+        }
+
+    def _rules_of_table(self) -> dict[str, object]:
+        """What the table, its route and its success must not be combined with."""
+        return {
+            'until: is in the table; must have interpolation "quintic" or "linear", and timing '
+            '"table"': (self.interpolation == "spline" or self.timing != "table") and self.untils,
+            'grip_force: the gripper of scene "tutorial" is too weak for it; must be left out of '
+            "the table": self.scene == "tutorial" and any(row.grip_force for row in self.rows),
+            f"route: value {self.route!r}; must come with [success] block_position, and with the "
+            "project's own controller": self.route
+            and (not self.success.block_position or self.system or "controller" in self.fmus),
+            'q1 to q7: must be left out of the table with gains = "tutorial" or timing = '
+            '"optimal"': self.has_posture
+            and (self.gains == "tutorial" or self.timing == "optimal"),
+            'expect_reason: must say why expect is "failure", and only then be set': (
+                (self.expect == "failure") != bool(self.expect_reason)
+            ),
+        }
+
+    def _first_changed(self, keys: Sequence[str]) -> str:
+        return next((key for key in keys if getattr(self, key) != getattr(Scenario, key)), "")
 
     def _check_time(self) -> None:
         valid = SYSTEM_DURATION if self.is_system else DURATION
@@ -288,128 +360,6 @@ class Scenario:
         return Trajectory.from_table(
             self.table, start, interpolation=self.interpolation, align=self.align
         )
-
-
-@dataclass(frozen=True)
-class Rule:
-    """What a scenario must not combine; the message is formatted with `scenario` and `table`."""
-
-    is_broken: Callable[[Scenario], object]
-    message: str
-
-
-def _is_changed(key: str, scenario: Scenario) -> bool:
-    return bool(getattr(scenario, key) != getattr(Scenario, key))
-
-
-def _is_ours(scenario: Scenario) -> bool:
-    return not scenario.is_system and "controller" not in scenario.fmus
-
-
-def _has_impedance(scenario: Scenario) -> bool:
-    return bool(scenario.controller.get("impedance", scenario.gains == "impedance"))
-
-
-def _is_torque_set(scenario: Scenario) -> bool:
-    names = (name.partition("[")[0] for name in scenario.inputs)
-    return "plant.torque" in names and "plant" not in scenario.fmus
-
-
-# Sections, and keys of the scenario that are no start values in them.
-_TOP_LEVEL = {"plant": ("scene", "robot"), "controller": ("gains", "robot")}
-RULES: tuple[Rule, ...] = (
-    Rule(
-        lambda it: it.table is None and not (it.system or it.fmus or it.route),
-        "{table}: must be there, unless there is system, [fmus] or route",
-    ),
-    Rule(
-        lambda it: it.system and (it.fmus or it.connect),
-        "system: cannot be combined with [fmus] and [connect]; must be one of them",
-    ),
-    *(
-        Rule(
-            lambda it, key=key: it.is_system and _is_changed(key, it),  # type: ignore[misc]
-            f"{key}: acts only on a scenario with a {{table}}; must be left out here, as a system "
-            "has none",
-        )
-        for key in (
-            "scene",
-            "robot",
-            "gains",
-            "interpolation",
-            "timing",
-            "timing_share",
-            "align",
-            "push",
-        )
-    ),
-    *(
-        Rule(
-            lambda it, key=key: it.system and _is_changed(key, it),  # type: ignore[misc]
-            f"{key}: must be left out with system, which has its own FMUs",
-        )
-        for key in ("mujoco", "input_scale")
-    ),
-    Rule(
-        lambda it: it.coupling == "iterated" and (it.steps or not it.is_system),
-        'coupling: value "iterated"; must be another one with [steps], or with a {table}',
-    ),
-    Rule(
-        lambda it: (it.interpolation == "spline" or it.timing != "table") and it.untils,
-        'until: is in the table; must have interpolation "quintic" or "linear", and timing "table"',
-    ),
-    Rule(
-        lambda it: it.mismatch.values and it.is_system,
-        "mismatch: only valid with the project's own plant",
-    ),
-    *(
-        Rule(
-            lambda it, section=section, key=key: key in getattr(it, section),  # type: ignore[misc]
-            f"[{section}] {key}: must stand at the top, before all sections",
-        )
-        for section, keys in _TOP_LEVEL.items()
-        for key in keys
-    ),
-    Rule(
-        lambda it: it.is_torque_driven and _is_ours(it) and not _has_impedance(it),
-        "scene: value {scenario.scene!r}; must come with a controller that gives torques, such as "
-        'gains = "impedance", or [fmus] controller = "my_law.py:MyLaw"',
-    ),
-    Rule(
-        lambda it: _has_impedance(it) and _is_ours(it) and not it.is_torque_driven,
-        f'gains: value {{scenario.gains!r}}; must come with scene = "{TORQUE_DRIVEN}"',
-    ),
-    Rule(
-        lambda it: _is_torque_set(it) and not (it.is_system or it.is_torque_driven),
-        f'[inputs] plant.torque: acts only with scene = "{TORQUE_DRIVEN}"',
-    ),
-    Rule(
-        lambda it: _has_impedance(it) and it.controller.get("reaction", "none") != "none",
-        "[controller] reaction: value {scenario.controller[reaction]!r} moves servos; with "
-        'impedance, it must be "none"',
-    ),
-    Rule(
-        lambda it: it.scene == "tutorial" and any(row.grip_force for row in it.rows),
-        'grip_force: the gripper of scene "tutorial" is too weak for it; must be left out of the '
-        "table",
-    ),
-    Rule(
-        lambda it: (
-            it.route
-            and not (it.success.block_position and not it.system and "controller" not in it.fmus)
-        ),
-        "route: value {scenario.route!r}; must come with [success] block_position, and with the "
-        "project's own controller",
-    ),
-    Rule(
-        lambda it: it.has_posture and (it.gains == "tutorial" or it.timing == "optimal"),
-        'q1 to q7: must be left out of the table with gains = "tutorial" or timing = "optimal"',
-    ),
-    Rule(
-        lambda it: (it.expect == "failure") != bool(it.expect_reason),
-        'expect_reason: must say why expect is "failure", and only then be set',
-    ),
-)
 
 
 # Keys of scenario.toml; the other fields come from the folder.

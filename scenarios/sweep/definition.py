@@ -16,7 +16,17 @@ from pydantic import PlainValidator
 
 from ...fmus.errors import InputError, excerpt
 from ...fmus.interface.parameters import literal
-from ..fields import Choice, Line, Quantity, Vector, Whole, check_keys, checked, field_names
+from ..fields import (
+    Choice,
+    Line,
+    Quantity,
+    Vector,
+    Whole,
+    check_keys,
+    check_rules,
+    checked,
+    field_names,
+)
 from ..files import read_toml
 from ..scenario.scenario import shipped_scenarios
 
@@ -177,29 +187,32 @@ class Sweep:
 
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
-        if (self.design == "list") != (self.file is not None):
-            raise ValueError('file: required with design = "list", and only then')
-        if self.design == "list" and self.vary:
-            raise ValueError(
-                'vary: cannot be combined with design = "list"; the file has the values'
-            )
-        if self.design != "list" and not self.vary:
-            raise ValueError('vary: nothing is varied; must have sections [vary."KEY"]')
+        is_list, is_search = self.design == "list", self.design == "search"
         is_drawn = self.design not in ("grid", "list")
-        if self.samples and not is_drawn:
-            raise ValueError(f'samples: cannot be combined with design = "{self.design}"')
-        if is_drawn and not self.samples:
-            raise ValueError(f'samples: value 0; must be at least 1 for "{self.design}"')
-        if self.design != "search" and (self.criterion or self.goal != GOALS[0]):
-            raise ValueError('goal and criterion: only valid with design = "search"')
-        if self.design == "search" and len(self.scenario) > 1:
-            raise ValueError("scenario: a search has one")
-        if self.design == "search" and self.min_success:
-            raise ValueError('min_success: cannot be combined with design = "search"')
-        if self.confidence and not self.min_success:
-            raise ValueError("confidence: needs min_success")
-        if self.confidence and self.design not in SAMPLED:
-            raise ValueError(f"confidence: needs random rows; must be {', '.join(SAMPLED)}")
+        check_rules({
+            'file: required with design = "list", and only then': is_list != bool(self.file),
+            'vary: cannot be combined with design = "list"; the file has the values': (
+                is_list and self.vary
+            ),
+            'vary: nothing is varied; must have sections [vary."KEY"]': not (is_list or self.vary),
+            f'samples: cannot be combined with design = "{self.design}"': (
+                self.samples and not is_drawn
+            ),
+            f'samples: value 0; must be at least 1 for "{self.design}"': (
+                is_drawn and not self.samples
+            ),
+            'goal and criterion: only valid with design = "search"': (
+                not is_search and (self.criterion or self.goal != GOALS[0])
+            ),
+            "scenario: a search has one": is_search and len(self.scenario) > 1,
+            'min_success: cannot be combined with design = "search"': (
+                is_search and self.min_success
+            ),
+            "confidence: needs min_success": self.confidence and not self.min_success,
+            f"confidence: needs random rows; must be {', '.join(SAMPLED)}": (
+                self.confidence and self.design not in SAMPLED
+            ),
+        })  # fmt: skip
 
     @classmethod
     def read(cls, path: str | Path) -> Self:

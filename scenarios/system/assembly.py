@@ -65,7 +65,6 @@ class Assembly:
             self.connections,
             self.external,
             self.outputs,
-            refuses_non_finite=all(part.file is None for part in self.parts),
             steps=self.steps,
             not_finite=self.not_finite,
         )
