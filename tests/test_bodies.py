@@ -10,10 +10,10 @@ import pytest
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.model_fmu import model_part
-from panda_cosim.scenarios.judging.signals import check_bodies, judge_bodies
+from panda_cosim.scenarios.judging.signals import check_bodies, judge_bodies, judge_signals
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.start import check_criteria
-from panda_cosim.scenarios.scenario.criteria import BodyCriterion, Success
+from panda_cosim.scenarios.scenario.criteria import BodyCriterion, SignalCriterion, Success
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.system.assembly import assemble
 
@@ -39,18 +39,22 @@ SCENE = """
 """
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """The cup rises by 0.2 m within 1 s, and leans over by 30 deg in the last row."""
-    time = np.linspace(0.0, 1.0, 11)
-    half = np.where(time < 1.0, 0.0, math.radians(TILT) / 2)
-    zero = np.zeros(11)
-    rows = (time, zero + 0.6, zero, 0.1 + 0.2 * time, np.cos(half), np.sin(half), zero, zero)
-    folder = tmp_path_factory.mktemp("run")
+def lifted(folder: Path, step: float) -> Recording:
+    """The cup rises by 0.2 m within ten steps, and leans over by 30 deg in the last row."""
+    share, zero = np.linspace(0.0, 1.0, 11), np.zeros(11)
+    half = np.where(share < 1.0, 0.0, math.radians(TILT) / 2)
+    rows = (step * np.arange(11), zero + 0.6, zero, 0.1 + 0.2 * share, np.cos(half), np.sin(half),
+            zero, zero)  # fmt: skip
     with Recorder(folder, [Column(n, u) for n, u in UNITS.items()], {}) as out:
         out.append(np.column_stack(rows))
         out.close(complete=True)
     return Recording.open(folder)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The cup of `lifted`, in 1 s."""
+    return lifted(tmp_path_factory.mktemp("run"), 0.1)
 
 
 def judged(recording: Recording, **keys: object) -> dict[str, tuple[float | None, bool]]:
@@ -65,6 +69,17 @@ def test_a_body_is_judged_where_it_is_at_the_end(recording: Recording) -> None:
     assert found["cup max_tilt"] == (pytest.approx(TILT), False)
     assert found["cup max_shift"] == (pytest.approx(0.2, abs=ROUNDING), True)
     assert found["cup min_lift"][0] == pytest.approx(0.2, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-5, 0.1])
+def test_instants_are_told_apart_at_any_step(tmp_path: Path, step: float) -> None:
+    recording = lifted(tmp_path, step)
+    for row in range(11):
+        ((height, _),) = judged(recording, min_lift=0.0, at=row * step).values()
+        assert height == pytest.approx(0.02 * row, abs=ROUNDING)
+        window = SignalCriterion(POSE[2], "range", from_=row * step, below=1.0)
+        (criterion,) = judge_signals([window], recording, EVENTS | {"end": 10 * step})
+        assert criterion.value == pytest.approx(0.2 - 0.02 * row, abs=ROUNDING)
 
 
 def test_a_body_is_judged_at_another_instant(recording: Recording) -> None:
