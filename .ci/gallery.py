@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import subprocess
 import sys
@@ -12,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Template
 from panda_cosim import Recording, load_scenario, shipped_scenarios
-from panda_cosim.scenarios.judging.criterion import Criterion, bound_text, margin_text, quantity
+from panda_cosim.scenarios.judging.criterion import bound_text, margin_text, quantity
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.pictures.motion import poses, scene_of
 from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer
 from PIL import Image
@@ -115,14 +115,13 @@ def gallery(docs: Path) -> str:
     figures, links = [], []
     for name, path in shipped_scenarios().items():
         _run(f"panda-cosim run {name} --no-video --out {name}", folder)
-        summary = json.loads((folder / name / "summary.json").read_text())
-        if not summary["as_expected"]:
+        summary = Summary.open(folder / name)
+        if not summary.as_expected:
             raise SystemExit(f"{name}: not as expected")
         _thumbnail(Recording.open(folder / name), folder / f"{name}.png")
         purpose = load_scenario(path).purpose
-        criteria = [Criterion(**it) for it in summary["criteria"]]
-        reason = summary["expect_reason"]
-        text = SCENARIO.render(name=name, purpose=purpose, reason=reason, criteria=criteria)
+        reason = summary.expect_reason
+        text = SCENARIO.render(name=name, purpose=purpose, reason=reason, criteria=summary.criteria)
         (folder / f"{name}.md").write_text(text)
         title = name.replace("_", " ").capitalize()
         figures.append(FIGURE.render(name=name, title=title, text=purpose))

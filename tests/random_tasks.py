@@ -21,12 +21,12 @@ from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.run.options import Options
 from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import Execution
 from panda_cosim.scenarios.run.start import Overrides, instants, resolve, start_values
 from panda_cosim.scenarios.run.stopping import StopRequest
-from panda_cosim.scenarios.run.summary import Summary
 from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.trajectory import COMMANDS
 

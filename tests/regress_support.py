@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ METADATA: dict[str, Any] = {
     "fmus": {"plant": {"model": "PandaPlant", "guid": "{1}"}},
     "parameters": {"plant": {"block_mass": 0.18}},
 }
-SUMMARY: dict[str, Any] = {
+CONTENT: dict[str, Any] = {  # of a summary.json
     "success": True,
     "criteria": [
         {"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True},
@@ -39,11 +40,12 @@ SUMMARY: dict[str, Any] = {
     "limits": {"torque_share": [0.1, 0.2]},
     "timing": {"simulated_s": 0.4, "wall_s": 1.0},
 }
-NO_SUCCESS: dict[str, Any] = {
-    **SUMMARY,
+MISSED_CONTENT: dict[str, Any] = {
+    **CONTENT,
     "success": False,
-    "criteria": [{**SUMMARY["criteria"][0], "value": 0.3, "ok": False}],
+    "criteria": [{**CONTENT["criteria"][0], "value": 0.3, "ok": False}],
 }
+SUMMARY, NO_SUCCESS = map(Summary.read, (CONTENT, MISSED_CONTENT))
 
 
 def columns(rows: int = ROWS) -> dict[str, Array]:

@@ -20,7 +20,7 @@ from panda_cosim.scenarios.compare.between_runs import compare
 from panda_cosim.scenarios.compare.differences import numbers
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.recording import Recording
-from regress_support import SUMMARY, columns, record
+from regress_support import CONTENT, columns, record
 
 DISTANCE = 2e-3  # rad
 EVIL = "<script>alert(1)</script>"
@@ -33,7 +33,7 @@ def made(folder: Path, offset: float = 0.0, *, mass: float = 0.18, rows: int = 4
     values["plant.qpos[1]"] = values["plant.qpos[1]"] + offset * (values["time"] >= 0.2)
     record(folder, values, metadata={"parameters": {"plant": {"block_mass": mass}}})
     rms = 100.0 + 1e3 * offset
-    summary = {**SUMMARY, "tracking": {"rms_mm": rms, "max_mm": 150.0}}
+    summary = {**CONTENT, "tracking": {"rms_mm": rms, "max_mm": 150.0}}
     (folder / "summary.json").write_text(json.dumps(summary))
     return folder
 
@@ -152,7 +152,7 @@ def test_noise_is_ranked_below_what_differs(tmp_path: Path) -> None:
         signals = (0.6 * values["time"] / 0.4, noise * signs, 0.3 + moves)
         record(tmp_path / name, {**values, **dict(zip(names, signals, strict=True))}, units)
         metrics = {"tracking": {"rms_mm": way}, "block": {"slip_mm": noise}}
-        (tmp_path / name / "summary.json").write_text(json.dumps({**SUMMARY, **metrics}))
+        (tmp_path / name / "summary.json").write_text(json.dumps({**CONTENT, **metrics}))
     result = compare(tmp_path / "a", tmp_path / "b")
     assert [row.name for row in result.metrics] == ["tracking.rms_mm", "block.slip_mm"]
     real, small = result.signals

@@ -19,7 +19,7 @@ from panda_cosim.scenarios.judging.signals import judge_signals
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.scenario.criteria import SignalCriterion
 from panda_cosim.scenarios.scenario.tolerances import OURS, Tolerances
-from regress_support import METADATA, SUMMARY
+from regress_support import CONTENT, METADATA, SUMMARY
 
 DEFAULT = Tolerances()
 VALUES = {
@@ -158,7 +158,7 @@ def test_noise_in_a_force_ranks_below_a_hand_that_moves_elsewhere(tmp_path: Path
         recorder = Recorder(tmp_path / name, columns, METADATA)
         recorder.append(np.column_stack([0.001 * np.arange(50), *values.values()]))
         recorder.close(complete=True, reason=None)
-        summary = {**SUMMARY, "tracking": None}
+        summary = {**CONTENT, "tracking": None}
         (tmp_path / name / "summary.json").write_text(json.dumps(summary))
     rows = compare(tmp_path / "a", tmp_path / "b").signals
     assert [row.name for row in rows] == ["plant.hand_xpos", "plant.support_force"]

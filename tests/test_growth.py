@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import json
 import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,8 +15,8 @@ from panda_cosim.scenarios.compare.between_runs import compare
 from panda_cosim.scenarios.compare.compare import compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.judging.contacts import SIGNAL as UNWANTED
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.recording import Column, Recorder, Recording, storage
-from panda_cosim.scenarios.run.folder import SUMMARY_FILE
 from panda_cosim.scenarios.run.summary import summarize
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 from panda_cosim.scenarios.scenario.tolerances import Tolerances
@@ -28,7 +27,7 @@ SHORT, LONG = 2, 4  # blocks of rows
 BLOCK_ROWS = 1024  # a sixteenth, which is as many times quicker
 MOST = 9.0  # columns that are whole in memory; about 100 are judged and compared
 SCENARIO = load_scenario("pick_and_place")
-VERDICT = {"success": True, "as_expected": True, "criteria": []}
+VERDICT = Summary()
 COLUMNS = [
     Column("time", "s"),
     *(
@@ -57,7 +56,6 @@ def record(folder: Path, blocks: int, shift: float) -> Path:
             rows[:, [column.name for column in COLUMNS].index(UNWANTED)] = 0.0
             recorder.append(rows)
         recorder.close(complete=True)
-    (folder / SUMMARY_FILE).write_text(json.dumps(VERDICT))
     return folder
 
 

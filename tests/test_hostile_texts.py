@@ -32,6 +32,7 @@ from panda_cosim.scenarios.cli.outcome import verdict_table
 from panda_cosim.scenarios.compare.between_runs import RunComparison, compare
 from panda_cosim.scenarios.compare.junit import Case, write_cases
 from panda_cosim.scenarios.judging.criterion import Criterion
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.live.server import LiveServer
 from panda_cosim.scenarios.run.result import Run
 from panda_cosim.scenarios.sweep.report import write_report
@@ -192,10 +193,8 @@ def test_a_frame_keeps_scripts_from_the_notebook(page: Page, tmp_path: Path) -> 
 
 
 def test_a_notebook_shows_a_runs_texts(page: Page, tmp_path: Path) -> None:
-    criteria = [Criterion(TEXT, 1.0, 2.0, TEXT, ok=True), Criterion(TEXT, None, 1.0, "", ok=False)]
-    summary = SimpleNamespace(
-        criteria=criteria, scenario=TEXT, reason=TEXT, complete=False, success=False
-    )
+    criteria = (Criterion(TEXT, 1.0, 2.0, TEXT, ok=True), Criterion(TEXT, None, 1.0, "", ok=False))
+    summary = Summary(criteria=criteria, scenario=TEXT, reason=TEXT, complete=False)
     page.errors.clear()
     in_notebook(page, tmp_path, Run(tmp_path, summary)._repr_html_())
     tags = "[...new Set([...document.body.querySelectorAll('*')].map((e) => e.tagName))].sort()"

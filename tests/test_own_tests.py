@@ -97,8 +97,8 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
     made = command(*asked, "--update", cwd=tmp_path)
     assert made.returncode == 1, made.stderr
     assert {path.parent.name for path in tmp_path.glob("mine/*/*.parquet")} == {"good", "expected"}
-    assert "is not a success (tracking_rms); it cannot become a ref" in made.stderr
-    assert "is a success, although a failure is expected; it cannot become a ref" in made.stderr
+    assert "the run cannot become a reference: missed: tracking_rms" in made.stderr
+    assert "the run cannot become a reference: unexpected success" in made.stderr
     assert TEMPORARY not in made.stdout + made.stderr, "a folder that is gone"
 
     same = command(*asked, "good", "expected", cwd=tmp_path)

@@ -9,8 +9,9 @@ import pytest
 from fake_recording import FakeRecording
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.pictures.panels import DPI, ROWS_DRAWN, thin
-from panda_cosim.scenarios.pictures.plot import MISSED, SIZE, draw_run, plot_run
+from panda_cosim.scenarios.pictures.plot import SIZE, VERDICTS, draw_run, plot_run
 from PIL import Image
 
 REPOSITORY = Path(__file__).parents[1]
@@ -102,11 +103,17 @@ def test_the_page_has_the_purpose_and_the_verdict() -> None:
     run.metadata["purpose"] = "Draws a line"
     missed = {"name": "max_slip", "value": 0.003, "bound": 0.002, "unit": "m"}
     good = missed | {"value": 0.001}
-    for criteria, words in (([good], "all criteria hold"), ([good, missed], "max_slip 3 mm")):
-        summary = {"criteria": criteria, "as_expected": False}
+    for criteria, words in (
+        ([good], "Success: 1 of 1"),
+        ([good, missed], "Success criteria missed"),
+    ):
+        summary = Summary.read({"criteria": criteria})
         drawn = {text.get_text(): text.get_color() for text in draw_run(run, summary).texts}
         assert any(text.startswith("Draws a line · ") for text in drawn)
-        assert next(drawn[text] for text in drawn if text.startswith(words)) == MISSED
+        assert (
+            next(drawn[text] for text in drawn if text.startswith(words))
+            == (VERDICTS[summary.verdict.level])
+        )
 
 
 @pytest.mark.parametrize("rows", [1, 2])

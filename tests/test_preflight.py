@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from panda_cosim.controller.model import FINGERTIPS, ArmModel
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.judging.limits import CHECKS, outcome
 from panda_cosim.scenarios.judging.preflight import preflight
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.sweep.row import metrics
 from panda_cosim.scenarios.view import run
@@ -494,17 +494,15 @@ def test_the_first_row_of_jacobi_coupling_has_no_command_yet(
 
 def test_view_and_sweeps_have_what_the_summary_has(fast: tuple[dict[str, Any], Recording]) -> None:
     told = fast[0]["preflight"]
-    lines = run.refusals_of(fast[0])
+    lines = run.refusals_of(Summary.read(fast[0]))
     assert [line.split()[2] for line in lines] == [
         each["error"] for each in told["findings"] if each["interface"] in ("joint", "arm")
     ][: told["refusals"]]
-    bars = {bar["name"]: bar["shares"] for bar in run.limits_of(fast[0])}
+    bars = {bar["name"]: bar["shares"] for bar in run.limits_of(Summary.read(fast[0]))}
     assert bars["fr3: joint jerk"] == told["joint_jerk_share"]
     assert "fr3: torque rate" not in bars  # of another interface
-    assert run.refusals_of({"preflight": {"robot": 1}}) == run.refusals_of({}) == []
-    groups = ["events", "tracking", "orientation", "block", "contact", "limits", "energy", "timing"]
-    content: dict[str, Any] = {group: {} for group in groups} | {"preflight": told}
-    columns = dict(metrics(SimpleNamespace(**content)))
+    assert run.refusals_of(Summary(preflight={"robot": 1})) == run.refusals_of(Summary()) == []
+    columns = dict(metrics(Summary(preflight=told)))
     assert columns["summary.preflight.refusals"] == 1.0
     assert columns["summary.preflight.joint_jerk_share[7]"] == told["joint_jerk_share"][6]
     assert columns["summary.preflight.lost_packets"] == told["lost_packets"]

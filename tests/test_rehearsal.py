@@ -32,8 +32,8 @@ def rehearsed(plant: Mapping[str, float | tuple[float, ...]]) -> tuple[Prepared,
 def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path: Path) -> None:
     prepared, rehearsal = rehearsed({})
     assert list(findings(rehearsal, prepared)) == []
-    failing = replace(prepared.scenario, expect="failure", expect_reason="so")
-    unexpected = findings(rehearsal, replace(prepared, scenario=failing))
+    summary = replace(rehearsal.summary, expect="failure", expect_reason="so")
+    unexpected = findings(replace(rehearsal, summary=summary), prepared)
     assert "but a failure is expected" in next(unexpected)[1]
     grip = weakest_grip(rehearsal.recording, prepared)
     assert grip is not None

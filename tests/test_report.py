@@ -18,12 +18,12 @@ from panda_cosim.scenarios.compare.compare import compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.compare.regress import Outcome
 from panda_cosim.scenarios.compare.report import write_report
+from panda_cosim.scenarios.judging.verdict import SUMMARY_FILE, Summary
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.folder import SUMMARY_FILE
 from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.scenario.tolerances import Tolerances
-from regress_support import NO_SUCCESS, SUMMARY, columns, record
+from regress_support import CONTENT, MISSED_CONTENT, SUMMARY, columns, record
 
 TABLE = TrajectoryTable(tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0)))
 
@@ -39,11 +39,13 @@ def outcome(folder: Path, name: str, *, offset: float, nan: bool = False) -> Out
     values["controller.dq[2]"][150:250] += offset * 3e-7
     if nan:
         values["plant.qpos[1]"][300] = np.nan
-    summary = NO_SUCCESS if nan else {**SUMMARY, "tracking": {"rms_mm": 101.0, "max_mm": None}}
+    summary = MISSED_CONTENT if nan else {**CONTENT, "tracking": {"rms_mm": 101.0, "max_mm": None}}
     run = place / "now"
     recording = record(run, values, metadata={"versions": {"numpy": "</script>"}})
     (run / SUMMARY_FILE).write_text(json.dumps(summary))
-    compared = compare_with_reference(Recording.open(run), summary, reference, scenario.regression)
+    compared = compare_with_reference(
+        Recording.open(run), Summary.read(summary), reference, scenario.regression
+    )
     assert recording.complete
     return Outcome(scenario, "same" if compared.ok else "differs", run, 1.5, compared)
 
@@ -90,7 +92,7 @@ def hostile_report(folder: Path, text: str) -> Path:
     values["controller.dq[2]"][150:250] += 1e-4
     metadata = {"versions": {text: text}, "parameters": {text: {text: text}}}
     record(folder / "now", values, units=units, metadata=metadata)
-    (folder / "now" / SUMMARY_FILE).write_text(json.dumps({**SUMMARY, "limits": {text: 1.0}}))
+    (folder / "now" / SUMMARY_FILE).write_text(json.dumps({**CONTENT, "limits": {text: 1.0}}))
     compared = compare_with_reference(
         Recording.open(folder / "now"), SUMMARY, reference, tolerances
     )

@@ -14,8 +14,8 @@ from panda_cosim.scenarios.compare.compare import compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.compare.regress import Outcome
 from panda_cosim.scenarios.compare.report import write_report
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.folder import SUMMARY_FILE
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 from view_support import run_scenario_outside
 
@@ -30,7 +30,7 @@ def judged(run: Path, name: str) -> Outcome:
     scenario = load_scenario("pick_and_place")
     assert scenario.folder is not None
     path = scenario.folder / "reference.parquet"
-    summary = json.loads((run / SUMMARY_FILE).read_text())
+    summary = Summary.open(run)
     compared = compare_with_reference(
         Recording.open(run), summary, Reference.read(path), scenario.regression
     )

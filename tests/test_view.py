@@ -15,7 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.view import columns, run
 from panda_cosim.scenarios.view.columns import Thinning, encode
 from panda_cosim.scenarios.view.model import describe as describe_model
@@ -112,7 +114,7 @@ def made_up(rows: int = 200, **metadata: Any) -> MadeUp:
 def foreign(source: MadeUp, name: str = "foreign", **summary: Any) -> Shown:
     """That run with its model."""
     model = describe_model(mujoco.MjModel.from_xml_string(MODEL))
-    return Shown(name, source, model, summary=summary)
+    return Shown(name, source, model, summary=Summary.read(summary))
 
 
 class Rounded(MadeUp):
@@ -160,59 +162,25 @@ def test_a_run_that_diverged_is_described() -> None:
     json.dumps(document, allow_nan=False)
 
 
-@pytest.mark.parametrize(
-    ("summary", "metadata", "state", "words"),
-    [
-        (
-            {"criteria": [{"name": "a", "ok": True, "value": 1.0}]},
-            {},
-            "good",
-            "success: 1 of 1 criteria hold",
-        ),
-        ({"criteria": [{"name": "a", "ok": False, "value": 1.0}]}, {}, "bad", "missed: a"),
-        ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "not measured: a"),
-        (
-            {"criteria": [{"name": "a", "ok": False}, {"name": "b", "ok": False, "value": 1.0}]},
-            {},
-            "bad",
-            "missed: b; not measured: a",
-        ),
-        (
-            {"expect": "failure", "criteria": [{"name": "a", "ok": False, "value": 1.0}]},
-            {},
-            "good",
-            "failure, as expected: a",
-        ),
-        (
-            {"expect": "failure", "criteria": [{"name": "a", "ok": True, "value": 1.0}]},
-            {},
-            "bad",
-            "unexpected success",
-        ),
-        ({"reason": "diverged"}, {"complete": False}, "bad", "incomplete: diverged"),
-    ],
-)
-def test_the_verdict_is_reported(
-    summary: dict[str, Any], metadata: dict[str, Any], state: str, words: str
-) -> None:
-    assert run.verdict(summary, metadata) == {"state": state, "words": words}
-
-
 def test_criteria_and_limits_say_what_they_mean() -> None:
     names = ("max_slip", "my own")
-    rows = run.criteria_of({"criteria": [{"name": name} for name in names]})
+    judged = [Criterion.judge(name, 1.0, 2.0, "m", "below") for name in names]
+    rows = run.criteria_of(Summary(criteria=tuple(judged)))
     assert [row["words"] for row in rows] == [DEFINITIONS["success.max_slip"].text, ""]
-    (limit,) = run.limits_of({"limits": {"torque_share": [0.5]}})
+    (limit,) = run.limits_of(Summary(limits={"torque_share": [0.5]}))
     assert limit["words"] == DEFINITIONS["limits.torque_share"].text
 
 
+GOOD = {"value": 1.0, "bound": 2.0}
 CRAFTED = """</script><script>alert(1)</script><img src=x onerror=alert(2)>"'&${code}\u2028"""
 
 
 def test_no_text_of_a_run_is_html_in_the_page() -> None:
     source = made_up(scenario=CRAFTED, purpose=CRAFTED, row_times=[0.1], row_names=[CRAFTED])
     source.values[f"{CRAFTED}.y"] = np.zeros(200)  # type: ignore[index]
-    text = view_page([foreign(source, CRAFTED, criteria=[{"name": CRAFTED, "unit": CRAFTED}])])
+    text = view_page(
+        [foreign(source, CRAFTED, criteria=[{**GOOD, "name": CRAFTED, "unit": CRAFTED}])]
+    )
     assert "<img" not in text
     # The page's own: show, model, run, code, loader.
     assert len(re.findall(r"<script\b", text)) == len(re.findall("</script>", text)) == 5

@@ -16,6 +16,7 @@ from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.run import Run
 from panda_cosim.scenarios.run.summary import summarize
@@ -331,7 +332,8 @@ def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:
         "limits": {"torque_share": [0.5]},
     }
     runs = [
-        Shown(name, source, describe_model(model), summary=summary) for name in (ODD, f"{ODD} 2")
+        Shown(name, source, describe_model(model), summary=Summary.read(summary))
+        for name in (ODD, f"{ODD} 2")
     ]
     show(page, write_view(runs, folder / "crafted.html"), place=f"#cam={CRAFTED}")
     page.click(".pv-search")

@@ -28,9 +28,9 @@ from ...fmus.master.system import conversions, notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..files import as_argument
 from ..judging.contacts import Touch
-from ..judging.criterion import miss_text, verdict_of
 from ..judging.holds import find_holds
 from ..judging.limits import Level, outcome
+from ..judging.verdict import MISSED, NOT_MEASURED, UNEXPECTED
 from ..recording import Recording
 from ..recording.reader import shapes_of
 from ..run.options import Options, with_options, with_values
@@ -211,12 +211,9 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     name = _name(scenario)
     real = [Diagnostic(level, text.replace("SCENARIO", name)) for level, text in lines]
     real += _order(prepared)
-    criteria = run.summary.criteria if run.summary.complete else ()
-    if verdict_of(criteria) == "not measured":  # what they wait for never happens
-        file = f"{scenario.folder}/{SCENARIO_FILE}"
-        unmeasured = (miss_text(criterion) for criterion in criteria if not criterion.ok)
-        wrong = _diagnostics("wrong", [f"{file}: [success] {text}" for text in unmeasured])
-        return [*wrong, *trouble, *real]
+    if run.summary.verdict is NOT_MEASURED:  # what the criteria wait for never happens
+        place = f"{scenario.folder}/{SCENARIO_FILE}: [success]"
+        return [Diagnostic("wrong", f"{place} {run.summary.detail}"), *trouble, *real]
     about = _about(scenario)
     if trouble:
         count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
@@ -334,20 +331,15 @@ def findings(run: Run, prepared: Prepared) -> Iterator[Finding]:
     """Yield what goes wrong; first unwanted contacts, often the cause of the rest."""
     recording = run.recording
     if not run.summary.complete:
-        yield None, str(run.summary.reason)
+        yield None, run.summary.detail
     for entry in run.summary.contact.get("unwanted", ())[:SHOWN]:
         yield entry["time_s"], f"{Touch(**entry)}; the path must avoid this: `panda-cosim route`"
     yield from _dragging(recording)
     yield from _servos(recording, prepared)
     yield from _grip(recording, prepared)
     yield from _releases(recording)
-    criteria = run.summary.criteria
-    if prepared.scenario.expect == "success":
-        for criterion in criteria if verdict_of(criteria) == "missed" else ():
-            if not criterion.ok:
-                yield None, f"[success] {miss_text(criterion)}"
-    elif run.summary.success:
-        yield None, f"[success] holds, but a failure is expected: {run.summary.expect_reason}"
+    if run.summary.verdict in (MISSED, UNEXPECTED):
+        yield None, f"[success] {run.summary.detail}"
 
 
 def _dragging(recording: Recording) -> Iterator[Finding]:

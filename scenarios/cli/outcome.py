@@ -13,7 +13,7 @@ from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -21,20 +21,14 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.sources.targets import Kind, Target
 from ..judging.contacts import Touch
-from ..judging.criterion import (
-    bound_text,
-    margin_text,
-    missed_text,
-    quantity,
-    verdict_of,
-)
-from ..judging.limits import exceeded, outcome
+from ..judging.criterion import cells
+from ..judging.limits import exceeded, outcome, remedy_of
+from ..judging.verdict import FAILED, Summary, Verdict
 from ..pictures.gl import RenderError
 from ..pictures.motion import refuse_without_model
 from ..recording import Recording
 from ..run.folder import claimed_folder
 from ..run.result import VIDEO_FILE, Run
-from ..run.summary import Summary
 from ..scenario.scenario import Scenario
 from . import INTERRUPTS
 from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
@@ -45,28 +39,10 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
-NOT_A_SUCCESS = 3  # exit code
-MORE_TIME = " (`panda-cosim retime SCENARIO --keep-times`)"
-REMEDIES = {  # by the kind of limit that held the arm back
-    "position": "move the rows before and after it, or turn the hand",
-    "velocity": f"give that row more time{MORE_TIME}",
-    "acceleration": f"give that row more time{MORE_TIME}",
-    "jerk": f"give that row more time{MORE_TIME}, or keep the path away from the stretched arm",
-    "torque": f"give that row more time{MORE_TIME}, or carry less",
-    "torque rate": f"give that row more time{MORE_TIME}, or touch bodies more gently",
-}
-NOISE = "; with noisy readings, lower controller.ik_gain"
-GAIN_REMEDIES = {  # besides, if all FMUs are our own
-    "jerk": NOISE,
-    "torque": "; with friction, elastic joints or weak servos, lower controller.kp and "
-    "controller.ik_gain",
-}
 STYLES = {"wrong": "bold red", "refused": "bold red", "hint": "yellow", "good": "green"}
+LEVELS = {"bad": "bold red", "plain": "bold", "good": "bold green"}  # of a verdict
 SHOWN = 3  # unwanted contacts that are named
-NO_VERDICT = "No verdict, as not all criteria could be measured"
-NOT_FAILED = "Unexpected success: the scenario expects a failure"
 Progress = Callable[[int, int], None]  # completed and total steps
-Fault = tuple[Literal["failure", "error"], str, str]  # problem, kind and message of a JUnit case
 
 
 @dataclass(frozen=True)
@@ -117,7 +93,7 @@ def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
         except SimulationError as error:
             announce_python(kind)
             seconds = time.monotonic() - began
-            _write_junit(output.junit, scenario.name, seconds, ("error", "failed", str(error)))
+            _write_junit(output.junit, scenario.name, seconds, FAILED, str(error))
             kept = any(folder.glob("recording.*"))
             where = f"; the recording up to then is in {folder}" if kept else ""
             raise CosimError(f"{error}{where}") from error
@@ -142,7 +118,7 @@ def conclude(done: Run, output: Output, *, ours: bool, realtime: bool = False) -
     for message in dict.fromkeys(done.warnings):
         warn(message)
     seconds = done.summary.timing.get("wall_s") or 0.0
-    _write_junit(output.junit, done.summary.scenario, seconds, _fault(done))
+    _write_junit(output.junit, done.summary.scenario, seconds, done.verdict, done.summary.detail)
     if done.signal:
         name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
@@ -214,56 +190,36 @@ def _drawing(done: Run) -> Iterator[None]:
 
 def _end(done: Run, output: Output) -> None:
     """Print the results and exit with the exit code."""
-    code = 128 + done.signal if done.signal else 0 if done.summary.as_expected else NOT_A_SUCCESS
     if output.json:
         show_json(
             {
                 "folder": done.folder,
                 "files": [path.name for path in _files(done)],
-                "exit_code": code,
+                "exit_code": done.exit_code,
                 "warnings": list(dict.fromkeys(done.warnings)),
                 "summary": done.summary.to_dict(),
             }
         )
-    if code:
-        raise typer.Exit(code)
+    if done.exit_code:
+        raise typer.Exit(done.exit_code)
 
 
-def _fault(done: Run) -> Fault | None:
-    """Return what is wrong with a run, for JUnit."""
-    summary = done.summary
-    if done.signal:
-        return "error", "stopped", str(summary.reason)
-    if summary.as_expected:
-        return None
-    if not summary.complete:
-        return "error", "ended early", str(summary.reason)
-    if verdict_of(summary.criteria) == "not measured":
-        return "error", "not measured", missed_text(summary.criteria)
-    message = missed_text(summary.criteria) or f"{NOT_FAILED}: {summary.expect_reason}"
-    return "failure", "missed", message
-
-
-def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | None) -> None:
+def _write_junit(
+    path: Path | None, name: str, seconds: float, verdict: Verdict, detail: str
+) -> None:
     if path is not None:
         from ..compare.junit import Case, write_cases  # noqa: PLC0415 - rarely asked for
 
-        write_cases("panda-cosim run", [Case(name, seconds, *(fault or ()))], path)
+        write_cases("panda-cosim run", [Case.of(name, seconds, verdict, detail)], path)
 
 
 def verdict_table(summary: Summary) -> Table:
     """Return a table with one row per criterion."""
     right = ("measured", "required", "margin")
-    rows = [
-        (
-            as_cell(criterion.name),
-            as_cell(criterion.reason or quantity(criterion.value, criterion.unit)),
-            as_cell(bound_text(criterion)),
-            margin_text(criterion),
-            f"[{'green' if criterion.ok else 'bold red'}]{criterion.word}",
-        )
-        for criterion in summary.criteria
-    ]
+    rows = []
+    for criterion in summary.criteria:
+        *texts, word = map(as_cell, cells(criterion))
+        rows.append((*texts, f"[{'green' if criterion.ok else 'bold red'}]{word}"))
     return table(("criterion*", *right, "verdict"), rows, right=right)
 
 
@@ -271,7 +227,7 @@ def outcome_lines(
     summary: Summary, *, realtime: bool, ours: bool = True
 ) -> Iterator[tuple[str, str]]:
     """Yield the lines below the table, each with its style; `ours`: all FMUs are."""
-    yield _verdict_line(summary)
+    yield summary.headline, LEVELS[summary.verdict.level]
     yield _speed_line(summary), ""
     for end in summary.row_ends:
         name, at = f"Row {end['row']} ({end['until']})", end["ended_s"]
@@ -283,7 +239,7 @@ def outcome_lines(
     for level, text in outcome(summary.preflight, complete=summary.complete):
         yield text, STYLES[level]
     for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
-        yield line if ours else line.replace(MORE_TIME, ""), "yellow"
+        yield line, "yellow"
     if realtime:
         timing = summary.timing
         late = f"{timing['worst_lateness_s'] * 1e3:.1f} ms"
@@ -292,23 +248,6 @@ def outcome_lines(
             f"{late}",
             "",
         )
-
-
-def _verdict_line(summary: Summary) -> tuple[str, str]:
-    missed = missed_text(summary.criteria)
-    if not summary.complete or verdict_of(summary.criteria) == "not measured":
-        early = f"No success, as the run ended early: {summary.reason}"
-        return f"{NO_VERDICT}: {missed}" if summary.complete else early, "bold red"
-    if summary.expect == "failure":
-        if not summary.as_expected:
-            return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
-        return f"Failure, as expected ({summary.expect_reason}): {missed}", "bold green"
-    if missed:
-        return f"Success criteria missed: {missed}", "bold red"
-    if not summary.criteria:
-        return "Done; the scenario has no success criteria", "bold"
-    count = len(summary.criteria)
-    return f"Success: {count} of {count} criteria hold", "bold green"
 
 
 def _speed_line(summary: Summary) -> str:
@@ -342,7 +281,7 @@ def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
         yield f"Beyond the robot's limits: {', '.join(beyond)}"
     first, collision = summary.first_limit, summary.events["collision"]
     if first:
-        remedy = REMEDIES[first["kind"]] + (GAIN_REMEDIES.get(first["kind"], "") if ours else "")
+        remedy = remedy_of(f"{first['kind']} limit", ours=ours)
         if contacts and contacts[0]["time_s"] <= first["time_s"]:
             remedy = "after the contact above"
         elif collision is not None and collision <= first["time_s"]:
@@ -356,10 +295,7 @@ def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
         and not contacts
         and any(limit.startswith("torque rate") for limit in beyond)
     ):
-        yield (
-            f"Torque rate: give the rows more time{MORE_TIME} or push and set bodies down more "
-            f"gently{NOISE if ours else ''}"
-        )
+        yield f"Torque rate: {remedy_of('torque rate', ours=ours)}"
 
 
 def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:

@@ -7,7 +7,6 @@ Between its own, a run's Reals are interpolated; all else keeps its value.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -15,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...fmus.errors import InputError, one_line
+from ...fmus.errors import InputError
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
+from ..judging.verdict import Summary, Verdict
 from ..recording import Recording
-from ..run.folder import SUMMARY_FILE
 from ..run.result import Run
 from . import differences
 from .differences import (
@@ -48,6 +47,7 @@ class RunComparison:
     Attributes:
         names: Names of the runs.
         extents: What each run recorded.
+        verdicts: What each run came to.
         begin: First of the instants, those of all runs, at which they were compared [s].
         end: The last of these [s].
         rows: Their number.
@@ -63,6 +63,7 @@ class RunComparison:
 
     names: tuple[str, ...]
     extents: tuple[Extent, ...]
+    verdicts: tuple[Verdict, ...]
     begin: float
     end: float
     rows: int
@@ -83,10 +84,8 @@ class RunComparison:
 
     @property
     def unmet(self) -> bool:
-        """Whether a run ended early or missed one of its criteria."""
-        judged = [criterion for row in self.criteria for criterion in row.judged]
-        missed = any(criterion is not None and not criterion.ok for criterion in judged)
-        return missed or not all(extent.complete for extent in self.extents)
+        """Whether a run did not come to what its scenario expects."""
+        return any(verdict.level == "bad" for verdict in self.verdicts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
@@ -94,6 +93,7 @@ class RunComparison:
         plain = ("begin", "end", "rows", "columns", "missing", "other_units")
         return {
             "runs": self.names,
+            "verdicts": [verdict.word for verdict in self.verdicts],
             "identical": self.identical,
             **{name: getattr(self, name) for name in plain},
             **{part: [asdict(row) for row in getattr(self, part)] for part in parts},
@@ -138,7 +138,10 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         run.recording if isinstance(run, Run) else Recording.open(run, in_order=True)
         for run in runs
     )
-    summaries = [_summary(run) for run in runs]
+    summaries = [
+        run.summary if isinstance(run, Run) else Summary.of(recording)
+        for run, recording in zip(runs, recordings, strict=True)
+    ]
     paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
     short = [path.resolve().name for path in paths]
     names = tuple(short if len(set(short)) == len(short) else map(str, paths))
@@ -149,10 +152,11 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     compared = [name for name in common if len({r.units.get(name) for r in recordings}) == 1]
     if not compared:
         raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
-    metrics = differences.differing([differences.metrics_of(summary) for summary in summaries])
+    metrics = differences.differing([dict(summary.numbers()) for summary in summaries])
     return RunComparison(
         names=names,
         extents=tuple(map(Extent.of, recordings)),
+        verdicts=tuple(summary.verdict for summary in summaries),
         begin=float(instants[0]),
         end=float(instants[-1]),
         rows=len(instants),
@@ -167,22 +171,6 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     )
 
 
-def _summary(run: Run | str | Path) -> Mapping[str, Any]:
-    """Return a run's summary; empty if there is none, as for some systems."""
-    if isinstance(run, Run):
-        return run.summary.to_dict()
-    folder = Path(run) if Path(run).is_dir() else Path(run).parent
-    path = folder / SUMMARY_FILE
-    if not path.is_file():
-        return {}
-    try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        Criterion.read(summary)
-    except (OSError, ValueError, AttributeError, InputError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(error)}") from None
-    return summary
-
-
 def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
     """Return the rows of a table: span, number of rows and end of each run."""
     extents = comparison.extents
@@ -190,6 +178,7 @@ def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
         ("span", *(f"{precise(e.begin)} to {precise(e.end)} s" for e in extents)),
         ("rows", *(str(e.rows) for e in extents)),
         ("ended", *("complete" if e.complete else f"early: {e.reason}" for e in extents)),
+        ("verdict", *(verdict.word for verdict in comparison.verdicts)),
     ]
 
 
@@ -288,7 +277,7 @@ def signal_cells(row: SignalRow) -> tuple[str, ...]:
 
 def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
     """Show the run that differs most in 3D, with the first one as a ghost; with the page's code."""
-    from ..view.page import read_summary, show_source  # noqa: PLC0415 - slow to import
+    from ..view.page import show_source  # noqa: PLC0415 - slow to import
     from .views import Views  # noqa: PLC0415 - slow to import
 
     if not comparison.signals:
@@ -298,7 +287,7 @@ def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
     other = int(np.argmax(worst.largest))
     try:
         run, ghost = (
-            show_source(recording, name, summary=read_summary(recording.path.parent / SUMMARY_FILE))
+            show_source(recording, name, summary=Summary.of(recording))
             for recording, name in (runs[other + 1], runs[0])
         )
         columns = [row.name for row in comparison.signals[:VIEWED]]

@@ -19,13 +19,13 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, did_you_mean, excerpt
-from ..judging.criterion import Criterion, missed_text
+from ..judging.verdict import Summary
 from ..recording import Recording
 from ..scenario.tolerances import Tolerances, signal_of
 from .differences import LEAST_SHARE, instant, measure, multiple, precise, signal_names
@@ -35,24 +35,14 @@ from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, width
 Array = NDArray[np.float64]
 
 
-def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[str]:
+def verdict_problems(summary: Summary, reference: Reference) -> list[str]:
     """Check that the verdict is that of the reference, and what the scenario expects."""
-    before, now = bool(reference.summary["success"]), bool(summary["success"])
-    if before == now:
-        return [] if summary.get("as_expected", True) else [unexpected_text(summary)]
-    missed = missed_text(Criterion.read(summary))
-    words = {True: "a success", False: "not a success"}
-    reasons = f" ({missed})" if missed else ""
-    return [f"is {words[now]}, the reference is {words[before]}{reasons}"]
-
-
-def unexpected_text(summary: Mapping[str, Any]) -> str:
-    """Describe in one line how a verdict differs from the expected one."""
-    if not summary["complete"]:
-        return f"ended early: {summary['reason']}"
-    if summary["success"]:
-        return f"is a success, but a failure is expected: {summary['expect_reason']}"
-    return missed_text(Criterion.read(summary))
+    if summary.success == reference.summary.success:
+        return [] if summary.as_expected else [summary.detail]
+    now, before = (
+        "a success" if s.success else "not a success" for s in (summary, reference.summary)
+    )
+    return [f"is {now}, the reference is {before} ({summary.detail})"]
 
 
 def signal_problems(recording: Recording, reference: Reference) -> list[str]:
@@ -220,7 +210,7 @@ class Comparison:
 
 def compare_with_reference(
     recording: Recording,
-    summary: Mapping[str, Any],
+    summary: Summary,
     reference: Reference,
     tolerances: Tolerances,
     *,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, excerpt
 from ..judging.criterion import Criterion
+from ..judging.verdict import Summary
 from ..recording import Recording
 from ..scenario.tolerances import Tolerances, signal_of
 from .tubes import TIME_SLACK, distances, widths
@@ -87,9 +88,6 @@ def short(value: float) -> str:
 Array = NDArray[np.float64]
 
 SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
-SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
-# The speed of the machine is not a property of the scenario.
-_WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 MILLISECOND: Final = 1e-9  # [s] of rounding about one
 SMALL: Final = 1e-3  # in any unit; changes of smaller numbers are judged as if they were this large
 
@@ -169,19 +167,6 @@ def parameters_of(recording: Recording) -> dict[str, Any]:
     return values
 
 
-def metrics_of(summary: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the metrics of a summary, by names such as `limits.torque_share[2]`."""
-    metrics: dict[str, float | None] = {}
-    for section in SECTIONS:
-        for key, value in (summary.get(section) or {}).items():
-            several = isinstance(value, list)
-            items = {f"[{i}]": item for i, item in enumerate(value, 1)} if several else {"": value}
-            for index, item in items.items():
-                if key not in _WALL and isinstance(item, int | float | None):
-                    metrics[f"{section}.{key}{index}"] = item
-    return metrics
-
-
 def side_by_side(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Return the rows of tables with one value for each name."""
     names = dict.fromkeys(name for table in tables for name in table)
@@ -202,9 +187,9 @@ def _relative_change(before: Any, now: Any) -> float:
     return float(abs(now - before) / max(abs(before), abs(now), SMALL))
 
 
-def criteria_of(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, ...]:
+def criteria_of(summaries: Sequence[Summary]) -> tuple[CriterionRow, ...]:
     """Return all criteria of the runs."""
-    judged = [{c.name: c for c in Criterion.read(summary)} for summary in summaries]
+    judged = [{c.name: c for c in summary.criteria} for summary in summaries]
     names = dict.fromkeys(name for run in judged for name in run)
     return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 from xml.etree import ElementTree as ET
 
 from ...fmus.atomic import MARK, replacing
@@ -13,6 +13,7 @@ from ..judging.criterion import line
 from .differences import instant, measure, multiple
 
 if TYPE_CHECKING:
+    from ..judging.verdict import Verdict
     from .regress import Outcome  # `run` writes JUnit, too, without the suite
 
 
@@ -26,6 +27,12 @@ class Case:
     kind: str = ""
     message: str = ""  # the problem in one line
     details: str = ""
+
+    @classmethod
+    def of(cls, name: str, seconds: float, verdict: Verdict, detail: str) -> Self:
+        """Return the case of what came to a verdict; the detail is its message."""
+        fault = (*verdict.fault, detail) if verdict.fault else ()
+        return cls(name, seconds, *fault)
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:

@@ -138,14 +138,15 @@ class TestedRun:
         from ..recording import Recording  # noqa: PLC0415 - only where there is a scenario
 
         self._outcome = outcome
-        self.summary = outcome.summary
+        self.summary = outcome.summary.to_dict()
         self.recording = Recording.open(outcome.run)
 
     def assert_success(self) -> None:
         """Check that the scenario has criteria, and that they have the expected verdict."""
         __tracebackhide__ = True
-        if not (self.summary["criteria"] and self.summary["as_expected"]):
-            self._fail(f"expected {self.summary['expect']} by criteria of its own")
+        summary = self._outcome.summary
+        if summary.verdict.level != "good":
+            self._fail(f"expected {summary.expect} by criteria of its own")
 
     def assert_matches_reference(self) -> None:
         """Check that each signal stays within its tube around the scenario's reference."""

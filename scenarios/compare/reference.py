@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
 from ..files import as_argument
+from ..judging.verdict import Summary
 from ..recording import Recording
 from ..recording.reader import bits
 from ..recording.storage import METADATA_KEY, TEXTS, literal, make_batch, values_of
@@ -59,7 +60,7 @@ class Reference:
     units: Mapping[str, str]  # of every recorded column, with values or not
     digests: Mapping[str, str]  # of every recorded column's bits
     metadata: Mapping[str, Any]  # scenario, versions, machine, FMUs, parameters
-    summary: Mapping[str, Any]  # content of `summary.json`
+    summary: Summary
 
     @property
     def time(self) -> Array:
@@ -95,7 +96,7 @@ class Reference:
         )
 
     @classmethod
-    def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
+    def of(cls, recording: Recording, summary: Summary, tolerances: Tolerances) -> Self:
         """Make a reference from a run; values are rounded to a tenth of their tolerances."""
         _check_run(recording, summary)
         half = widths(recording, tolerances)
@@ -121,7 +122,7 @@ class Reference:
             units={name: recording.units.get(name, "") for name in names},
             digests={name: column_digest(recording[name]) for name in names},
             metadata=kept_metadata(recording),
-            summary=dict(summary),
+            summary=summary,
         )
 
     def write(self, path: Path, recording: Recording) -> None:
@@ -137,7 +138,7 @@ class Reference:
                 "origins": origins,
                 "nominals": self.nominals,
                 "metadata": self.metadata,
-                "summary": self.summary,
+                "summary": self.summary.to_dict(),
             }
         )
         with (
@@ -201,7 +202,7 @@ class Reference:
             units={name: unit for name, (unit, *_) in columns.items()},
             digests={name: digest for name, (_, digest, *_) in columns.items()},
             metadata=metadata,
-            summary=description["summary"],
+            summary=Summary.read(description["summary"]),
         )
 
 
@@ -257,14 +258,11 @@ def kept_metadata(recording: Recording) -> dict[str, Any]:
     return {**kept, "processor": processor(), "parameters": metadata.get("parameters", {})}
 
 
-def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
+def _check_run(recording: Recording, summary: Summary) -> None:
     if not recording.complete:
         raise InputError("the run ended early; it cannot become a reference")
-    if not summary.get("as_expected", summary.get("success")):
-        missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
-        what = "is not a success" if missed else "is a success, although a failure is expected"
-        named = f" ({', '.join(missed)})" if missed else ""
-        raise InputError(f"the run {what}{named}; it cannot become a reference")
+    if not summary.as_expected:
+        raise InputError(f"the run cannot become a reference: {summary.brief}")
     for name in recording.columns:
         if not np.isfinite(recording[name]).all():
             raise InputError(f"{name} is not finite; the run cannot become a reference")

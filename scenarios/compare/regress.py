@@ -8,7 +8,6 @@ noise has made of the signal so far.
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,22 +15,22 @@ from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..files import scenario_files
-from ..judging.criterion import Criterion, missed_text, verdict_of
+from ..judging.criterion import Criterion
+from ..judging.verdict import NO_CRITERIA, Summary
 from ..recording import Recording
-from ..run.folder import SUMMARY_FILE
 from ..run.options import Options
 from ..run.run import run_scenario
 from ..run.start import Overrides, check_criteria, check_tolerances, start_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..scenario.tolerances import Tolerances
 from ..work import Workers
-from .compare import Comparison, compare_with_reference, describe, unexpected_text
+from .compare import Comparison, compare_with_reference, describe
 from .reference import Reference, how_to_make, reference_path
 from .tubes import widths
 
@@ -98,9 +97,9 @@ class Outcome:
         return self.error
 
     @property
-    def summary(self) -> dict[str, Any]:
-        """Content of the run's `summary.json`."""
-        return _read_summary(self.run)
+    def summary(self) -> Summary:
+        """The run's summary."""
+        return Summary.open(self.run)
 
     @property
     def reference_path(self) -> Path:
@@ -132,28 +131,24 @@ def _outcome(scenario: Scenario, *, run: Path, options: Options, exact: bool) ->
     """Run a scenario in this process, and compare it."""
     began = time.perf_counter()
     try:
-        signal = run_scenario(scenario, run, options).signal
+        done = run_scenario(scenario, run, options)
     except CosimError as error:
         return _failed(scenario, run, began, str(error))
     seconds = time.perf_counter() - began
-    summary = _read_summary(run)
-    criteria = Criterion.read(summary)
-    if signal:
-        return _failed(scenario, run, began, f"was stopped by signal {signal}")
-    if summary["complete"] and verdict_of(criteria) == "not measured":  # the scenario's error
-        return _failed(scenario, run, began, missed_text(criteria))
-    verdict, problem, comparison = _judged(scenario, run, summary, exact)
-    return Outcome(scenario, verdict, run, seconds, comparison, problem, criteria)
+    if done.verdict.suite == "failed":  # it did not end, or the scenario asks for what is not there
+        return _failed(scenario, run, began, done.summary.detail)
+    verdict, problem, comparison = _judged(scenario, run, done.summary, exact)
+    return Outcome(scenario, verdict, run, seconds, comparison, problem, done.summary.criteria)
 
 
 def _failed(scenario: Scenario, run: Path, began: float, error: str) -> Outcome:
     seconds = time.perf_counter() - began
-    summary = _read_summary(run) if (run / SUMMARY_FILE).is_file() else {}
-    return Outcome(scenario, "failed", run, seconds, None, error, Criterion.read(summary))
+    criteria = Summary.open(run).criteria
+    return Outcome(scenario, "failed", run, seconds, None, error, criteria)
 
 
 def _judged(
-    scenario: Scenario, run: Path, summary: Mapping[str, Any], exact: bool
+    scenario: Scenario, run: Path, summary: Summary, exact: bool
 ) -> tuple[Verdict, str, Comparison | None]:
     """Compare a run with its reference or, without one, judge it by its criteria."""
     path = reference_path(scenario)
@@ -166,17 +161,10 @@ def _judged(
         except CosimError as refused:
             return "no reference", str(refused), None
         return "same" if comparison.ok else "differs", "", comparison
-    if not summary["criteria"]:
+    if summary.verdict is NO_CRITERIA:
         advice = f"{how_to_make(path)} makes it, or give the scenario a section [success]"
         return "no reference", f"{path}: does not exist; {advice}", None
-    if summary["as_expected"]:
-        return "holds", "", None
-    return "missed", unexpected_text(summary), None
-
-
-def _read_summary(run: Path) -> dict[str, Any]:
-    summary: dict[str, Any] = json.loads((run / SUMMARY_FILE).read_text(encoding="utf-8"))
-    return summary
+    return summary.verdict.suite, "" if summary.as_expected else summary.detail, None
 
 
 @dataclass(frozen=True)

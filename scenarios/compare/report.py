@@ -17,14 +17,14 @@ import numpy as np
 
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
-from ..judging.criterion import bound_text, margin_text, quantity
+from ..judging.criterion import cells
 from ..recording import Recording
 from ..run.start import Overrides
 from ..scenario.scenario import Scenario
 from ..scenario.tolerances import flattened
 from ..view.page import shown_run
 from .compare import Comparison, Deviation, deviation_text, matching_rows
-from .differences import DASH, instant, measure, metrics_of, numbers, side_by_side
+from .differences import DASH, instant, measure, numbers, side_by_side
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
 from .regress import Outcome, headline
@@ -82,11 +82,7 @@ def _about(outcomes: Sequence[Outcome]) -> str:
 
 def _section(outcome: Outcome, views: Views) -> Section:
     comparison = outcome.comparison
-    rows = [
-        (c.name, c.reason or quantity(c.value, c.unit), bound_text(c), margin_text(c), c.word)
-        for c in outcome.criteria
-    ]
-    criteria = Table(CRITERIA, rows)
+    criteria = Table(CRITERIA, [cells(criterion) for criterion in outcome.criteria])
     compared = _compared(outcome, comparison, views) if comparison else []
     worst = comparison.worst if comparison else None
     unknown = outcome.verdict == "no reference"
@@ -111,6 +107,7 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
     shown = [deviation for deviation in shown if deviation.name in reference.columns]
     origins = (dict(flattened(each)) for each in (reference.metadata, kept_metadata(recording)))
+    metrics = (dict(each.summary.numbers()) for each in (reference, outcome))
     tables = [
         Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
         Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
@@ -119,7 +116,7 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     return [
         _view(outcome, shown, views),
         Part("Signals, worst first", tables, comparison.scope, figures),
-        _changes("Metrics", "Metric", metrics_of(reference.summary), metrics_of(outcome.summary)),
+        _changes("Metrics", "Metric", *metrics),
         _changes("Parameters, versions, FMUs", "What", *origins),
     ]
 

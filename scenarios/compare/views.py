@@ -35,7 +35,7 @@ KEPT: Final = (
 def shown_reference(path: Path, name: str = "reference") -> Shown:
     """Return the reference in a file for the view, under a name."""
     reference = Reference.read(path)
-    run = show_source(reference, name, summary=dict(reference.summary))
+    run = show_source(reference, name, summary=reference.summary)
     return replace(run, notes=(ROUNDED,))
 
 

@@ -123,6 +123,13 @@ def margin_text(criterion: Criterion) -> str:
     return f"{criterion.margin:+.3g} x" if many else f"{criterion.margin:+.0%}"
 
 
+def cells(criterion: Criterion) -> tuple[str, str, str, str, str]:
+    """Return a row of a table: name, measured, required, margin, outcome."""
+    measured = criterion.reason or quantity(criterion.value, criterion.unit)
+    required, share = bound_text(criterion), margin_text(criterion)
+    return criterion.name, measured, required, share, criterion.word
+
+
 def miss_text(criterion: Criterion) -> str:
     """Format a criterion that does not hold, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
     word = "allowed" if criterion.direction == "below" else "required"

@@ -42,6 +42,12 @@ CHECKS: Final[Mapping[str, Check]] = {
 }
 
 
+def remedy_of(what: str, *, ours: bool) -> str:
+    """Return what helps against a limit that held the arm back; `ours`: all FMUs are."""
+    own = {name: REMEDIES[name] if ours else "" for name in ("retime", "noise", "weak")}
+    return REMEDIES[what].format(**own)
+
+
 def outcome(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[Level, str]]:
     """Yield in lines what the robot would refuse, by that section of a run's summary.json."""
     if not preflight:

@@ -22,9 +22,7 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.step import Coupling
 from ..run.folder import SCENARIO_FOLDER
 from ..run.journal import JOURNAL_FILE
-from ..run.output import json_values
 from ..run.session import Session
-from ..view.run import verdict
 from .page import offset_of, plan
 
 if TYPE_CHECKING:
@@ -222,8 +220,7 @@ class Simulation:
             return
         self._show(server)
         if self._is_over:
-            summary = self._session.close().summary.to_dict()  # nothing is journalled from now on
-            outcome = verdict(json_values(summary), {})["words"]
+            outcome = self._session.close().summary.brief  # nothing is journalled from now on
             self._playing, self._message = False, f"the scenario is over: {outcome}"
 
     def _show(self, server: LiveServer) -> None:

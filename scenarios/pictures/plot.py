@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from itertools import groupby
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
-from ..judging.criterion import Criterion, missed_text
+from ..judging.verdict import NO_CRITERIA, Summary
 from .motion import SHAPES, describe_run
 from .panels import COLOURS, DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves, thin
 
@@ -25,8 +24,7 @@ if TYPE_CHECKING:
 
 SIZE: Final = (13.0, 12.8)  # [inch]
 LENGTH: Final = 80  # of the purpose, and of what was missed
-HOLDS, MISSED = "#0f7a54", "#c4243a"
-Summary = Mapping[str, Any]  # content of summary.json
+VERDICTS: Final = {"good": "#0f7a54", "plain": GREY, "bad": "#c4243a"}  # by level
 CARET_DOWN: Final = 11  # matplotlib's marker that points down from its position
 # Of the page of a run whose signals are not those of the task:
 MOST: Final = 24  # signals on a page
@@ -88,10 +86,9 @@ def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
         plain: dict[str, Any] = {"va": "top", "parse_math": False}
         figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
         figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
-        if criteria := Criterion.read(summary or {}):
-            missed = missed_text(criteria)
-            words = shorten(missed or "all criteria hold", LENGTH, placeholder=" ...")
-            colour = HOLDS if (summary or {}).get("as_expected", not missed) else MISSED
+        if summary is not None and summary.verdict is not NO_CRITERIA:
+            words = shorten(summary.headline, LENGTH, placeholder=" ...")
+            colour = VERDICTS[summary.verdict.level]
             figure.text(0.975, 0.979, words, fontsize=11, color=colour, ha="right", **plain)
         note = "shaded: the fingers hold the block    ▾ waypoint of the table"
         figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")

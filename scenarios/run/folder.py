@@ -20,7 +20,6 @@ from ..system.assembly import Assembly, assemble
 from ..system.parts import part_path
 
 RUNS = Path("runs")
-SUMMARY_FILE = "summary.json"
 SCENARIO_FOLDER = "scenario"
 
 

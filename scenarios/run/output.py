@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 import sys
 from contextlib import nullcontext, suppress
@@ -14,13 +13,14 @@ from ...fmus.atomic import replacing
 from ...fmus.build.libraries import package_version
 from ...fmus.errors import InputError
 from ...fmus.master.system import OpenSystem
+from ..judging.verdict import SUMMARY_FILE, Summary, Verdict
 from ..recording import AnyRecorder, MemoryRecorder, Recorder, Recording
 from ..scenario.scenario import is_shipped
-from .folder import SCENARIO_FOLDER, SUMMARY_FILE, keep_scenario
+from .folder import SCENARIO_FOLDER, keep_scenario
 from .journal import JOURNAL_FILE, Action, append_action, begin_journal
 from .prepare import Prepared
 from .start import played_rows
-from .summary import Summary, summarize
+from .summary import summarize
 
 PACKAGES: Final = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 
@@ -68,12 +68,13 @@ class Output:
         """The recording, if memory holds it."""
         return self.recorder.recording()
 
-    def judge(self) -> Summary:
-        """Measure and judge what has been recorded, and write the summary."""
+    def judge(self, end: Verdict) -> Summary:
+        """Measure and judge what has been recorded, which ended so, and write the summary."""
         recording = self.in_memory or Recording.open(self._place)
-        summary = summarize(recording, self._prepared.scenario, self.system.master.statistics)
+        statistics = self.system.master.statistics
+        summary = summarize(recording, self._prepared.scenario, statistics, end)
         if self._writes:
-            text = json.dumps(json_values(summary.to_dict()), indent=2, allow_nan=False)
+            text = json.dumps(summary.to_dict(), indent=2, allow_nan=False)
             with replacing(self._place / SUMMARY_FILE) as path:
                 path.write_text(text + "\n", encoding="utf-8")
         return summary
@@ -128,12 +129,3 @@ def _provenance(system: OpenSystem, engine: str) -> dict[str, Any]:
         },
         "platform": f"{sys.platform} {platform.machine()}",
     }
-
-
-def json_values(value: Any) -> Any:
-    """Replace numbers that are not finite by null, as JSON cannot hold them."""
-    if isinstance(value, dict):
-        return {key: json_values(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_values(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ...fmus.errors import TEXT_LENGTH, legible
-from ..judging.criterion import Criterion, bound_text, margin_text, quantity
+from ..judging.criterion import cells
+from ..judging.verdict import STOPPED, Summary, Verdict
 from ..recording import Recording
-from .output import json_values
-from .summary import Summary
 
 if TYPE_CHECKING:
     from ..view.page import Inline
@@ -67,6 +67,16 @@ class Run:
     in_memory: Recording | None = None
 
     @property
+    def verdict(self) -> Verdict:
+        """What it came to."""
+        return STOPPED if self.signal else self.summary.verdict
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command that ran it."""
+        return self.verdict.exit_code + self.signal
+
+    @property
     def recording(self) -> Recording:
         """The recording."""
         return Recording.open(self.folder) if self.in_memory is None else self.in_memory
@@ -79,8 +89,8 @@ class Run:
         """
         from ..pictures.plot import plot_recording  # noqa: PLC0415 - matplotlib takes its time
 
-        path, summary = path or self.folder / PLOT_FILE, json_values(self.summary.to_dict())
-        return Picture(plot_recording(self.recording, path, summary))
+        path = path or self.folder / PLOT_FILE
+        return Picture(plot_recording(self.recording, path, self.summary))
 
     def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
         """Draw the video; a notebook shows it.
@@ -107,11 +117,8 @@ class Run:
     def _repr_html_(self) -> str:
         """Return the verdict as a table, and the contact sheet if one was drawn."""
         summary, sheet = self.summary, self.folder / SHEET_FILE
-        verdict = "success" if summary.success else "no success"
-        if not summary.complete:
-            verdict = f"incomplete: {summary.reason}"
-        title = f"<p><b>{_text(summary.scenario)}</b>: {_text(verdict)}</p>"
-        rows = "".join(map(_row, summary.criteria))
+        title = f"<p><b>{_text(summary.scenario)}</b>: {_text(summary.brief)}</p>"
+        rows = "".join(_row(cells(criterion)) for criterion in summary.criteria)
         table = f"<table>{_HEAD}{rows}</table>" if rows else ""
         if not sheet.is_file():
             return title + table
@@ -128,7 +135,7 @@ class Run:
         from ..view.page import show_source  # noqa: PLC0415 - slow to import
 
         name = name or self.folder.resolve().name
-        return show_source(self.recording, name, summary=json_values(self.summary.to_dict()))
+        return show_source(self.recording, name, summary=self.summary)
 
     def view(self, against: Run | None = None, *, height: int = 640) -> Inline:
         """Show the run in 3D: in a notebook the result is the page, inline.
@@ -145,15 +152,8 @@ class Run:
         return Inline(view_page(runs), height)
 
 
-def _row(criterion: Criterion) -> str:
-    cells = (
-        criterion.name,
-        criterion.reason or quantity(criterion.value, criterion.unit),
-        bound_text(criterion),
-        margin_text(criterion),
-        criterion.word,
-    )
-    return f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in cells)}</tr>"
+def _row(texts: Sequence[str]) -> str:
+    return f"<tr>{''.join(f'<td>{_text(text)}</td>' for text in texts)}</tr>"
 
 
 def _text(text: str) -> str:

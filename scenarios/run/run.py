@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.master import Master, RealtimePacer
+from ..judging.verdict import ENDED, FAILED, STOPPED, TIMEOUT, Summary
 from ..scenario.scenario import Scenario, load_scenario
 from .folder import claimed_folder
 from .journal import END, Action, Adjustments
@@ -22,7 +23,6 @@ from .output import Output
 from .prepare import Inputs, Prepared, prepare
 from .result import Run
 from .stopping import StopRequest, exit_guard, stopping_on_signals
-from .summary import Summary
 
 Progress = Callable[[int, int], None]  # completed and total steps
 
@@ -67,7 +67,7 @@ def run_prepared(
     """Run what `prepare` has returned, see `run_scenario`; for `meanwhile`, `Execution.close`."""
     with stopping_on_signals(stop) as request, Execution(prepared, out) as execution:
         execution.advance(execution.ticks, request, progress)
-        return execution.close(request.text, number=request.signal, meanwhile=meanwhile)
+        return execution.close(stop=request, meanwhile=meanwhile)
 
 
 class Execution:
@@ -131,14 +131,14 @@ class Execution:
         self,
         reason: str | None = None,
         *,
-        number: int = 0,
+        stop: StopRequest | None = None,
         meanwhile: Callable[[Run], None] | None = None,
     ) -> Run:
         """End the run: complete and judge the recording, free the FMUs.
 
         Args:
             reason: Why it ends before the scenario does, for the recording.
-            number: That of the signal that stopped it, or 0.
+            stop: What may have stopped it.
             meanwhile: Called with the judged run while the recording's file is being written.
 
         Raises:
@@ -148,14 +148,16 @@ class Execution:
             raise InputError("session: is not open; `open` opens it")
         with self._stack:
             self._stack = None
+            stop = stop or StopRequest()
             if not self.failure:  # else it has been judged
                 with self._guarded():
-                    self._end(reason)
-                    self._summary = self._begun.judge()
+                    self._end(reason or stop.text)
+                    end = STOPPED if stop.signal else TIMEOUT if stop.is_late else ENDED
+                    self._summary = self._begun.judge(end)
             if self._summary is None:
                 raise SimulationError(self.failure)
             warnings, recording = tuple(self.warnings), self._begun.in_memory
-            run = Run(self.folder, self._summary, number, warnings, recording)
+            run = Run(self.folder, self._summary, stop.signal, warnings, recording)
             if meanwhile is not None:
                 meanwhile(run)
         return run
@@ -276,7 +278,7 @@ class Execution:
             with suppress(CosimError):  # the failure itself says more
                 reason = f"{type(error).__name__}: {error}"
                 self._close_recording(reason, complete=False)
-                self._summary = self._begun.judge()
+                self._summary = self._begun.judge(FAILED)
             raise
 
     def _note(self, action: Action) -> None:

@@ -30,6 +30,7 @@ class StopRequest:
     def __init__(self, event: threading.Event | None = None) -> None:
         self.signal = 0  # number of the one that came first
         self.reason = ""  # what asked for it
+        self.is_late = False  # whether that was the time limit
         self._event = event
         self._came = 0.0
         self._deadline = float("inf")
@@ -53,6 +54,7 @@ class StopRequest:
         if self._event is not None and self._event.is_set():
             self._ask("request")
         elif time.monotonic() > self._deadline:
+            self.is_late |= not self.reason
             self._ask(f"its time limit of {self._time_limit:g} s of wall time")
 
     def _ask(self, reason: str) -> None:

@@ -1,13 +1,8 @@
-"""The metrics of a run and its verdict, `summary.json`, whose format is 3.
-
-`judging.definitions` says what each number means; keys end with their units. A value that could not
-be measured is null.
-"""
+"""Measures and judges a run: makes its summary."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -18,18 +13,17 @@ from .. import rotations
 from ..fields import field_names
 from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
-from ..judging.criterion import Criterion, Direction, smallest_margin, verdict_of
+from ..judging.criterion import Criterion, Direction
 from ..judging.holds import COMMAND, Events, events, find_holds, measure_block, moving_rows
 from ..judging.limits import all_lacking, first_limit, largest_share, limit_shares
 from ..judging.signals import judge_bodies, judge_signals
+from ..judging.verdict import ENDED, Metrics, Summary, Verdict
 from ..recording import Recording, by_rows
 from ..scenario.criteria import Success, split_instant
 from ..scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
-Metrics = dict[str, Any]
 
-FORMAT = 3
 _HAND, _FORCE = ("plant.hand_xpos", "plant.hand_xquat"), "plant.contact_force"
 # Signals without which a section is empty; foreign FMUs may lack some.
 NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
@@ -41,46 +35,13 @@ NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
 }
 
 
-@dataclass(frozen=True)
-class Summary:
-    """Metrics of a run and its verdict."""
-
-    scenario: str
-    complete: bool  # whether it ran to its end
-    reason: str | None  # why not
-    success: bool  # whether it is complete and all criteria hold
-    expect: str  # "success" or "failure"
-    expect_reason: str  # why a failure
-    as_expected: bool  # complete, with a verdict, which is the expected one
-    margin: float | None  # smallest of the criteria; None: there is no verdict, or there are none
-    order: tuple[str, ...]  # of stepping
-    late: tuple[str, ...]  # connections whose target gets values of the step before
-    criteria: tuple[Criterion, ...]
-    row_ends: tuple[Metrics, ...]  # of rows with `until`: whether and when each has ended early
-    events: Events  # instants of grasp, release and so on [s]; None: did not happen
-    tracking: Metrics
-    orientation: Metrics
-    block: Metrics
-    contact: Metrics
-    limits: Metrics
-    first_limit: Metrics | None
-    preflight: Metrics  # empty: the scenario names no robot
-    energy: Metrics
-    timing: Metrics
-    stepped_by: str | None  # "kernel", "fmpy" or both; None: judged later
-    code: Metrics  # what runs in each FMU
-    format: int = field(default=FORMAT, init=False)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values, as JSON holds them."""
-        values = asdict(self)
-        return {"format": values.pop("format"), **values}
-
-
 def summarize(
-    recording: Recording, scenario: Scenario, statistics: RunStatistics | None = None
+    recording: Recording,
+    scenario: Scenario,
+    statistics: RunStatistics | None = None,
+    end: Verdict = ENDED,
 ) -> Summary:
-    """Measure a run."""
+    """Measure a run; `end`: how it ended, if it is not complete."""
     held = find_holds(recording)
     happened = events(recording, held)
 
@@ -107,17 +68,13 @@ def summarize(
         *judge_bodies(scenario.success.body, recording, happened),
         *judge_signals(scenario.success.signal, recording, happened),
     )
-    judged = verdict_of(criteria)
-    expected = "ok" if scenario.expect == "success" else "missed"
     return Summary(
         scenario=scenario.name,
         complete=recording.complete,
         reason=recording.reason,
-        success=recording.complete and judged == "ok",
+        end=end,
         expect=scenario.expect,
         expect_reason=scenario.expect_reason,
-        as_expected=recording.complete and judged == expected,
-        margin=smallest_margin(criteria),
         order=tuple(recording.metadata.get("order", ())),
         late=tuple(recording.metadata.get("late", ())),
         criteria=criteria,

@@ -20,7 +20,8 @@ from ...fmus.sources.targets import Target, build
 from ...fmus.twins import notice
 from ..compare.regress import Outcome, Unusable, Verdict
 from ..judging.criterion import Criterion, miss_text
-from ..run.folder import SUMMARY_FILE, default_folder
+from ..judging.verdict import SUMMARY_FILE
+from ..run.folder import default_folder
 from ..run.options import with_values
 from ..scenario.criteria import Success
 from ..scenario.scenario import SCENARIO_FILE, Scenario

@@ -24,7 +24,8 @@ from ...fmus.errors import InputError, legible, printable
 from ...fmus.interface.tables import INTERFACES
 from ..compare.reference import REFERENCE_FILE, Reference
 from ..judging.definitions import DEFINITIONS, Definition
-from ..run.folder import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
+from ..judging.verdict import SUMMARY_FILE
+from ..run.folder import SCENARIO_FOLDER, refuse_existing
 from ..run.options import with_values
 from ..run.run import run_scenario
 from ..scenario.scenario import Scenario
@@ -260,7 +261,7 @@ def promote_row(
         kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs
         shutil.copytree(kept, new, dirs_exist_ok=True)
         if run.summary.as_expected:
-            reference = Reference.of(run.recording, run.summary.to_dict(), promoted.regression)
+            reference = Reference.of(run.recording, run.summary, promoted.regression)
             with replacing(new / REFERENCE_FILE) as path:
                 reference.write(path, run.recording)
     return sorted(new.iterdir())

@@ -21,14 +21,13 @@ from typing import Any, Final
 from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
 from ...fmus.interface.parameters import ParameterValue
-from ..judging.criterion import verdict_of
+from ..judging.verdict import VERDICTS, Summary
 from ..run.folder import with_files
 from ..run.options import Options, with_values
 from ..run.prepare import prepare
 from ..run.result import Run
 from ..run.run import Execution
 from ..run.stopping import StopRequest
-from ..run.summary import Summary
 from ..scenario.scenario import Scenario, load_scenario, shipped_scenarios
 from ..scenario.writer import settings_text, table_text
 from ..system.assembly import assemble
@@ -110,13 +109,8 @@ MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of 
 # As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is
 # expected (3), none missed and one not measured (3), a failed simulation (1), or stopped by the
 # time limit.
-STATUSES: Final = ("success", "missed", "unexpected", "unmeasured", "failed", "timeout")
+STATUSES: Final = tuple(dict.fromkeys(verdict.status for verdict in VERDICTS))
 UNJUDGED: Final = ("unmeasured", "failed", "timeout")  # of which there is no margin
-# These differ from run to run, like the wall clock.
-_WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
-_GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "preflight", "energy",
-                  "timing")  # fmt: skip
-
 JOB_FILE: Final = "job"
 
 Row = dict[str, Any]
@@ -208,7 +202,7 @@ def _run(folder: Path, task: Task, *, writes: bool) -> Done:
             stop = StopRequest()
             with Execution(prepared, place, writes=writes) as execution:
                 execution.advance(execution.ticks, stop)
-                row |= measured(execution.close(stop.text))
+                row |= measured(execution.close(stop=stop))
     except CosimError as error:
         row |= {"status": "failed", "error": str(error)}
     except Exception as error:  # reported in the row; the sweep goes on
@@ -242,14 +236,12 @@ def first_columns(job: Job, task: Task) -> Row:
 def measured(run: Run) -> Row:
     """Return the columns measured in a run."""
     summary, criteria = run.summary, run.summary.criteria
-    row: Row = {"status": "timeout", **dict(metrics(summary))}
+    row: Row = {"status": run.verdict.status, **dict(metrics(summary))}
     if not summary.complete:
         return {**row, "error": summary.reason}
     unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if not c.measured]
-    otherwise = {"ok": "unexpected", "missed": "missed", "not measured": "unmeasured"}
     return {
         **row,
-        "status": "success" if summary.as_expected else otherwise[verdict_of(criteria)],
         "missed": next((c.name for c in criteria if c.measured and not c.ok), None),
         "error": "; ".join(unknown) or None,
         MARGIN: summary.margin,
@@ -272,21 +264,9 @@ def margin_column(criterion: str, columns: Collection[str]) -> str:
 
 def metrics(summary: Summary) -> Iterator[tuple[str, float | None]]:
     """Yield the numbers of a summary by path, such as `summary.tracking.rms_mm`."""
-    content = vars(summary)
-    for name, instant in content["events"].items():
-        yield f"event.{name}", instant
-    for group in _GROUPS:
-        for name, value in content[group].items():
-            if name not in _WALL:
-                yield from _numbers(f"summary.{group}.{name}", value)
-
-
-def _numbers(name: str, value: Any) -> Iterator[tuple[str, float | None]]:
-    if isinstance(value, list | tuple):
-        for number, item in enumerate(value, 1):
-            yield from _numbers(f"{name}[{number}]", item)
-    elif value is None or isinstance(value, int | float):
-        yield name, None if value is None else float(value)
+    yield from ((f"event.{name}", instant) for name, instant in summary.events.items())
+    for name, value in summary.numbers():
+        yield f"summary.{name}", None if value is None else float(value)
 
 
 def command(scenario: str, values: Mapping[str, ParameterValue]) -> str:

@@ -23,7 +23,8 @@ from ...fmus.atomic import cache_folder, cached, replacing
 from ...fmus.build.libraries import code_digest, digest
 from ...fmus.errors import InputError, legible, shown
 from ...plant.parameters import BLOCK, PlantParameters
-from ..files import model_file, read_integer
+from ..files import model_file
+from ..judging.verdict import Summary
 from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import DEFAULT_SCENE, refuse_without_model
 from ..recording import Recording
@@ -177,7 +178,6 @@ class Inline:
 
 
 VIEW_FILE: Final = "view.html"
-SUMMARY_FILE: Final = "summary.json"
 
 
 def write_view(runs: Sequence[Shown], path: Path) -> Path:
@@ -208,14 +208,11 @@ def contents(runs: Sequence[Shown]) -> Contents:
 def shown_run(folder: Path | str, *, name: str | None = None, meshes: Meshes = "never") -> Shown:
     """Open a run to show."""
     recording = Recording.open(folder, in_order=True)
-    place = recording.path.parent
-    summary = read_summary(place / SUMMARY_FILE)
-    return show_source(recording, name or place.resolve().name, summary=summary, meshes=meshes)
+    name = name or recording.path.parent.resolve().name
+    return show_source(recording, name, summary=Summary.of(recording), meshes=meshes)
 
 
-def show_source(
-    source: RunData, name: str, *, summary: dict[str, Any], meshes: Meshes = "never"
-) -> Shown:
+def show_source(source: RunData, name: str, *, summary: Summary, meshes: Meshes = "never") -> Shown:
     """Return a run to show, with the model named in its recording."""
     own = model_file(source)
     if own is not None:
@@ -262,12 +259,3 @@ def described_scene(scene: str, robot: str, meshes: Meshes = "never") -> Mapping
     key = digest(scene, robot, code_digest(), *code)
     kept = cached(cache_folder() / "scenes" / f"{key[:24]}.json", make)
     return dict(json.loads(kept.read_bytes()))
-
-
-def read_summary(path: Path) -> dict[str, Any]:
-    """Return summary.json; empty if missing or unreadable."""
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"), parse_int=read_integer)
-    except (OSError, ValueError):
-        return {}
-    return summary if isinstance(summary, dict) else {}

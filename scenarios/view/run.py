@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from typing import Any, Final, Protocol
 
@@ -20,6 +20,7 @@ from .. import rotations
 from ..files import model_file
 from ..judging.definitions import DEFINITIONS
 from ..judging.limits import CHECKS, outcome
+from ..judging.verdict import Summary
 from ..pictures.motion import Signals, describe_run, key_moments
 from ..recording import Recording, by_rows
 from ..scenario.limits import METRICS, robot_of
@@ -36,42 +37,15 @@ CURVES: Final = (
 )
 
 
-def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Return the run's outcome: a state (good, bad, plain) and a text."""
-    if metadata.get("complete") is False:
-        reason = summary.get("reason") or metadata.get("reason") or "stopped early"
-        return {"state": "bad", "words": f"incomplete: {reason}"}
-    criteria = criteria_of(summary)
-    unknown = [str(c["name"]) for c in criteria if c["value"] is None]
-    missed = [str(c["name"]) for c in criteria if not c["ok"] and c["value"] is not None]
-    if summary.get("expect") == "failure" and (missed or not unknown):
-        words = f"failure, as expected: {', '.join(missed)}" if missed else "unexpected success"
-        return {"state": "good" if missed else "bad", "words": words}
-    if unknown or missed:
-        groups = {"missed": missed, "not measured": unknown}
-        words = "; ".join(f"{word}: {', '.join(names)}" for word, names in groups.items() if names)
-        return {"state": "bad", "words": words}
-    if criteria:
-        count = len(criteria)
-        return {"state": "good", "words": f"success: {count} of {count} criteria hold"}
-    return {"state": "plain", "words": "no success criteria"}
-
-
-def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+def criteria_of(summary: Summary) -> list[dict[str, Any]]:
     """Return the success criteria with measured values, in their units."""
-    rows = summary.get("criteria")
     return [
         {
-            "name": str(row.get("name", "")),
-            "value": number(row.get("value")),
-            "bound": number(row.get("bound")),
-            "unit": str(row.get("unit", "")),
-            "ok": row.get("ok") is True,
-            "least": row.get("direction") == "above",
-            "words": meaning(f"success.{row.get('name')}"),
+            **asdict(each),
+            "least": each.direction == "above",
+            "words": meaning(f"success.{each.name}"),
         }
-        for row in (rows if isinstance(rows, list) else ())
-        if isinstance(row, Mapping)
+        for each in summary.criteria
     ]
 
 
@@ -80,19 +54,16 @@ def meaning(key: str) -> str:
     return DEFINITIONS[key].text if key in DEFINITIONS else ""
 
 
-def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+def limits_of(summary: Summary) -> list[dict[str, Any]]:
     """Return the largest shares of the robot's limits that the run used."""
-    limits = summary.get("limits")
-    shares = limits if isinstance(limits, Mapping) else {}
-    rows = [("limits", key, name, shares) for key, name in METRICS.items()]
-    real = summary.get("preflight")
-    if isinstance(real, Mapping):
-        judged = (real.get("interface"), "arm")
-        keys = [key for key, check in CHECKS.items() if check.interface in judged]
-        rows += [
-            ("preflight", f"{key}_share", f"{real.get('robot')}: {key.replace('_', ' ')}", real)
-            for key in keys
-        ]
+    rows = [("limits", key, name, summary.limits) for key, name in METRICS.items()]
+    real = summary.preflight
+    judged = (real.get("interface"), "arm") if real else ()
+    rows += [
+        ("preflight", f"{key}_share", f"{real['robot']}: {key.replace('_', ' ')}", real)
+        for key, check in CHECKS.items()
+        if check.interface in judged
+    ]
     return [
         {"name": name, "words": meaning(f"{group}.{key}"), "shares": list(map(number, used[key]))}
         for group, key, name, used in rows
@@ -100,10 +71,10 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def refusals_of(summary: Mapping[str, Any]) -> list[str]:
+def refusals_of(summary: Summary) -> list[str]:
     """Return what the real robot would refuse, in lines."""
     try:
-        lines = outcome(summary["preflight"], complete=summary["complete"])
+        lines = outcome(summary.preflight, complete=summary.complete)
         return [text for level, text in lines if level == "refused"]
     except (LookupError, TypeError, ValueError):  # there is none, or it is another's
         return []
@@ -194,7 +165,7 @@ class Shown:
     model: Mapping[str, Any]  # as `model.describe` returns it
     # Of the model's bodies [kg]; None: the run may have had others, and no forces are drawn.
     masses: Sequence[float] | None = None
-    summary: Mapping[str, Any] = field(default_factory=dict)  # of `summary.json`
+    summary: Summary = field(default_factory=Summary)
     notes: tuple[str, ...] = ()  # further remarks on its data
 
 
@@ -211,7 +182,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         )
     thinning = Thinning.of(source.time)
     title, about = describe_run(source)
-    ran = [*metadata.get("code", {}).items(), ("stepped by", run.summary.get("stepped_by"))]
+    ran = [*metadata.get("code", {}).items(), ("stepped by", run.summary.stepped_by)]
     with ThreadPoolExecutor(1) as second:  # zlib compresses without Python's lock
         recorded = _signals(source, thinning, columns["qpos"], second)
         signals = [*_derived(source, thinning, against), *recorded]
@@ -228,7 +199,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         "purpose": str(metadata.get("purpose") or ""),
         "facts": [*about.split(" · "), *[f"{part}: {by}" for part, by in ran if by][-PARTS:]],
         "model": model_key,
-        "verdict": verdict(run.summary, metadata),
+        "verdict": {"state": run.summary.verdict.level, "words": run.summary.brief},
         "criteria": criteria_of(run.summary),
         "limits": limits_of(run.summary),
         "notes": list(filter(None, notes)),

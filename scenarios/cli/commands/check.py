@@ -11,6 +11,7 @@ import typer
 from ....fmus.errors import InputError
 from ...check.check import check_folder, read_checked
 from ...check.experiments import check_experiments
+from ...judging.verdict import MISSED
 from ...run.options import TOP, split_settings
 from ...scenario.scenario import shipped_scenarios
 from ...system.assembly import instances
@@ -26,7 +27,7 @@ from ..options import (
     overrides,
     scenario_argument,
 )
-from ..outcome import NOT_A_SUCCESS, STYLES
+from ..outcome import STYLES
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -91,7 +92,7 @@ def command(  # noqa: PLR0913 - one for each option
     if wrong:
         raise typer.Exit(InputError.exit_code)
     if any(diagnostic.level == "refused" for diagnostic in diagnostics):
-        raise typer.Exit(NOT_A_SUCCESS)
+        raise typer.Exit(MISSED.exit_code)
 
 
 def _check_fmu(path: Path, *, as_json: bool) -> None:
@@ -106,4 +107,4 @@ def _check_fmu(path: Path, *, as_json: bool) -> None:
         what = "an experiment has no references at its instants" if outcomes else "no experiments"
         raise InputError(f"{path}: {what}, so that nothing was compared")
     if not all(each.ok for each in outcomes):
-        raise typer.Exit(NOT_A_SUCCESS)
+        raise typer.Exit(MISSED.exit_code)

@@ -19,13 +19,13 @@ from ...compare.between_runs import (
 from ...compare.differences import numbers, signal_names
 from ...compare.reference import REFERENCE_FILE
 from ...compare.views import reference_of, shown_reference
+from ...judging.verdict import Summary
 from ...pictures.motion import position_columns
 from ...pictures.plot import plot_recording
 from ...pictures.video import check_video, contact_sheet
 from ...recording import Recording
-from ...run.folder import SUMMARY_FILE
 from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
-from ...view.page import VIEW_FILE, read_summary, shown_run, write_view
+from ...view.page import VIEW_FILE, shown_run, write_view
 from ...view.run import Shown
 from ..console import as_cell, show, show_file, show_json, table, tell
 from ..options import CSV_FILE, JSON, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, argument, option
@@ -96,8 +96,7 @@ def plot(
         path /= PLOT_FILE
     check_replaceable(path, overwrite=overwrite)
     tell(PLOTTING)
-    summary = read_summary(recording.path.parent / SUMMARY_FILE)
-    show(str(plot_recording(recording, path, summary)))
+    show(str(plot_recording(recording, path, Summary.of(recording))))
 
 
 def view(  # noqa: PLR0913 - one for each option

@@ -16,6 +16,7 @@ from ...compare.junit import Case, write_cases
 from ...compare.reference import REFERENCE_FILE
 from ...judging.criterion import line as criterion_line
 from ...judging.criterion import miss_text
+from ...judging.verdict import FAILED, MISSED, SUCCESS, Verdict
 from ...run.folder import default_folder
 from ...sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...sweep.engine import SweepResult, check_sweep
@@ -26,7 +27,6 @@ from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
 from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
-from ..outcome import NOT_A_SUCCESS, Fault
 
 SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
 ROW = argument(
@@ -122,22 +122,22 @@ def command(  # noqa: PLR0913 - one for each option
             more = "" if out else f" with --out {quote(str(folder))}"
             tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
         if isinstance(error, CosimError):
-            _write_junit(junit, name, began, ("error", "failed", str(error)))
+            _write_junit(junit, name, began, FAILED, str(error))
         raise
     if json:
         show_json({"folder": done.folder, "counts": done.counts, "min_success": done.gate})
     else:
         _show_counts(done, definition)
     if done.gate is not None:
-        text = miss_text(done.gate)
-        _write_junit(junit, name, began, None if done.gate.ok else ("failure", "missed", text))
-        if not done.gate.ok:
-            raise typer.Exit(NOT_A_SUCCESS)
+        verdict = SUCCESS if done.gate.ok else MISSED
+        _write_junit(junit, name, began, verdict, miss_text(done.gate))
+        if verdict.exit_code:
+            raise typer.Exit(verdict.exit_code)
 
 
-def _write_junit(path: Path | None, name: str, began: float, fault: Fault | None) -> None:
+def _write_junit(path: Path | None, name: str, began: float, verdict: Verdict, detail: str) -> None:
     if path is not None:
-        case = Case(name, time.perf_counter() - began, *(fault or ()))
+        case = Case.of(name, time.perf_counter() - began, verdict, detail)
         write_cases("panda-cosim sweep", [case], path)
 
 
