@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from panda_cosim.scenarios.run.result import Run
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 from panda_cosim.scenarios.scenario.tolerances import Tolerances
 from panda_cosim.scenarios.sweep.row import STATUSES, measured
-from panda_cosim.scenarios.view.run import Shown, describe
+from panda_cosim.scenarios.view.run import Shown, criteria_of, describe, limits_of, refusals_of
 from regress_support import columns, record
 
 SIGTERM = 15
@@ -224,3 +225,39 @@ def test_a_damaged_summary_is_refused_with_its_place(text: str, told: str, tmp_p
     (tmp_path / SUMMARY_FILE).write_text(text)
     with pytest.raises(InputError, match=f"{SUMMARY_FILE}: cannot be read: {told}"):
         Summary.open(tmp_path)
+
+
+WHOLE = SUMMARIES["missed"] | {
+    "limits": {"torque_share": [0.5]}, "first_limit": None, "tracking": {"rms_mm": 1.0},
+    "preflight": {
+        "robot": "fer", "interface": "joint", "refusals": 1, "joint_jerk_share": [0.1],
+        "late": {}, "joint_refusals": 1, "lost_packets": 1, "findings": [
+            {"error": "e", "time_s": 0.1, "row": 1, "what": "jerk of joint", "joint": 1,
+             "value": 1.0, "unit": "m", "bound": 1.0, "remedy": "r",
+             "necessary": True, "interface": "joint"},
+        ],
+    },
+}  # fmt: skip
+JUNK = [None, 0, -1.5, 1e308, "x", True, [], [1], ["a"], [{}], {}, {"a": 1}]
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Each place in plain values, by keys and indices."""
+    yield path
+    inside = enumerate(value) if isinstance(value, list) else getattr(value, "items", tuple)()
+    for key, item in inside:
+        yield from places(item, (*path, key))
+
+
+@given(st.sampled_from(list(places(WHOLE))[1:]), st.sampled_from(JUNK))
+def test_what_is_damaged_is_refused_or_shown(place: tuple[Any, ...], junk: Any) -> None:
+    content = deepcopy(WHOLE)
+    inner: Any = content
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = junk
+    with suppress(InputError):
+        summary = Summary.read(content)
+        told = summary.headline, summary.brief, dict(summary.numbers()), summary.to_dict()
+        shown = criteria_of(summary), limits_of(summary), refusals_of(summary)
+        json.dumps([told[-1], shown], allow_nan=False)

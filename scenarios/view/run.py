@@ -20,7 +20,7 @@ from .. import rotations
 from ..files import model_file
 from ..judging.definitions import DEFINITIONS
 from ..judging.limits import CHECKS, outcome
-from ..judging.verdict import Summary
+from ..judging.verdict import Summary, json_values
 from ..pictures.motion import Signals, describe_run, key_moments
 from ..recording import Recording, by_rows
 from ..scenario.limits import METRICS, robot_of
@@ -41,7 +41,7 @@ def criteria_of(summary: Summary) -> list[dict[str, Any]]:
     """Return the success criteria with measured values, in their units."""
     return [
         {
-            **asdict(each),
+            **json_values(asdict(each)),
             "least": each.direction == "above",
             "words": meaning(f"success.{each.name}"),
         }
@@ -60,7 +60,7 @@ def limits_of(summary: Summary) -> list[dict[str, Any]]:
     real = summary.preflight
     judged = (real.get("interface"), "arm") if real else ()
     rows += [
-        ("preflight", f"{key}_share", f"{real['robot']}: {key.replace('_', ' ')}", real)
+        ("preflight", f"{key}_share", f"{real.get('robot')}: {key.replace('_', ' ')}", real)
         for key, check in CHECKS.items()
         if check.interface in judged
     ]
@@ -76,7 +76,12 @@ def refusals_of(summary: Summary) -> list[str]:
     try:
         lines = outcome(summary.preflight, complete=summary.complete)
         return [text for level, text in lines if level == "refused"]
-    except (LookupError, TypeError, ValueError):  # there is none, or it is another's
+    except (
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+    ):  # none, or another's
         return []
 
 
