@@ -1,6 +1,6 @@
 """The plant: one MuJoCo simulation behind two preallocated buffers.
 
-A new output takes a line in `OUTPUTS` and one in `Plant._sources`, and a row in the FMU's table,
+A new output takes a line in `OUTPUTS` and one in `Plant._values`, and a row in the FMU's table,
 `fmus/interface/plant.py`.
 
 Contacts are of kinds: unwanted ones, and those that support the block. Each shape has a
@@ -176,7 +176,6 @@ class Plant:
             sensor = self.model.sensor(f"{side}_finger_contact")
             self._normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
         record = self.output_values.view(OUTPUTS)  # (1,)
-        self._copied = [(record[name][0], source) for name, source in self._sources().items()]
         self._grip_sum = record["contact_force"]
         self._unwanted_sum, self._support_sum, self._table_sum = (
             record[name] for name in ("unwanted_contact_force", "support_force", "table_force")
@@ -194,8 +193,8 @@ class Plant:
             self._passed_on.append((self.data.ctrl[:7], self.inputs["torque"]))
         self.reset()
 
-    def _sources(self) -> dict[str, NDArray[np.float64]]:
-        """Return where outputs are copied from: memory that MuJoCo, or `_refresh`, writes."""
+    def _values(self) -> dict[str, NDArray[np.float64]]:
+        """Return the outputs at the instant of qpos, but for sums of contact forces."""
         data = self.data
         return {
             "qpos": data.qpos[:16],  # without the rotors of elastic joints
@@ -252,8 +251,8 @@ class Plant:
         mujoco.mj_step1(model, data)
         mujoco.mj_jacBody(model, data, *self._jac_parts, self._hand)
         mujoco.mj_fullM(model, data, self._inertia)
-        for output, source in self._copied:
-            output[...] = source
+        for name, value in self._values().items():
+            self.outputs[name] = value
         self._grip_sum[0] = mujoco.mju_dot(self._normals, self._sensors)
         for kind in DIVERGED if np.count_nonzero(self._warnings) else ():
             if self._warnings[kind]:

@@ -16,7 +16,6 @@ import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from subprocess import DEVNULL, PIPE
 from typing import Any, Final
 
@@ -36,6 +35,7 @@ from ..fmus.sources.targets import Kind
 from ..plant.plant import Plant, PlantParameters
 from ..plant.scene import load_scene
 from .run.options import Options
+from .run.output import versions
 from .run.prepare import prepare
 from .run.start import instants, resolve, start_values
 from .scenario.scenario import Scenario, load_scenario
@@ -46,7 +46,6 @@ Array = NDArray[np.float64]
 FORMAT: Final = 4  # of the JSON file
 MICRO: Final = 1e6  # [us/s]
 CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
-PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
 LABELS: Final = {
     "physics": "(a) mj_step of the scene with the shapes that are only drawn",
     "bare": "(a') mj_step of the model that the FMU steps",
@@ -310,6 +309,5 @@ def _machine() -> dict[str, str]:
         "processor": processor(),
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        **{package: version(package) for package in PACKAGES},
+        **versions(),
     }

@@ -122,6 +122,7 @@ def test_an_output_of_the_plant_is_added_in_two_places_and_a_line_of_the_descrip
 ACT = """
 import json, sys
 from pathlib import Path
+import numpy as np
 from panda_cosim import run_scenario
 from panda_cosim.fmus.twins import notice
 from panda_cosim.scenarios.cli.commands.build import build_all
@@ -137,8 +138,15 @@ print(json.dumps({
     "rows": {name: each.recording.sha256() for name, each in done.items()},
     "code": {name: each.summary.code for name, each in done.items()},
     "stepped_by": done["run"].summary.stepped_by,
+    "moved": float(np.ptp(done["run"].recording["plant.hand_xpos"][:, 2])),
     "notes": [*done["run"].warnings, notice(["trajectory"])],
 }))
+"""
+TOLD = """
+import sys
+from panda_cosim.scenarios.cli import main
+sys.stderr = sys.stdout
+main()
 """
 # What is edited; what of the run, or of what `build` wrote, is Python then.
 EDITS = {
@@ -178,12 +186,18 @@ def test_a_changed_line_of_python_acts_and_is_named(tmp_path: Path) -> None:
         where = "played" if instance == "trajectory" else "run"
         after = act(Path(file).stem, is_played=where == "played")
         assert after["rows"][where] != before["rows"][where], file
+        assert after["moved"] > 0.0, "no value that was taken once"
         changed_code = {instance: "python"} if instance else {}
         assert after["code"][where] == before["code"][where] | changed_code
         assert after["stepped_by"] == ("kernel" if instance else "fmpy")
         (note,) = (note for note in after["notes"] if note.startswith(f"{file}: changed"))
         assert "python .ci/stamp.py" in note
         (root / file).write_text(text, encoding="utf-8")
+    broken = text.replace("leader.set_inputs(row)", "raise KeyError(row)", 1)  # of the step
+    (root / file).write_text(broken, encoding="utf-8")
+    told = python(root, "-c", TOLD, "run", scenario, "--out", tmp_path / "broken", code=1)
+    assert "unexpected KeyError: 0; " in told
+    assert f"{file}: changed" in told
 
 
 @pytest.mark.fmu

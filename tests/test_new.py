@@ -44,6 +44,11 @@ def test_a_new_scenario_with_parts_of_its_own_runs_and_is_swept(tmp_path: Path) 
     assert len(design) == 40
 
 
+def test_check_suggests_no_torques_for_a_scene_with_servos(tmp_path: Path) -> None:
+    make_scenario(tmp_path / "own", ["plant"])
+    assert [each.level for each in check_folder(tmp_path / "own")] == ["good", "good"]
+
+
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_a_copy_of_a_shipped_scenario_is_equal_to_it(name: str, tmp_path: Path) -> None:
     make_scenario(tmp_path / "copy", copied=name)

@@ -28,6 +28,7 @@ from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.run.start import start_values
 from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.scenarios.scenario.writer import make_scenario
 from typer.testing import CliRunner
 
 pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
@@ -291,7 +292,13 @@ def test_what_pythonfmu_cannot_make_is_refused(words: Sequence[str], tmp_path: P
 
 WITHOUT = """
 import sys
+from importlib import metadata
 sys.modules["pythonfmu"] = None
+def distribution(name):
+    if name == "pythonfmu":
+        raise metadata.PackageNotFoundError(name)
+    return metadata.Distribution.from_name(name)
+metadata.distribution = distribution
 sys.argv[0] = "panda-cosim"
 from panda_cosim.scenarios.cli import main
 main()
@@ -308,6 +315,7 @@ main()
         ("build --slave SLAVE --out OUT", 2),
         ("regress push --kind python", 2),
         ("check sensor_offset", 2),
+        ("check GUST", 2),
         ("run tutorial --duration 0.05 --no-video --no-view --out OUT", 3),
         ("check push", 0),
     ],
@@ -316,6 +324,7 @@ def test_without_the_package_only_what_needs_it_fails_in_one_line(
     words: str, code: int, tmp_path: Path
 ) -> None:
     places = {"OUT": tmp_path / "new", "SLAVE": Path(__file__).parent / "slaves" / "decay.py"}
+    places["GUST"] = make_scenario(tmp_path / "gust", ["slave"])[0].parent
     done = script(WITHOUT, *(str(places.get(word, word)) for word in words.split()))
     assert done.returncode == code, done.stderr
     if code == 2:
@@ -346,6 +355,7 @@ def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path: Path) -> Non
     assert CliRunner().invoke(app, ["new", str(folder), "--slave", "--law"]).exit_code == 0
     run = run_scenario(folder, tmp_path / "run")
     assert run.summary.success, run.summary.criteria
+    assert not run.warnings
     ours = run.recording["gust.force"]
     build_it = [sys.executable, "-m", "pythonfmu", "build", "-f", "my_slave.py"]
     subprocess.run(build_it, cwd=folder, check=True, timeout=300)

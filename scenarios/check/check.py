@@ -56,7 +56,7 @@ from ..scenario.limits import LIMITS, saturated, shares, torque_rates
 from ..scenario.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
 from ..scenario.trajectory import TIME_TOLERANCE
 from ..system.assembly import Assembly, system_scenario
-from ..system.connector import Connector
+from ..system.connector import OPTIONAL, Connector
 from ..system.parts import UnreadSlaveError
 from ..timing.demand import LimitViolation, find_violations, joint_reference
 
@@ -176,6 +176,7 @@ def _suggestions(assembly: Assembly) -> Iterator[str]:
         for part in assembly.parts
         if part.file is not None
         for variable in part.interface.of("input")
+        if variable.name not in OPTIONAL
         if not any((part.name, name) in fed for name in variable.names())
     )
     for name, variable in islice(unfed, LOOKED_AT):

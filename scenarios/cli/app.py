@@ -17,6 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
+from ...fmus.twins import notice
 from ..pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code, startup
 from .commands import COMMANDS, ELSEWHERE
@@ -143,7 +144,7 @@ def _explain(error: BaseException) -> tuple[int, str]:
         return 1, f"a limit of this machine or user ends the command: {reason}"
     return 1, (
         f"unexpected {type(error).__name__}: {error}; append --debug to the command to get the "
-        "traceback, and please report it"
+        f"traceback, and {notice() or 'please report it'}"
     )
 
 

@@ -6,6 +6,7 @@ import json
 import platform
 import sys
 from contextlib import nullcontext, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -122,10 +123,12 @@ def _provenance(system: OpenSystem, engine: str) -> dict[str, Any]:
             name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
             for name, fmu in system.fmus.items()
         },
-        "versions": {
-            "python": platform.python_version(),
-            **{package: package_version(package) for package in PACKAGES},
-            **({"mujoco": engine} if engine else {}),
-        },
+        "versions": versions() | ({"mujoco": engine} if engine else {}),
         "platform": f"{sys.platform} {platform.machine()}",
     }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that runs use, as far as they are installed."""
+    installed = (name for name in PACKAGES if find_spec(name.replace("-", "_")))
+    return {"python": platform.python_version()} | {n: package_version(n) for n in installed}

@@ -144,7 +144,7 @@ class Session(Execution):
         folder: The run's folder.
         interfaces: Variables of each FMU.
         actions: Actions so far.
-        warnings: Messages of the FMUs.
+        warnings: Messages of the FMUs, and what runs in Python because it was changed.
         failure: Why the run failed; "" if it has not.
 
     Raises:

@@ -41,7 +41,7 @@ _FMUS: Final = {  # lines of the section [fmus]
     "plant": 'plant = "my_scene.xml"  # a scene of its own; my_scene.toml says what its FMU has\n',
     "slave": 'gust = "my_slave.py:Gust"  # a slave for PythonFMU\n',
 }
-_GUST: Final = '\n[connect]\n"plant.push_force[2]" = "gust.force"\n'
+_GUST: Final = '\n[connect]\n"plant.push_force[2]" = "convert(gust.force)"\n'
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`

@@ -106,6 +106,8 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     begun_with = origin(definition, job.scenarios, job.fmus)
     store = Store(default_folder("sweep") if out is None else out)
     with store.claimed(), ExitStack() as stack:
+        for instead in filter(None, [notice()]):
+            remark(instead)
         is_begun = store.begin(begun_with)
         jobs = jobs or cores()
         backend = Local(job, jobs) if dask is None else Cluster(job, jobs, dask)
@@ -116,8 +118,6 @@ def sweep(  # noqa: PLR0913 - options, by keyword
             idle = keys_without_effect(design, scenarios)
             store.write({"origin": begun_with, **columns, "without_effect": idle})
         store.keep_scenarios(job.scenarios)
-        for instead in filter(None, [notice()]):
-            remark(instead)
         for key in store.content["without_effect"]:
             remark(f"vary: {key} changes no start value, no input and no criterion")
         for change in store.changed_scenarios():

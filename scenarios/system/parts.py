@@ -132,11 +132,12 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         law = read_law(path, class_name)
         if not law.is_slave:
             return law
+        from ...fmus.sources.python_fmu import require_pythonfmu, slave_fmu  # noqa: PLC0415
+
+        require_pythonfmu()
         if not run_code:
             raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
                                    "only known when it is run")  # fmt: skip
-        from ...fmus.sources.python_fmu import slave_fmu  # noqa: PLC0415 - see above
-
         slave = slave_fmu(law.path, law.name)
         path = build_fmu(slave)
         interface = described_interface(read_fmu(path))
