@@ -184,8 +184,9 @@ def test_a_frame_keeps_scripts_from_the_notebook(page: Page, tmp_path: Path) -> 
         assert page.value("window.ran") == 1  # or the frame would be of no use
     assert page.value("window.stolen") is None
     frame = compared(tmp_path, "x")._repr_html_()
-    assert html.escape("<body>") in frame
-    spoiled = frame.replace(html.escape("<body>"), html.escape(f"<body>{STOLEN}"))
+    body = '<body class="page-differences">'
+    assert html.escape(body) in frame
+    spoiled = frame.replace(html.escape(body), html.escape(f"{body}{STOLEN}"))
     in_notebook(page, tmp_path, spoiled)
     with page.in_frame():
         assert page.value("document.querySelectorAll('img').length") == 1

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 VIEW = Path(__file__).parent.parent / "scenarios" / "view"
-BUILT = ("LICENSES.txt", "code.json", "sweep.css", "view.css")
+BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
 
 
 @pytest.fixture(scope="module")

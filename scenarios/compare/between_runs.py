@@ -7,7 +7,7 @@ Between its own, a run's Reals are interpolated; all else keeps its value.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -31,7 +31,7 @@ from .differences import (
     percent,
     precise,
 )
-from .page import NO_VIEW, Array, Figure, Page, Part, Section, Table, curve, render, varied
+from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
 
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
@@ -197,7 +197,7 @@ def _page(comparison: RunComparison) -> Page:
     """Return the page: one section, in which all runs are held against the first."""
     first, *others = comparison.names
     state = "bad" if comparison.unmet else "good" if comparison.identical else ""
-    view, view_parts = _view(comparison)
+    view, runs = _view(comparison)
     rows = [
         (row.name, bound_text(next(filter(None, row.judged))), *map(judged_text, row.judged))
         for row in comparison.criteria
@@ -218,7 +218,7 @@ def _page(comparison: RunComparison) -> Page:
         about=comparison.verdict + deviations,
         key=[("reference", first), *((f"r{i % 5 + 1}", name) for i, name in enumerate(others))],
         sections=[Section(f"{', '.join(others)} against {first}", state, parts)],
-        view=view_parts,
+        runs=runs,
     )
 
 
@@ -275,13 +275,13 @@ def signal_cells(row: SignalRow) -> tuple[str, ...]:
     return row.name, multiple(row.multiple), percent(row.share), *row.texts
 
 
-def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
-    """Show the run that differs most in 3D, with the first one as a ghost; with the page's code."""
+def _view(comparison: RunComparison) -> tuple[list[Part], str]:
+    """Show the run that differs most in 3D, with the first one as a ghost; with their data."""
     from ..view.page import show_source  # noqa: PLC0415 - slow to import
     from .views import Views  # noqa: PLC0415 - slow to import
 
     if not comparison.signals:
-        return [], NO_VIEW
+        return [], ""
     runs = list(zip(comparison.recordings, comparison.names, strict=True))
     worst, views = comparison.signals[0], Views()
     other = int(np.argmax(worst.largest))
@@ -291,6 +291,6 @@ def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
             for recording, name in (runs[other + 1], runs[0])
         )
         columns = [row.name for row in comparison.signals[:VIEWED]]
-        return [views.add(run, ghost, columns, worst.times[other])], views.page_parts
+        return [views.add(run, ghost, columns, worst.times[other])], views.elements
     except InputError as error:  # no model, or no positions
-        return [Part("In 3D", note=f"No 3D: {error}")], NO_VIEW
+        return [Part("In 3D", note=f"No 3D: {error}")], ""

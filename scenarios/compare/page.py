@@ -1,6 +1,6 @@
 """The page of differences: one section for each run against its reference, or against other runs.
 
-One HTML file with its style, script, curves and pictures. Names, purposes, units and messages come
+One HTML file with its style, code, curves and runs in 3D. Names, purposes, units and messages come
 from users; the template escapes all of them, and shows none that is longer than a page bears.
 """
 
@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import base64
 import math
-import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -26,10 +25,8 @@ from .differences import multiple
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-FOLDER: Final = Path(__file__).parent
-TEMPLATE, STYLE = "page_template.html", "page_style.css"
+TEMPLATE: Final = Path(__file__).with_name("page_template.html")
 DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar
-NO_VIEW: Final = {"sources": "", "style": "", "elements": ""}
 
 POINTS: Final = 2400  # of a curve
 POINTS_INSIDE: Final = 700  # of one that stays inside its tube
@@ -92,22 +89,20 @@ class Page:
     key: Sequence[tuple[str, str]]  # class and words of each kind of line
     sections: Sequence[Section]
     settings: Sequence[str] = ()  # changed for these runs
-    view: Mapping[str, str] = field(default_factory=lambda: NO_VIEW)  # `Views.page_parts`
+    runs: str = ""  # in 3D: their elements, see `Views`
     listed: bool = False  # whether a table of verdicts comes first
 
 
 def render(page: Page) -> str:
     """Return the page as HTML."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - slow
+    from ..view.page import document, rendered  # noqa: PLC0415 - slow to import
 
-    environment = Environment(
-        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined, finalize=shown
+    body = rendered(
+        TEMPLATE, page=page, shown=shown, bar_length=bar_length, short_share=short_share
     )
-    environment.filters |= {each.__name__: each for each in (shown, bar_length, short_share)}
-    return environment.get_template(TEMPLATE).render(
-        page=page,
-        style=(FOLDER / STYLE).read_text(encoding="utf-8"),
-        nonce=secrets.token_urlsafe(),  # of the only script that the page may run
+    code = ["differences", "view"] if page.runs else ["differences"]
+    return document(
+        f"{legible(page.title, TEXT_LENGTH)} \N{EN DASH} panda-cosim", body, page.runs, code
     )
 
 
@@ -143,7 +138,7 @@ def curve(  # noqa: PLR0913 - all that a figure shows
     tolerance: float | None = None,
     points: int = POINTS,
 ) -> dict[str, Any]:
-    """Return a column's curve for the page's script."""
+    """Return a column's curve for the page's code, `Curve` in curve.ts."""
     # Numbers are float32. All but the baseline are stored as differences from it, where it has a
     # value, so that a narrow tube around a large value keeps its digits.
     baseline, *others = runs.values()
@@ -156,7 +151,7 @@ def curve(  # noqa: PLR0913 - all that a figure shows
             "names": [legible(name, TEXT_LENGTH) for name in runs],
             "tolerance": tolerance,
             "worst": worst,
-            "time": _encode(time[kept], "<f8"),
+            "time": _steps(time[kept]),
             "baseline": _encode(baseline[kept]),
             "runs": [_encode(values[kept]) for values in differences],
             "tube": tube and [_encode((edge - origin)[kept]) for edge in tube],
@@ -175,5 +170,13 @@ def _choose(series: Sequence[Array], worst: int, points: int) -> NDArray[np.int6
     return np.unique(np.concatenate(chosen))
 
 
-def _encode(values: Array, kind: str = "<f4") -> str:
-    return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
+def _steps(time: Array) -> list[tuple[int, int]]:
+    """Return the steps between instants [us], from 0 to the first on, each with its count."""
+    steps = np.diff(np.rint(time * 1e6).astype(np.int64), prepend=0)
+    first = np.flatnonzero(np.diff(steps, prepend=~steps[0]))  # of equal ones in a row
+    counts = np.diff(first, append=len(steps))
+    return list(zip(steps[first].tolist(), counts.tolist(), strict=True))
+
+
+def _encode(values: Array) -> str:
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")

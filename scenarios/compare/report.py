@@ -56,7 +56,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
         about=_about(outcomes),
         key=KEY,
         sections=sections,
-        view=views.page_parts,
+        runs=views.elements,
         settings=settings,
         listed=True,
     )

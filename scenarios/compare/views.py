@@ -10,17 +10,9 @@ from typing import Any, Final
 from ...fmus.errors import InputError
 from ..scenario.scenario import shipped_scenarios
 from ..scenario.tolerances import signal_of
-from ..view.page import (
-    Contents,
-    code_elements,
-    contents,
-    data_elements,
-    script_sources,
-    show_source,
-    style,
-)
+from ..view.page import Contents, contents, data_elements, show_source
 from ..view.run import CURVES, ROLES, RunData, Shown
-from .page import NO_VIEW, Part
+from .page import Part
 from .reference import REFERENCE_FILE, Reference, how_to_make
 
 ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
@@ -57,7 +49,7 @@ def reference_of(source: RunData) -> Path:
 
 
 class Views:
-    """Collects the runs that a page shows in 3D; one script serves all of them."""
+    """Collects the runs that a page shows in 3D; each stands in it once."""
 
     def __init__(self) -> None:
         self._documents: list[Mapping[str, Any]] = []
@@ -75,16 +67,9 @@ class Views:
         return Part(title, view={"runs": [run.name, ghost.name], "at": at})
 
     @property
-    def page_parts(self) -> dict[str, str]:
-        """Parts of the page for the template: policy, style, data and code; safe as HTML."""
-        if not self._documents:
-            return NO_VIEW
-        data = data_elements(Contents("", [], self._documents, self._models))
-        return {
-            "sources": " ".join(script_sources("view")),
-            "style": style(["view"]),
-            "elements": f"{data}\n{code_elements(['view'])}",
-        }
+    def elements(self) -> str:
+        """The elements with the runs, as HTML; "" if there are none."""
+        return data_elements(Contents("", [], self._documents, self._models))
 
 
 class _Selected:

@@ -93,26 +93,21 @@ def document(title: str, body: str, data: str, code: Sequence[str], *, policy: s
         title=escape(title),
         scripts=" ".join(script_sources(*code)),
         more=policy,
-        style=style(code),
+        style="\n".join(_part(f"{name}.css") for name in code),
         kind=code[0],
         body=body,
         data=data,
-        code=code_elements(code),
+        code=_code_elements(code),
     )
 
 
-def code_elements(code: Sequence[str]) -> str:
+def _code_elements(code: Sequence[str]) -> str:
     """Return the elements with bundles of code, deflated, and the script that starts them."""
     bundles = [
         f'<script type="text/plain" data-code="{name}">{_code()[name]["deflated"]}</script>'
         for name in code
     ]
     return "\n".join((*bundles, f"<script>{LOADER}</script>"))
-
-
-def style(code: Sequence[str]) -> str:
-    """Return the style sheets of bundles."""
-    return "\n".join(_part(f"{name}.css") for name in code)
 
 
 def rendered(template: Path, **content: Any) -> str:

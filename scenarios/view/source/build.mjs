@@ -14,6 +14,7 @@ const libraries = ["three", "uplot"];
 const pages = {
   view: ["src/main.ts", "PandaView"],
   sweep: ["src/sweep/main.ts", "PandaSweep"],
+  differences: ["src/differences/main.ts", "PandaDifferences"],
 };
 
 const licences = new Map(libraries.map((name) => {

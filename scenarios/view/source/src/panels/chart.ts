@@ -5,6 +5,7 @@ import type { RunSource, Series } from "../data/source.ts";
 import type { Clock } from "../clock.ts";
 import { PALETTE } from "../colours.ts";
 import { button, hint, icon, make, number } from "../dom.ts";
+import { axes, gap, hearTouch } from "../plot.ts";
 
 const HEIGHT = 132; // [px]
 const CROSS = "M6 6l12 12M18 6L6 18";
@@ -108,6 +109,7 @@ export class Chart {
     this.plot?.destroy();
     this.plotPlace.replaceChildren();
     this.plot = new uPlot(this.options(), this.data(), this.plotPlace);
+    hearTouch(this.plot);
     this.plot.over.append(this.needle);
     this.plot.over.addEventListener("click", (event) => this.clicked(event));
     if (range) this.zoom(range[0], range[1]);
@@ -126,9 +128,7 @@ export class Chart {
   }
 
   private options(): uPlot.Options {
-    const ink = getComputedStyle(this.element);
-    const axis = { stroke: ink.getPropertyValue("--pv-muted"), font: "11px system-ui, sans-serif", ticks: { show: false } };
-    const grid = { stroke: ink.getPropertyValue("--pv-grid"), width: 1 };
+    const ink = (name: string) => () => getComputedStyle(this.element).getPropertyValue(name);
     const own = this.curves.map(({ column, colour }) => ({ label: column, stroke: colour, width: 1.5, points: { show: false } }));
     const other = this.curves
       .filter(({ other }) => other)
@@ -141,10 +141,7 @@ export class Chart {
       scales: { x: { time: false, range: ({ data: [times] }, low, high) => (times.length > 1 ? [low, high] : [times[0], times[0] + 1]) } }, // 1 s before a run begins
       series: [{}, ...own, ...other],
       cursor: { sync: { key: "panda-view" }, drag: { x: true, y: false }, points: { size: 6 } },
-      axes: [
-        { ...axis, grid, size: 24, gap: 4 },
-        { ...axis, grid, size: 48, gap: 5, values: (_, ticks) => ticks.map((tick) => String(Number(tick.toPrecision(6))).replace("-", "−")) },
-      ],
+      axes: axes(ink("--pv-muted"), ink("--pv-grid"), 48),
       hooks: { setScale: [(plot, key) => this.scaled(plot, key)], draw: [(plot) => this.drawBounds(plot)] },
     };
   }
@@ -210,8 +207,4 @@ function element(column: string, unit: string): string {
   if (!index) return column;
   if (/^(m|m\/s|N)$/.test(unit) && /(pos|vel|force|linear)/.test(signal) && Number(index) <= 3 && !/q(pos|vel)|actuator/.test(signal)) return "xyz"[Number(index) - 1];
   return /(qpos|qvel|dq|ctrl|actuator_force|qfrc_\w+|torque|kp|ki|kd)(_ref)?$/.test(signal) && /^(rad|rad\/s|N\.m)$/.test(unit) ? `joint ${index}` : `[${index}]`;
-}
-
-function gap(value: number): number | null {
-  return Number.isFinite(value) ? value : null;
 }
