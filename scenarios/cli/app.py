@@ -144,7 +144,7 @@ def _explain(error: BaseException) -> tuple[int, str]:
         return 1, f"a limit of this machine or user ends the command: {reason}"
     return 1, (
         f"unexpected {type(error).__name__}: {error}; append --debug to the command to get the "
-        f"traceback, and {notice() or 'please report it'}"
+        f"traceback; {notice() or 'please report it'}"
     )
 
 
