@@ -231,7 +231,10 @@ def _describe(error: ValidationError, cls: type) -> str:
     cause = problem.get("ctx", {}).get("error")
     if cause is None:  # something else where a section is needed
         path = ".".join(part for part in loc if isinstance(part, str))
-        form = f"sections [[{path}]]" if problem["type"] == "tuple_type" else f"a section [{path}]"
+        form = f"a section [{path}]"
+        if problem["type"] == "tuple_type":
+            holds_texts = _class_at(cls, loc) is None
+            form = 'a list of texts, ["...", ...]' if holds_texts else f"sections [[{path}]]"
         return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
     if isinstance(cause, ItemError):
         loc = (*loc, cause.index - 1)

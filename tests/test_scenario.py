@@ -45,6 +45,10 @@ BAD_SCENARIOS = {
         "one is missing; must be both or neither",
     ),
     "push no list": (GOOD + "push = 1\n", "key push: must be sections [[push]]"),
+    "order no list": (
+        GOOD + 'order = "plant"\n',
+        'key order: must be a list of texts, ["...", ...]',
+    ),
     "push incomplete": (GOOD + "[[push]]\nstart = 1.0\nduration = 0.1\n", "force is missing"),
     "push too strong": (
         GOOD + "[[push]]\nstart = 0\nduration = 1\nforce = [2000, 0, 0]\n",

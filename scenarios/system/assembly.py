@@ -193,7 +193,7 @@ def assemble(
         return _connected(scenario, parts, from_outside=from_outside)
     except InputError as error:
         from_file = scenario.folder and not any(map(os.path.isabs, scenario.fmus.values()))
-        if not (from_file and str(error).startswith("[")):
+        if not (from_file and str(error).startswith(("[", "order: ", "not_finite: "))):
             raise
         raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
 
