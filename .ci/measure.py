@@ -28,7 +28,6 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.benchmark import LABELS
-from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.sweep.definition import load_sweep
 from panda_cosim.scenarios.sweep.engine import check_sweep
@@ -325,7 +324,7 @@ def _plan_times(name: str) -> list[float]:
         scenario = scenarios[design.scenario(index)].scenario
         began = time.process_time()
         with suppress(InputError):  # there is no route, which takes its time, too
-            prepare(with_values(scenario, design.values(index)))
+            prepare(scenario.changed(design.values(index)))
         times.append(time.process_time() - began)
     return times
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from panda_cosim import Options, Session, run_scenario
+from panda_cosim import Session, run_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from forked import command
@@ -194,7 +194,7 @@ def good_files(folder: Path) -> None:
     write_sweep(folder, 4, 'design = "random"\nkeep = "failures"\n')
     made_up(folder / "swept", 200)
     run_scenario(folder / "short", folder / "run")
-    run_scenario(folder / "short", folder / "other", Options({"controller": {"kp": 6}}))
+    run_scenario(folder / "short", folder / "other", values={"controller.kp": 6})
     with Session(folder / "short", folder / "session") as session:
         session.set("controller.kp", 6)
         session.step(40)

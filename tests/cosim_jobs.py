@@ -47,7 +47,7 @@ def compare(scenario: str, coupling: str, steps: int) -> dict[str, Any]:
 def over_fmus(scenario: str, coupling: str, steps: int) -> tuple[Array, list[str]]:
     """Rows of a run over the FMUs, and the names of their columns."""
     loaded = load_scenario(scenario)
-    values = start_values(loaded, {"controller": {"observer": True}})
+    values = start_values(loaded.changed({"controller.observer": True}))
     commands = resolve(loaded, values).sample(instants(loaded))[: steps + 1]
     asked = [f"{i}.{v.name}" for i, t in INTERFACES.items() for v in t.of("output") if v.on_request]
     rows: list[Array] = []

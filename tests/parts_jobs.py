@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from panda_cosim import Options, Recording, Session, replay, run_scenario
+from panda_cosim import Recording, Session, replay, run_scenario
 
 ARM = """
 <mujoco model="arm">
@@ -90,9 +90,9 @@ def write_arm(folder: Path, settings: str = ARM_SCENARIO) -> Path:
     return folder
 
 
-def run_folder(folder: str, out: str, options: dict[str, Any] | None = None) -> dict[str, Any]:
+def run_folder(folder: str, out: str, values: dict[str, Any] | None = None) -> dict[str, Any]:
     """Run a scenario; returns what the tests look at."""
-    run = run_scenario(folder, out, Options(**(options or {})))
+    run = run_scenario(folder, out, values=values)
     recording = run.recording
     parameters = {n: dict(p) for n, p in recording.metadata["parameters"].items()}
     return {

@@ -22,19 +22,18 @@ from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.run.options import Options
 from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import Execution
-from panda_cosim.scenarios.run.start import Overrides, instants, resolve, start_values
+from panda_cosim.scenarios.run.start import instants, resolve, start_values
 from panda_cosim.scenarios.run.stopping import StopRequest
 from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.trajectory import COMMANDS
 
 Array = NDArray[np.float64]
 
-Task = dict[str, float]  # the plant's parameters by name
+Task = dict[str, float]  # the plant's parameters by key
 
-DRAWN = ("block_pos[1]", "block_pos[2]", "block_yaw", "block_mass", "block_friction")
+DRAWN = tuple(f"plant.block_{name}" for name in ("pos[1]", "pos[2]", "yaw", "mass", "friction"))
 # Ranges of a random task: offset from the nominal place, yaw, mass, friction.
 OFFSET = 0.10  # [m]
 YAW = np.pi / 4  # [rad]
@@ -97,9 +96,9 @@ def _columns(signal: str) -> list[int]:
     return [i for i, command in enumerate(COMMANDS) if command.split("[")[0] == signal]
 
 
-def run_plain(scenario: Scenario, overrides: Overrides | None = None) -> Course:
+def run_plain(scenario: Scenario) -> Course:
     """Run a scenario with plain objects in place of FMUs; its pushes are left out."""
-    values = start_values(scenario, overrides)
+    values = start_values(scenario)
     plant = Plant(PlantParameters(**grouped(PLANT, values["plant"])))
     gains = grouped(CONTROLLER, values["controller"])
     period = gains.pop("period")
@@ -151,9 +150,9 @@ class Done(NamedTuple):
     signals: dict[str, Array]  # by name, as "plant.qpos", one row an instant
 
 
-def run_in_memory(scenario: Scenario, overrides: Overrides | None = None) -> Done:
+def run_in_memory(scenario: Scenario) -> Done:
     """Run a scenario with its FMUs, in a forked process: a tenth of what a plain loop takes."""
-    return Done(*in_fork(_in_memory, prepare(scenario, Options(overrides=overrides or {}))))
+    return Done(*in_fork(_in_memory, prepare(scenario)))
 
 
 def _in_memory(prepared: Prepared) -> tuple[Summary, dict[str, Array]]:

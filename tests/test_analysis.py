@@ -70,10 +70,10 @@ def slide(tmp_path: Path) -> Path:
 
 
 def measured(
-    scenario: str, at: float | str, options: dict[str, Any] | None = None
+    scenario: str, at: float | str, values: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Numbers of an analysis; S and L are real and imaginary parts at some frequencies."""
-    one = analyze(scenario, at, Options(**(options or {})))
+    one = analyze(load_scenario(scenario).changed(values or {}), at)
     omega = frequencies(one.responses)
     at = omega[[100, 300, 500]]
     z = np.exp(1j * at * one.period)
@@ -119,8 +119,8 @@ def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(
     """v+ = v + T f, x+ = x + T v+, with the force held for a period."""
     (slide / "slide.xml").write_text(SLIDE.replace('step="0.001"', f'step="{step}"'))
     period = max(law, step)
-    values = {"controller": {"spring": spring, "period": law}}
-    one = in_process(measured, str(slide), 0.05, {"overrides": values})
+    values = {"controller.spring": spring, "controller.period": law}
+    one = in_process(measured, str(slide), 0.05, values)
     assert one["names"] == [["plant_ctrl"], ["plant_ctrl", "plant_qpos"]]
     assert one["period"] == one["dt"] == pytest.approx(period)
 
@@ -155,10 +155,10 @@ def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(
     ("coupling", "changes", "gains", "linear"),
     [
         ("gauss-seidel", {}, {}, {}),
-        ("gauss-seidel", {"controller": {"period": 0.005}}, {}, {"period": 0.005}),
+        ("gauss-seidel", {"controller.period": 0.005}, {}, {"period": 0.005}),
         (
             "jacobi",
-            {"controller": {"ki": 20.0, "kd": 0.02}, "plant": {"servo_scale": 0.8}},
+            {"controller.ki": 20.0, "controller.kd": 0.02, "plant.servo_scale": 0.8},
             {"ki": (20.0,) * 7, "kd": (0.02,) * 7},
             {"servo_scale": (0.8,) * 7},
         ),
@@ -169,9 +169,7 @@ def test_our_law_has_the_loops_of_its_linearisation(
 ) -> None:
     import control  # noqa: PLC0415 - takes a second, in each of xdist's processes
 
-    one = in_process(
-        measured, "pick_and_place", "start", {"overrides": changes, "coupling": coupling}
-    )
+    one = in_process(measured, "pick_and_place", "start", changes | {"coupling": coupling})
     period = linear.pop("period", PERIOD)
     system = linear_loop(preset("default", **gains), period, coupling, **linear)
     omega = np.array(one["omega"])
@@ -220,7 +218,7 @@ def pulses(stepper: str, scenario: str) -> str:
     """In Python, there is no library for the kernel."""
     if stepper == "Python":
         kernel.load_stepper = lambda: None
-    responses = analyze(scenario, 0.05, Options(coupling="jacobi")).responses
+    responses = analyze(scenario.changed({"coupling": "jacobi"}), 0.05).responses
     return responses.pulses.tobytes().hex()
 
 
@@ -294,9 +292,8 @@ def growth_along(scenario: str, delay: float, payload: float) -> float:
             push=(Push(force=(force, force, force), start=0.7, duration=0.005),),
             mismatch=Mismatch(delay=delay),
         )
-        options = Options(overrides={"plant": {"payload": payload}})
         with TemporaryDirectory() as folder:
-            run = run_scenario(changed, Path(folder) / "run", options)
+            run = run_scenario(changed, Path(folder) / "run", values={"plant.payload": payload})
             speeds.append(np.array(run.recording["plant.qvel"][:, :7]))
     apart = np.abs(speeds[1] - speeds[0])
     return float(apart[1200:1400].max() / apart[800:1000].max())
@@ -309,8 +306,7 @@ def growth_along(scenario: str, delay: float, payload: float) -> float:
 def test_at_a_moving_instant_the_delay_margin_is_what_runs_bear(
     payload: float, common: float, borne: int
 ) -> None:
-    options = {"overrides": {"plant": {"payload": payload}}}
-    one = in_process(measured, "pick_and_place", 0.7, options)
+    one = in_process(measured, "pick_and_place", 0.7, {"plant.payload": payload})
     assert one["reason"] == ""
     assert one["delay_margin_ms"] == pytest.approx(common, rel=AGREEMENT)
     ticks = math.ceil(one["delay_margin_ms"] / (PERIOD * 1e3)) - 1
@@ -343,11 +339,11 @@ def test_inputs_without_effect_are_no_loops(tmp_path: Path) -> None:
     assert one["delay_margin_ms"] == pytest.approx(12.48, rel=AGREEMENT)
 
 
-WILD = {"controller": {"period": 0.01, "kp": 4000.0}}
+WILD = {"controller.period": 0.01, "controller.kp": 4000.0}
 
 
 def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path: Path) -> None:
-    wild = in_process(measured, "pick_and_place", 0.0, {"overrides": WILD})
+    wild = in_process(measured, "pick_and_place", 0.0, WILD)
     assert not wild["stable"]
     assert not wild["linear"]  # its swings are as large as the limits let them be
     assert wild["loops"] == []
@@ -359,7 +355,7 @@ def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path: Path) -> None:
 def test_a_law_with_steps_of_its_own_has_the_loop_of_one_that_updates_as_often(
     slide: Path, at: float
 ) -> None:
-    rare = in_process(measured, str(slide), at, {"overrides": {"controller": {"period": 0.004}}})
+    rare = in_process(measured, str(slide), at, {"controller.period": 0.004})
     (slide / "scenario.toml").write_text(f"{SYSTEM}[steps]\ncontroller = 4\n")
     slow = in_process(measured, str(slide), at)
     np.testing.assert_allclose(array(slow["s"]), array(rare["s"]), rtol=1e-12)
@@ -367,7 +363,7 @@ def test_a_law_with_steps_of_its_own_has_the_loop_of_one_that_updates_as_often(
 
 
 def test_an_unstable_own_loop_is_named_unstable(slide: Path) -> None:
-    one = in_process(measured, str(slide), 0.0, {"overrides": {"controller": {"damper": -5.0}}})
+    one = in_process(measured, str(slide), 0.0, {"controller.damper": -5.0})
     assert not one["stable"]
     assert one["linear"]
     assert one["pole_modulus"] == pytest.approx(one["poles"], rel=1e-3)

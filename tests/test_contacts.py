@@ -39,7 +39,7 @@ FINGERS = {"left_finger", "right_finger"}
 
 @cache
 def course(**plant: Any) -> Course:
-    return run_plain(shortened(), {"plant": plant})
+    return run_plain(shortened().changed({f"plant.{name}": value for name, value in plant.items()}))
 
 
 def shortened() -> Scenario:

@@ -149,7 +149,7 @@ def test_a_push_is_withstood_and_leaves_nothing_behind() -> None:
 @pytest.mark.parametrize("count", [3, pytest.param(300, marks=pytest.mark.long)])
 def test_other_blocks_are_placed_as_well(count: int) -> None:
     for task in random_tasks(count):
-        metrics = run_in_memory(load_scenario("pick_and_place"), {"plant": task}).summary
+        metrics = run_in_memory(load_scenario("pick_and_place").changed(task)).summary
         assert metrics.success, (task, metrics.criteria)
         rates = metrics.limits.pop("torque_rate_share")
         assert max(rates) <= 1.25, task  # 57 of 10,000 blocks of `random_box` take more than 1

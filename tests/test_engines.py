@@ -23,7 +23,7 @@ from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.scenarios.compare.compare import compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.compare.regress import difference_of
-from panda_cosim.scenarios.run.options import Options, with_values
+from panda_cosim.scenarios.run.options import Options
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.scenario.tolerances import Tolerances
@@ -160,7 +160,7 @@ def test_a_run_has_the_bits_of_its_engine(
         assert name == version
         alone[version] = np.frombuffer(bytes.fromhex(bits)).reshape(-1, 2)
         values = {"mujoco": version, "input_scale": factor}
-        scenario = with_values(load_scenario(arm), values)
+        scenario = load_scenario(arm).changed(values)
         run = run_scenario(scenario, tmp_path / version)
         assert np.array_equal(qpos(run.folder), alone[version])
         assert run.recording.metadata["versions"]["mujoco"] == version
@@ -211,7 +211,7 @@ def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(
         '<freejoint/><geom size=".1"/></body></worldbody></mujoco>'
     )
     for version in (HERE, ENGINE):
-        scenario = with_values(load_scenario(arm), {"mujoco": version, "duration": 0.01})
+        scenario = load_scenario(arm).changed({"mujoco": version, "duration": 0.01})
         run = run_scenario(scenario, tmp_path / version)
         assert np.array_equal(qpos(run.folder)[0], [0.1, 0.2, 1.0, 2.0, 0.3, 1, 0, 0, 0])
 
@@ -244,7 +244,7 @@ def test_a_version_that_cannot_be_used_is_refused(version: str, tmp_path: Path) 
 
 
 def test_a_key_that_no_fmu_can_follow_is_refused(arm: Path) -> None:
-    push = with_values(load_scenario("push"), {"mujoco": ENGINE})
+    push = load_scenario("push").changed({"mujoco": ENGINE})
     with pytest.raises(InputError, match="FMUs in Python use the installed version"):
         prepare(push, Options(kind="python"))
     (arm / "scenario.toml").write_text("duration = 1.0\nmujoco = '3.11.0'\nsystem = 'a.ssp'\n")
@@ -269,7 +269,7 @@ def test_a_sweep_varies_the_engine(engine: Path, arm: Path, tmp_path: Path) -> N
     rows = sweep(definition, tmp_path / "sweep", jobs=1).table.to_pylist()
     digests = {row["mujoco"]: row["recording_sha256"] for row in rows}
     for version in (HERE, ENGINE):
-        scenario = with_values(load_scenario(arm), {"mujoco": version})
+        scenario = load_scenario(arm).changed({"mujoco": version})
         run = run_scenario(scenario, tmp_path / version)
         assert digests[version] == run.recording.sha256()
     assert len({*digests.values()}) == 2

@@ -25,30 +25,30 @@ LATE = 0.050  # s
 # What is changed, the scenario that tells it, and how the name of the worst signal begins.
 FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {
     "weaker gain": (
-        {"overrides": {"controller": {"kp": tuple(0.95 * k for k in DEFAULT.kp)}}},
+        {"controller.kp": tuple(0.95 * k for k in DEFAULT.kp)},
         "push", "controller.dq",
     ),
     "one tick of delay": ({"coupling": "jacobi"}, "push", "controller."),
     "heavier block": (
-        {"overrides": {"plant": {"block_mass": 1.2 * 0.5}}}, "heavy_block", "controller.dq"
+        {"plant.block_mass": 1.2 * 0.5}, "heavy_block", "controller.dq"
     ),
     "no feedforward of gravity": (
-        {"overrides": {"controller": {"gravity_feedforward[2]": 0.0}}}, "push", "controller.dq[2]"
+        {"controller.gravity_feedforward[2]": 0.0}, "push", "controller.dq[2]"
     ),
     "no feedforward of inertia": (
-        {"overrides": {"controller": {"inertia_feedforward[1]": 0.0}}}, "push", "controller.dq[1]"
+        {"controller.inertia_feedforward[1]": 0.0}, "push", "controller.dq[1]"
     ),
     "no lag of a servo": (
-        {"overrides": {"controller": {"servo_lag[7]": 0.0}}}, "push", "controller.dq[7]"
+        {"controller.servo_lag[7]": 0.0}, "push", "controller.dq[7]"
     ),
     "late gripper": ({}, "heavy_block", "plant.qpos"),
 }  # fmt: skip
 
 
-def compared(name: str, out: Path, options: Options) -> tuple[Comparison, Reference, Any]:
+def compared(name: str, out: Path, **how: Any) -> tuple[Comparison, Reference, Any]:
     """Run a shipped scenario and compare it with its reference."""
     scenario = load_scenario(name)
-    recording = run_scenario(scenario, out, options).recording
+    recording = run_scenario(scenario, out, **how).recording
     reference = Reference.read(reference_path(scenario))
     summary = json.loads((out / "summary.json").read_text())
     comparison = compare_with_reference(recording, summary, reference, scenario.regression)
@@ -59,7 +59,7 @@ def compared(name: str, out: Path, options: Options) -> tuple[Comparison, Refere
 def test_a_fault_in_the_loop_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
-    options, name, signal = FAULTS[fault]
+    values, name, signal = FAULTS[fault]
     in_time = Trajectory.sample
 
     def late(self: Trajectory, times: Any) -> Any:
@@ -70,7 +70,7 @@ def test_a_fault_in_the_loop_is_reported(
     if fault == "late gripper":
         monkeypatch.setattr(Trajectory, "sample", late)
         monkeypatch.setattr(guarded, "sampled", guarded.sampled.__wrapped__)  # no cache
-    comparison, _, _ = compared(name, tmp_path / "run", Options(**options))
+    comparison, _, _ = compared(name, tmp_path / "run", values=values)
     # The commands are what they were: it is what comes of them that tells.
     answers = [d for d in comparison.deviations if "_cmd" not in d.name]
     assert answers[0].share > MARGIN
@@ -93,7 +93,9 @@ def rebuilt(fmu: Path, folder: Path) -> Path:
 
 def test_another_build_is_no_fault(tmp_path: Path) -> None:
     fmus = {name: rebuilt(path, tmp_path) for name, path in build().items()}
-    comparison, reference, recording = compared("push", tmp_path / "run", Options(fmus=fmus))
+    comparison, reference, recording = compared(
+        "push", tmp_path / "run", options=Options(fmus=fmus)
+    )
     assert comparison.ok, comparison.problems
     ours, theirs = recording.metadata["fmus"], reference.metadata["fmus"]
     assert ours["controller"]["guid"] != theirs["controller"]["guid"]

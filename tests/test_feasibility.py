@@ -49,8 +49,8 @@ def test_the_shares_are_those_of_a_run() -> None:
 
 
 def test_a_block_far_from_nominal_can_be_had_too() -> None:
-    block = {"block_pos": (0.3, -0.1), "block_yaw": 0.78}
-    assert not feasibility(NOMINAL, start_values(NOMINAL, {"plant": block}))[0]
+    block = {"plant.block_pos": (0.3, -0.1), "plant.block_yaw": 0.78}
+    assert not feasibility(NOMINAL, start_values(NOMINAL.changed(block)))[0]
 
 
 def test_too_fast_a_segment_is_named_with_joint_and_amount() -> None:

@@ -13,7 +13,6 @@ from panda_cosim.assets import asset_path
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios.check.check import feasibility
-from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
 from random_tasks import run_plain
 
@@ -43,7 +42,7 @@ ENVELOPE = np.array(
 
 
 def with_fr3(name: str) -> Scenario:
-    return with_values(load_scenario(name), {"robot": "fr3"})
+    return load_scenario(name).changed({"robot": "fr3"})
 
 
 def velocity_shares(q: Array, qd: Array) -> Array:
@@ -127,7 +126,7 @@ def test_check_names_what_is_too_fast_for_it() -> None:
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", ["pick_and_place", "elastic"])
 def test_native_fmus_give_the_bits_of_python(tmp_path: Path, name: str) -> None:
-    scenario = with_values(with_fr3(name), {"duration": 2.0})
+    scenario = with_fr3(name).changed({"duration": 2.0})
     recording = run_scenario(scenario, tmp_path / "run").recording
     plain = run_plain(scenario)
     assert np.array_equal(recording["plant.qpos"], plain.plant["qpos"])
@@ -150,4 +149,4 @@ def test_it_runs_the_shipped_scenarios(name: str, tmp_path: Path) -> None:
 )
 def test_other_robots_are_refused(values: dict[str, str], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        with_values(load_scenario("pick_and_place"), values)
+        load_scenario("pick_and_place").changed(values)

@@ -16,14 +16,14 @@ from panda_cosim.assets.franka import TORQUE_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import OF_IMPEDANCE, OF_SERVOS, Gains, preset
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.run.options import Options, with_values
+from panda_cosim.scenarios.run.options import Options
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.scenario.scenario import Push, load_scenario
 
 Array = NDArray[np.float64]
 TORQUES = {"scene": "motors", "gains": "impedance"}
-MOVING = with_values(load_scenario("pick_and_place"), {**TORQUES, "duration": 4.0})
+MOVING = load_scenario("pick_and_place").changed({**TORQUES, "duration": 4.0})
 TASKS = ("pick_and_place_impedance", "wipe", "peg_in_hole", "stack_impedance", "open_door")
 SHARE = 0.99  # of the limits, the default `limit_share`
 REST = preset("impedance", posture_stiffness=0.0, posture_damping=0.0)
@@ -70,7 +70,7 @@ def test_the_gains_of_the_other_laws_change_nothing(law: str, others: frozenset[
         np.testing.assert_array_equal(outputs(changed), expected, err_msg=name)
     key = f"controller.{min(others)}"
     task = {"impedance": "pick_and_place_impedance", "default": "pick_and_place"}[law]
-    scenario = with_values(load_scenario(task), {key: 2.0})
+    scenario = load_scenario(task).changed({key: 2.0})
     assert prepare(scenario).notes[0].startswith(f"[controller] {min(others)}: without effect")
 
 
@@ -150,7 +150,7 @@ def test_both_kinds_of_fmus_run_it_to_the_same_bits(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", TASKS)
 def test_a_task_in_contact_succeeds_with_other_robots(tmp_path: Path, name: str) -> None:
     for seed in (2, 3):
-        varied = with_values(load_scenario(name), {"mismatch.seed": seed})
+        varied = load_scenario(name).changed({"mismatch.seed": seed})
         assert run_scenario(varied, tmp_path / str(seed)).summary.success
 
 
@@ -164,7 +164,7 @@ def test_a_task_in_contact_succeeds_with_other_robots(tmp_path: Path, name: str)
 )
 def test_what_does_not_fit_is_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises((InputError, ValueError), match=words):
-        prepare(with_values(load_scenario("pick_and_place"), values))
+        prepare(load_scenario("pick_and_place").changed(values))
 
 
 def test_mismatch_needs_a_plant_that_extends_ours(tmp_path: Path) -> None:

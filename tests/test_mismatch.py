@@ -11,7 +11,6 @@ from fmu_support import in_process
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.run.start import resolve, start_values
 from panda_cosim.scenarios.scenario.criteria import Success
@@ -81,7 +80,7 @@ def test_the_camera_moves_the_table_with_the_block_it_sees() -> None:
 @pytest.mark.parametrize("key", ["seed", "joint_noise", "joint_offset[3]", "payload", "dropout"])
 def test_keys_can_be_set_and_swept(key: str) -> None:
     value = 3.0 if key == "seed" else 0.01
-    changed = with_values(PUSH, {"mismatch.preset": "worn", f"mismatch.{key}": value})
+    changed = PUSH.changed({"mismatch.preset": "worn", f"mismatch.{key}": value})
     found = getattr(changed.mismatch, key.partition("[")[0])
     assert (found[2] if isinstance(found, tuple) else found) == value
     if "[" in key:  # the others stay the preset's
@@ -122,7 +121,7 @@ def test_a_written_scenario_is_read_as_the_same(preset: str, tmp_path: Path) -> 
 
 def shortened(**keys: object) -> Scenario:
     """The first fifth of a second of a run."""
-    scenario = with_values(load_scenario("pick_and_place"), {"duration": 0.2})
+    scenario = load_scenario("pick_and_place").changed({"duration": 0.2})
     return replace(scenario, mismatch=Mismatch(**keys))  # type: ignore[arg-type]
 
 
@@ -137,7 +136,7 @@ def record_late(folder: str) -> None:
     """A move with readings that are 3 ms late, of which the controller knows 0 or 3 ms."""
     for known in (0.0, 0.003):
         keys = {"mismatch.delay": 0.003, "controller.reading_delay": known}
-        run_scenario(with_values(PUSH, keys), f"{folder}/{known}")
+        run_scenario(PUSH.changed(keys), f"{folder}/{known}")
 
 
 @pytest.mark.fmu

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,13 @@ from hypothesis import strategies as st
 from panda_cosim import load_scenario
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.interface.parameters import expand, parse_assignment
+from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.scenarios.cli.options import values_of
 from panda_cosim.scenarios.run.start import start_values
 
 PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
+PUSH = load_scenario("push")
 
 
 def test_one_number_sets_all_elements() -> None:
@@ -42,12 +45,9 @@ def test_no_other_value_is_a_parameter(value: Any) -> None:
 
 
 def test_an_override_of_no_instance_is_refused() -> None:
-    scenario = load_scenario("push")
-    for name in ("plnt", "plant.block_mass"):
-        with pytest.raises(
-            InputError, match=f"{name}: no FMU of this name; valid: controller, plant"
-        ):
-            start_values(scenario, {name: {"block_mass": 0.3}})
+    told = "plnt.block_mass: no instance 'plnt'; valid: plant, controller, sensors; did you mean"
+    with pytest.raises(InputError, match=told):
+        PUSH.changed({"plnt.block_mass": 0.3})
 
 
 def test_text_and_switches_keep_their_type() -> None:
@@ -97,23 +97,23 @@ def test_a_bad_parameter_is_refused_with_what_would_be_valid(
     ],
 )
 def test_an_assignment_is_read(text: str, expected: tuple[str, str, object]) -> None:
-    assert parse_assignment(text, ("plant", "controller")) == expected
+    instance, name, value = expected
+    assert values_of([text]) == {f"{instance}.{name}": value}
 
 
 @pytest.mark.parametrize("text", ["", "=", "kp=8", "plant.=1", "plant.block_mass", "plnt.scene=x"])
 def test_a_bad_assignment_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(InputError) as caught:
-        parse_assignment(text, ("plant", "controller"))
+        PUSH.changed(values_of([text]))
     assert "\n" not in str(caught.value)
 
 
-@given(st.text(max_size=40))
-def test_no_text_gives_anything_but_an_input_error(text: str) -> None:
-    try:
-        instance, name, value = parse_assignment(text, ("plant", "controller"))
-        expand(instance, INTERFACES[instance], {name: value})
-    except InputError:
-        pass
+@given(
+    st.text(max_size=40), st.sampled_from(["", "plant.", "fmus.plant=", "inputs.file=", "step="])
+)
+def test_no_text_gives_anything_but_an_input_error(text: str, start: str) -> None:
+    with suppress(InputError):
+        start_values(PUSH.changed(values_of([start + text])))
 
 
 @pytest.mark.parametrize("name", PRESETS)

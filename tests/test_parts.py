@@ -20,7 +20,6 @@ from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.sources.law import read_law
 from panda_cosim.scenarios.check.check import check_folder
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.start import resolve, start_values
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 from panda_cosim.scenarios.scenario.writer import make_scenario
@@ -78,8 +77,8 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def job(folder: Path, out: Path, options: dict[str, Any] | None = None) -> Any:
-    return in_process(run_folder, str(folder), str(out), options or {})
+def job(folder: Path, out: Path, values: dict[str, Any] | None = None) -> Any:
+    return in_process(run_folder, str(folder), str(out), values or {})
 
 
 def part(name: str, variable: Variable) -> Part:
@@ -111,7 +110,7 @@ def test_outputs_feed_inputs_of_their_name_size_and_unit_alone(
 
 @pytest.mark.fmu
 def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder: Path, tmp_path: Path) -> None:
-    done = job(folder, tmp_path / "run", {"overrides": {"controller": {"gain": 12.0}}})
+    done = job(folder, tmp_path / "run", {"controller.gain": 12.0})
     assert done["summary"]["success"], done["summary"]["criteria"]
     assert done["parameters"]["controller"].items() >= {"gain": 12.0, "lag": 0.1}.items()
     assert "controller.ctrl[8]" in done["columns"]
@@ -124,9 +123,7 @@ def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder: Path, tmp_p
 @pytest.mark.fmu
 def test_a_law_by_option_is_compared_with_the_shipped_one(folder: Path, tmp_path: Path) -> None:
     law = f"{folder / 'my_law.py'}:ResolvedRate"
-    done = job(
-        shipped_scenarios()["pick_and_place"], tmp_path / "a", {"parts": {"controller": law}}
-    )
+    done = job(shipped_scenarios()["pick_and_place"], tmp_path / "a", {"fmus.controller": law})
     criteria = {c["name"]: c for c in done["summary"]["criteria"]}
     assert criteria["min_lift"]["ok"]
     assert not criteria["tracking_rms"]["ok"]  # which the shipped law keeps to 0.01 mm
@@ -147,7 +144,7 @@ def test_a_law_is_read_and_checked_without_being_run(folder: Path, tmp_path: Pat
 @pytest.mark.long
 def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder: Path) -> None:
     keys = {"table.rows[2].time": 0.2, "timing": "feasible", "duration": 30.0}
-    hasty = with_values(load_scenario(folder), keys)
+    hasty = load_scenario(folder).changed(keys)
     assert resolve(hasty, start_values(hasty)).times[1] > 0.5
 
 
@@ -236,7 +233,7 @@ def test_a_law_that_cannot_start_says_why_in_one_line(
 @pytest.mark.fmu
 def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path: Path) -> None:
     arm = write_arm(tmp_path / "arm")
-    done = job(arm, tmp_path / "run", {"overrides": {"controller": {"kp": 80.0}}})
+    done = job(arm, tmp_path / "run", {"controller.kp": 80.0})
     assert done["summary"]["success"], done["summary"]["criteria"]
     assert done["parameters"]["controller"]["kp"] == 80.0
     assert done["final"]["plant.qpos[2]"] == pytest.approx(-0.4, abs=0.05)  # rad, gravity sags
@@ -311,7 +308,7 @@ def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None
     (folder / "scenario.toml").write_text(TOYS)
     (folder / "ramp.py").write_text(RAMP)
     assert [d.level for d in check_folder(folder)][-1] == "good"
-    done = job(folder, tmp_path / "run", {"overrides": {"toy": {"k": 3.0}}})
+    done = job(folder, tmp_path / "run", {"toy.k": 3.0})
     assert done["parameters"]["toy"]["k"] == 3.0
     value = done["summary"]["criteria"][0]["value"]
     assert value == pytest.approx(3.0 * 0.049 + 0.05, rel=1e-12)  # y = k u + t [N]
@@ -382,7 +379,7 @@ def test_a_system_refuses_what_needs_a_table(tmp_path: Path, key: str, value: st
     (tmp_path / "scenario.toml").write_text(SSP)
     for changes in ({key: value}, {"table.rows[1].x": 0.2}):
         with pytest.raises(InputError, match=r"trajectory\.csv"):
-            with_values(load_scenario(tmp_path), changes)
+            load_scenario(tmp_path).changed(changes)
     (tmp_path / "scenario.toml").write_text(f"{key} = {json.dumps(value)}\n{SSP}")
     with pytest.raises(InputError, match=rf"{key}: acts only on .* with a trajectory.csv"):
         load_scenario(tmp_path)

@@ -344,7 +344,7 @@ def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(
     built = build(target=target)
     parts = {name: str(path.rename(tmp_path / f"{name}-1.fmu")) for name, path in built.items()}
     scenario = load_scenario("tutorial")
-    given = prepare(scenario, Options(parts=parts))
+    given = prepare(scenario.changed({f"fmus.{name}": file for name, file in parts.items()}))
     own = start_values(scenario)
     assert given.values == own
     assert given.assembly.changed(given.values, {})["plant"] == {"scene": "tutorial"}

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim import Run, load_scenario
 from panda_cosim.scenarios.check.check import check_folder, findings, rehearse, weakest_grip
-from panda_cosim.scenarios.run.options import Options, with_values
 from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
@@ -78,16 +77,13 @@ def test_a_criterion_on_what_never_happens_is_refused(
 
 def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> None:
     assert check_folder(FOLDER)[-1].level == "good"
-    heavy = check_folder(FOLDER, {"plant": {"block_mass": 1.2, "block_friction": 0.5}})
+    heavy = check_folder(FOLDER, {"plant.block_mass": 1.2, "plant.block_friction": 0.5})
     assert any("N by friction; the block needs" in finding.text for finding in heavy)
     assert not any("can run" in finding.text for finding in heavy)
-    idle = check_folder(FOLDER, settings={"timing_share": 0.5, "mismatch.seed": 3})
+    idle = check_folder(FOLDER, {"timing_share": 0.5, "mismatch.seed": 3})
     assert sum("has no effect" in finding.text for finding in idle) == 2
-    assert (
-        "acts only with scene"
-        in check_folder(FOLDER, settings={"inputs.plant.torque": 1.0})[0].text
-    )
-    unknown = check_folder(FOLDER, {"plant": {"block_maas": 1.0}})
+    assert "acts only with scene" in check_folder(FOLDER, {"inputs.plant.torque": 1.0})[0].text
+    unknown = check_folder(FOLDER, {"plant.block_maas": 1.0})
     assert [finding.level for finding in unknown] == ["wrong"]
     assert "block_maas" in unknown[0].text
 
@@ -104,7 +100,7 @@ def test_check_advises_no_more_time_for_what_is_out_of_reach() -> None:
 
 
 def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
-    calibrated = check_folder(FOLDER, settings={"mismatch.preset": "calibrated"})
+    calibrated = check_folder(FOLDER, {"mismatch.preset": "calibrated"})
     assert "mismatch of joint_offset" in calibrated[-1].text
     hints = [finding.text for finding in calibrated[:-1] if finding.level == "hint"]
     texts = [text for text in hints if "[success]" not in text]
@@ -112,7 +108,7 @@ def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
     assert texts[0].startswith("gains: the default ones do not suit mismatch.joint_noise")
     pattern = r"torque rate of joint \d is .* N.m/s at .* lower controller.ik_gain, or move"
     assert re.search(pattern, texts[1])
-    aside = check_folder(FOLDER, settings={"mismatch.block_position_error[2]": 0.05})
+    aside = check_folder(FOLDER, {"mismatch.block_position_error[2]": 0.05})
     # The slip of what is not grasped cannot be measured; that it is not lifted is a verdict.
     assert "wrong" not in {finding.level for finding in aside}
     assert any("max_slip not measured" in finding.text for finding in aside)
@@ -120,7 +116,7 @@ def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
 
 
 def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told() -> None:
-    strong = {"controller": {"grip_force": 20.0}}
+    strong = {"controller.grip_force": 20.0}
     texts = [each.text for each in check_folder(FOLDER, strong) if "the hand moves on" in each.text]
     assert len(texts) == 1
     assert re.search(r"row 7: .* still presses with 1.8\d* N; it must stay 0.04 s longer", texts[0])
@@ -128,14 +124,14 @@ def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told() -> None:
     scenario = load_scenario("pick_and_place")
     rows = scenario.table.rows
     later = {f"table.rows[{n}].time": rows[n - 1].time + 0.05 for n in range(8, len(rows) + 1)}
-    longer = prepare(with_values(scenario, {**later, "duration": 6.6}), Options(overrides=strong))
+    longer = prepare(scenario.changed({**later, **strong, "duration": 6.6}))
     assert not any("the hand moves on" in text for _, text in findings(rehearse(longer), longer))
 
 
 def test_check_tells_which_servo_has_no_torque_left() -> None:
     folder = shipped_scenarios()["worn_joints"]
     assert check_folder(folder)[-1].level == "good"
-    weak = check_folder(folder, settings={"mismatch.torque_limit_scale": 0.3})
+    weak = check_folder(folder, {"mismatch.torque_limit_scale": 0.3})
     told = [finding.text for finding in weak if "saturates" in finding.text]
     assert len(told) == 1
     assert re.match(r"trajectory.csv: row 2: the servo of joint \d saturates at", told[0])

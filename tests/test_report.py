@@ -66,7 +66,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
 @pytest.fixture(scope="module")
 def report(outcomes: list[Outcome], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(outcomes, path, {"controller": {"kp": 7.6}})
+    write_report(outcomes, path, {"controller.kp": 7.6})
     return path
 
 
@@ -100,7 +100,7 @@ def hostile_report(folder: Path, text: str) -> Path:
     named = copy(scenario)
     object.__setattr__(named, "name", text)  # as a folder may be called
     failed = Outcome(named, "failed", folder / "none", 1.0, error=text)
-    write_report([differs, failed], folder / "report.html", {text: {text: 1.0}})
+    write_report([differs, failed], folder / "report.html", {text: 1.0})
     return folder / "report.html"
 
 

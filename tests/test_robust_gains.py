@@ -10,19 +10,18 @@ import pytest
 from panda_cosim.assets.franka import HOME_Q, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
-from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 
-APPROACH = with_values(load_scenario("pick_and_place"), {"duration": 1.4})  # s, before the grasp
+APPROACH = load_scenario("pick_and_place").changed({"duration": 1.4})  # s, before the grasp
 NOISE = {"mismatch.joint_noise": 1e-5, "mismatch.hand_pose_source": "model"}  # [rad]
 SETTLED = 100  # ticks, after which the servos carry the arm
 
 
 def torque_rate(out: Path, **values: Any) -> float:
     """Largest torque rate of the approach, as a share of the robot's limit."""
-    run = run_scenario(with_values(APPROACH, {**NOISE, **values}), out)
+    run = run_scenario(APPROACH.changed({**NOISE, **values}), out)
     torques = run.recording["plant.actuator_force"][SETTLED:, :7]
     return float((np.abs(np.diff(torques, axis=0)) / (TORQUE_RATE_MAX * 1e-3)).max())
 
@@ -35,9 +34,9 @@ def test_noise_of_1e_5_rad_keeps_the_torque_rate(tmp_path: Path) -> None:
 
 @pytest.mark.own_process
 def test_elastic_joints_do_not_swing(tmp_path: Path) -> None:
-    elastic = with_values(APPROACH, {"scene": "elastic"})
+    elastic = APPROACH.changed({"scene": "elastic"})
     gains = ("default", "robust")
-    runs = [run_scenario(with_values(elastic, {"gains": g}), tmp_path / g) for g in gains]
+    runs = [run_scenario(elastic.changed({"gains": g}), tmp_path / g) for g in gains]
     rms = [run.summary.tracking["rms_mm"] for run in runs]
     assert rms[0] > 5.0
     assert rms[1] < 1.0
@@ -70,6 +69,6 @@ def test_the_pose_error_passes_a_low_pass() -> None:
     ],
 )
 def test_default_gains_that_meet_mismatch_are_said(values: dict[str, Any], cause: str) -> None:
-    notes = prepare(with_values(APPROACH, values)).notes
+    notes = prepare(APPROACH.changed(values)).notes
     assert len(notes) == bool(cause)
     assert all(cause in note and 'gains = "robust"' in note for note in notes)

@@ -20,7 +20,6 @@ from panda_cosim.fmus.sources.targets import build
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.route.scene import Load, RouteScene
-from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.sweep.definition import load_sweep
 
@@ -96,7 +95,7 @@ def test_what_is_out_of_reach_is_refused_with_what_works(
 
 def behind_wall(**values: float) -> Scenario:
     """The shipped sweep's scenario, whose table is planned."""
-    return with_values(load_scenario(Path(str(load_sweep("behind_wall").scenario[0]))), values)
+    return load_scenario(Path(str(load_sweep("behind_wall").scenario[0]))).changed(values)
 
 
 def passes(out: str) -> tuple[bool | None, list[str]]:

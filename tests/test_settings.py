@@ -1,22 +1,20 @@
-"""Values of `--set`, sweeps and overrides are a set: no order of their keys is seen."""
+"""Values are a set of flat keys, the same at each door: no order of the keys is seen."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.cli.options import overrides
-from panda_cosim.scenarios.run.options import (
-    TOP,
-    Options,
-    split_settings,
-    with_options,
-    with_values,
-)
+from panda_cosim.scenarios.cli.options import values_of
+from panda_cosim.scenarios.compare.regress import with_values
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.run.session import Session
 from panda_cosim.scenarios.run.start import start_values
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
 
@@ -52,25 +50,120 @@ def test_any_order_of_keys_gives_the_same_scenario_and_start_values(
     chosen = {key: VALUES[key] for key in VALUES if key not in left_out}
     shuffled = {key: VALUES[key] for key in order if key not in left_out}
     try:
-        expected = with_values(ROTATED, chosen)
+        expected = ROTATED.changed(chosen)
     except InputError:
         with pytest.raises(InputError):
-            with_values(ROTATED, shuffled)
+            ROTATED.changed(shuffled)
         return
-    changed = with_values(ROTATED, shuffled)
+    changed = ROTATED.changed(shuffled)
     assert changed == expected
     assert start_values(changed) == start_values(expected)
-    # The same from texts of `--set`, which the command line takes apart first.
-    texts = [f"{key}={written(value)}" for key, value in shuffled.items()]
-    keys, others = split_settings(texts)
-    options = Options(overrides(others, (), TOP))
-    assert start_values(with_options(with_values(ROTATED, keys), options)) == start_values(expected)
+
+
+Door = Callable[[Scenario, Mapping[str, Any]], Scenario]
+
+
+def by_option(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    return scenario.changed(values_of([f"{key}={written(values[key])}" for key in values]))
+
+
+def by_session(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    return Session(scenario, values=values).scenario
+
+
+def by_suite(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    (changed,) = with_values([scenario], values)
+    assert isinstance(changed, Scenario)
+    return changed
+
+
+def by_old_options(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """Parameters by instance and name, the rest by key; to be removed in the next release."""
+    overrides: dict[str, Any] = {}
+    for key, value in values.items():
+        instance, dot, name = key.partition(".")
+        if dot and instance in ("plant", "controller"):
+            overrides.setdefault(instance, {})[name] = value
+        else:
+            overrides[key] = value
+    with pytest.warns(DeprecationWarning, match="what to run is values="):
+        options = Options(overrides)
+    return prepare(scenario, options).scenario
+
+
+DOORS: Mapping[str, Door] = {
+    "--set": by_option,
+    "session": by_session,
+    "regress": by_suite,
+    "options": by_old_options,
+}
+# Of any kind of value; the keys of `VALUES` do not act together on any arm.
+EACH: Mapping[str, Any] = {
+    **{key: value for key, value in VALUES.items() if key != "gains"},
+    "coupling": "jacobi",
+    "scene": "elastic",
+    "robot": "fr3",
+    "interpolation": "linear",
+    "inputs.controller.force_cmd": [0.0, 0.0, 1.0],
+    "tolerance": 1e-6,
+}
+
+
+@settings(max_examples=8, deadline=None)  # each compiles two models
+@given(st.sampled_from(list(DOORS)), st.sets(st.sampled_from(list(EACH)), min_size=1))
+def test_each_door_takes_the_same_keys_and_gives_the_same_scenario(
+    door: str, keys: set[str]
+) -> None:
+    values = {key: EACH[key] for key in EACH if key in keys}
+    try:
+        expected = ROTATED.changed(values)
+        start_values(expected)
+    except InputError:
+        with pytest.raises(InputError):
+            DOORS[door](ROTATED, values)
+        return
+    assert DOORS[door](ROTATED, values) == expected
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize(
+    ("key", "told"),
+    [
+        (
+            "controler.kp",
+            "controler.kp: no instance 'controler'; valid: plant, controller, ",
+        ),
+        ("block_mass", "block_mass: no such key; .* did you mean 'plant.block_mass'"),
+        ("step", "step: value 0.3; must be 0.001 with a trajectory"),
+        ("plant.block_mas", "plant.block_mas: no such parameter .* did you mean 'block_mass'"),
+    ],
+)
+def test_each_door_refuses_the_same_keys_in_the_same_words(door: str, key: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        start_values(DOORS[door](PUSHED, {key: 0.3}))
+
+
+def test_parts_and_steps_are_keys_as_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = "class Hold:\n    def update(self, time, qpos): return [0.0] * 8\n"
+    (tmp_path / "law.py").write_text(law)
+    (tmp_path / "scenario.toml").write_text('duration = 0.1\n[fmus]\na = "law.py:Hold"\n')
+    monkeypatch.chdir(tmp_path)
+    system = load_scenario(tmp_path).changed({"step": 0.002, "fmus.b": "law.py:Hold"})
+    assert (system.ticks, system.step) == (50, 0.002)
+    assert system.fmus == {"a": "law.py:Hold", "b": f"{tmp_path.resolve()}/law.py:Hold"}
+    # A part, and what is only valid with it, in either order.
+    values = {"scene": "motors", "fmus.controller": "law.py:Hold"}
+    both = [PUSHED.changed(values), PUSHED.changed(dict(reversed(values.items())))]
+    assert both[0] == both[1]
+    assert (both[0].scene, both[0].fmus["controller"]) == ("motors", system.fmus["b"])
 
 
 @pytest.mark.parametrize("text", ["duration=1_000", "controller.kp=٣"])
 def test_numbers_in_another_notation_are_refused(text: str) -> None:
     with pytest.raises(InputError, match=f"--set '{text}': .* in the digits 0 to 9, as "):
-        overrides(split_settings([text])[1])
+        values_of([text])
 
 
 def written(value: object) -> str:
@@ -82,21 +175,16 @@ def test_sections_and_overrides_are_sets_and_an_override_replaces_the_section(
     section: list[str], given: list[str]
 ) -> None:
     values = {"kp": 5.0, "kp[1]": 1.0, "kp[7]": 7.0}
-    scenario = changed(controller={name: values[name] for name in section})
+    own = {name: values[name] for name in section}
+    scenario = Scenario("test", PUSHED.table, 3.0, controller=own)
     assert gains(scenario) == [1.0, 5.0, 5.0, 5.0, 5.0, 5.0, 7.0]
     over = {"kp": 4.0, "kp[2]": 2.0}
-    options = Options({"controller": {name: over[name] for name in given}})
-    expected = [4.0, 2.0, 4.0, 4.0, 4.0, 4.0, 4.0]
-    assert gains(with_options(scenario, options)) == expected
-    assert gains(scenario, options) == expected
+    changed = scenario.changed({f"controller.{name}": over[name] for name in given})
+    assert gains(changed) == [4.0, 2.0, 4.0, 4.0, 4.0, 4.0, 4.0]
 
 
-def changed(**keys: Any) -> Scenario:
-    return Scenario("test", PUSHED.table, 3.0, **keys)
-
-
-def gains(scenario: Scenario, options: Options | None = None) -> list[object]:
-    values = start_values(scenario, options.overrides if options else None)["controller"]
+def gains(scenario: Scenario) -> list[object]:
+    values = start_values(scenario)["controller"]
     return [values[f"kp[{joint}]"] for joint in range(1, 8)]
 
 
@@ -116,4 +204,4 @@ def gains(scenario: Scenario, options: Options | None = None) -> list[object]:
 )
 def test_the_key_that_cannot_be_used_is_named(values: Mapping[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
-        with_values(PUSHED, values)
+        PUSHED.changed(values)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..errors import InputError, did_you_mean, excerpt, nearest
-from .tables import INTERFACES
+from ..errors import InputError, excerpt, nearest
 from .variables import Causality, Interface, Scalar, Value
 
 ParameterValue = float | bool | str | Sequence[float]
@@ -82,29 +81,6 @@ def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
 def _plain(value: Any) -> Any:
     """Return numpy's numbers and arrays as Python's, everything else as it is."""
     return value.tolist() if hasattr(value, "tolist") else value
-
-
-def parse_assignment(
-    text: str, instances: Sequence[str], keys: Sequence[str] = ()
-) -> tuple[str, str, ParameterValue]:
-    """Read `INSTANCE.NAME=VALUE`, such as `controller.kp=1,2,3`; `keys` are named in messages."""
-    left, equals, right = text.partition("=")
-    instance, dot, name = left.strip().partition(".")
-    if not (equals and dot and name and right.strip()):
-        tables = {each: INTERFACES[each] for each in instances if each in INTERFACES and not dot}
-        bare = instance.partition("[")[0]
-        owners = [each for each, t in tables.items() if bare in {v.name for v in t.of("parameter")}]
-        others = f", or KEY=VALUE with KEY one of {', '.join(keys)}" if keys else ""
-        hint = f", such as plant.block_pos[1]=0.45{others}{did_you_mean(left.strip(), keys)}"
-        if equals and right.strip() and owners:
-            hint = f"; did you mean {owners[0]}.{text.strip()}?"
-        raise InputError(f"--set {text!r}: must be INSTANCE.NAME=VALUE{hint}")
-    if instance not in instances:
-        raise InputError(
-            f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}"
-            f"{did_you_mean(instance, instances)}"
-        )
-    return instance, name.strip(), literal(right.strip(), f"--set {text!r}: ")
 
 
 def literal(text: str, place: str = "") -> ParameterValue:

@@ -249,7 +249,7 @@ def analyze(
     Args:
         scenario: A scenario, a shipped one's name, or a folder.
         at: Time [s], or an event of the run such as "grasp" or "release + 0.5".
-        options: How it is run: other FMUs, parameters or coupling.
+        options: How it is run.
         loop: Input at which the loops are opened, such as "plant.ctrl"; "": all inputs of the
             instance `plant` that an FMU feeds.
 
@@ -260,15 +260,13 @@ def analyze(
         InputError: Something given cannot be used, or an FMU cannot go back to a state.
         SimulationError: An FMU failed.
     """
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario)
-    prepared = prepare(scenario, options)
+    prepared = prepare(load_scenario(scenario), options)
     tick, inputs = _instant(prepared, at)
     responses = measure(prepared, inputs, tick, loop)
     connections = prepared.assembly.system.connections
     fed_by = {".".join(c.target): c.source[0] for c in connections}[responses.inputs[0]]
     return Analysis(
-        scenario.name,
+        prepared.scenario.name,
         responses.at,
         judge(responses, prepared.scenario.coupling),
         responses,

@@ -6,7 +6,7 @@ The rehearsal runs it in memory, as `run` does, and looks for what will not go w
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
@@ -21,7 +21,7 @@ from ...assets import STEP_SIZE
 from ...controller.gains import PRESETS
 from ...fmus.build.libraries import has_engine, mujoco_version
 from ...fmus.errors import CosimError, InputError, did_you_mean
-from ...fmus.interface.parameters import ParameterValue, grouped
+from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.variables import Variable
 from ...fmus.master.system import conversions, notes, read_fmus
@@ -33,12 +33,10 @@ from ..judging.limits import Level, outcome
 from ..judging.verdict import MISSED, NOT_MEASURED, UNEXPECTED
 from ..recording import Recording
 from ..recording.reader import shapes_of
-from ..run.options import Options, with_options, with_values
 from ..run.prepare import Prepared, prepare
 from ..run.result import Run
 from ..run.run import Execution
 from ..run.start import (
-    Overrides,
     StartValues,
     carried_mass,
     check_tolerances,
@@ -55,6 +53,7 @@ from ..scenario.criteria import HELD_FORCE
 from ..scenario.limits import LIMITS, saturated, shares, torque_rates
 from ..scenario.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
 from ..scenario.trajectory import TIME_TOLERANCE
+from ..scenario.values import Values
 from ..system.assembly import Assembly, system_scenario
 from ..system.connector import OPTIONAL, Connector
 from ..system.parts import UnreadSlaveError
@@ -79,19 +78,16 @@ class Diagnostic:
 
 def check_folder(
     folder: Path,
-    overrides: Overrides | None = None,
-    settings: Mapping[str, ParameterValue] | None = None,
-    parts: Mapping[str, str] | None = None,
+    values: Values | None = None,
     robot: str = "",
 ) -> list[Diagnostic]:
     """Check a scenario's folder, or an .ssp file, as `run` prepares it, also for a `robot`."""
     if folder.suffix != SYSTEM and not folder.is_dir():
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
-        scenario = with_options(read_checked(folder), Options(parts=parts or {}))
-        scenario = with_values(scenario, settings or {})
+        scenario = read_checked(folder).changed(values or {})
         scenario = replace(scenario, preflight=robot or scenario.preflight)
-        prepared = prepare(scenario, Options(overrides=overrides or {}), run_code=False)
+        prepared = prepare(scenario, run_code=False)
         is_foreign = prepared.scenario.has_own_parts
         level: Level = "wrong" if robot else "hint"  # of conditions that are not measured
         diagnostics = _foreign(prepared, level) if is_foreign else _rehearsed(prepared)

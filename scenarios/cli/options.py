@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,14 +10,12 @@ import typer
 
 from ...fmus.build.libraries import PLATFORMS
 from ...fmus.errors import InputError, did_you_mean
-from ...fmus.interface.parameters import ParameterValue, parse_assignment
-from ...fmus.interface.tables import INTERFACES
+from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.sources.targets import Kind, Target, outdated
 from ...fmus.twins import IN_RUNS, notice
 from ..judging.limits import ARMS
-from ..run.options import TOP, Options, split_settings, with_options, with_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
-from ..system.assembly import instances
+from ..scenario.values import Values
 from .console import tell, warn
 
 DEFAULT_SCENARIO = "pick_and_place"
@@ -46,17 +43,16 @@ def scenario_argument(words: str, default: Any = ...) -> Any:
 
 
 _NAME_OR_FOLDER = "Name of a shipped scenario, or a scenario's folder."
-_START_VALUE = (
-    "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
-    "joints). `panda-cosim info` lists the parameters. May be repeated."
-)
-_KEYS = " Also keys of the scenario: duration=3, table.rows[3].x=0.4, mismatch.seed=4."
 SCENARIO = scenario_argument(_NAME_OR_FOLDER)
 SCENARIO_OR_DEFAULT = scenario_argument(_NAME_OR_FOLDER, DEFAULT_SCENARIO)
 RUN = argument("RUN", "Folder of a run, or its recording.", show_default=False)
 CSV_FILE = argument("FILE.csv", "The file to write.")
-PARAMETERS = option("--set -s NAME=VALUE", _START_VALUE)
-SETTINGS = option("--set -s NAME=VALUE", _START_VALUE + _KEYS)
+SETTINGS = option(
+    "--set -s KEY=VALUE",
+    "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
+    "joints), or a key of the scenario: duration=3, table.rows[3].x=0.4, mismatch.seed=4. "
+    "`panda-cosim info` lists the parameters. May be repeated.",
+)
 CONTROLLER = option(
     "--controller FILE",
     "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your permissions.",
@@ -123,38 +119,25 @@ def find_scenario(name: str) -> Scenario:
     return scenario
 
 
-def overrides(
-    assignments: list[str] | None, others: Iterable[str] = (), keys: Sequence[str] = ()
-) -> dict[str, dict[str, ParameterValue]]:
-    """Read the values of `--set`, by instance and name, in whatever order they stand."""
-    values: dict[str, dict[str, ParameterValue]] = {}
-    known = tuple(dict.fromkeys((*INTERFACES, *others)))
+def values_of(
+    assignments: Iterable[str] | None, controller: str | None = None, plant: str | None = None,
+    **options: ParameterValue | None,
+) -> Values:  # fmt: skip
+    """Return the values that `--set` and other options give, by key of `Scenario.changed`."""
+    values: dict[str, ParameterValue] = {}
     for text in assignments or ():
-        instance, name, value = parse_assignment(text, known, keys)
-        values.setdefault(instance, {})[name] = value
-    return values
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not (key and equals and value):
+            valid = "such as plant.block_pos[1]=0.45 or duration=3"
+            raise InputError(f"--set {text!r}: must be KEY=VALUE, {valid}")
+        values[key] = literal(value, f"--set {text!r}: ")
+    others = {"fmus.controller": controller, "fmus.plant": plant, **options}
+    return values | {key: value for key, value in others.items() if value is not None}
 
 
-def assigned(
-    scenario: Scenario,
-    assignments: list[str] | None,
-    options: Options | None = None,
-    robot: Robot | None = None,
-) -> tuple[Scenario, Options]:
-    """Return a scenario with parts, arm and keys changed, and options with the FMUs' parameters."""
-    options = options or Options()
-    settings, parameters = split_settings(assignments or ())
-    if robot:
-        settings["robot"] = ARMS[robot]
-    with_parts = with_options(scenario, Options(parts=options.parts))  # a scene may need a law
-    values = overrides(parameters, instances(with_parts), TOP)
-    return with_values(with_parts, settings), replace(options, overrides=values)
-
-
-def named_parts(controller: str | None, plant: str | None) -> dict[str, str]:
-    """Return the parts that `--controller` and `--plant` name."""
-    parts = {"controller": controller, "plant": plant}
-    return {name: file for name, file in parts.items() if file is not None}
+def arm_of(robot: Robot | None) -> str | None:
+    """Return the scenario's word for an arm."""
+    return ARMS[robot] if robot else None
 
 
 def announce_python(kind: Kind = "auto", twins: Iterable[str] = IN_RUNS) -> None:

@@ -165,13 +165,12 @@ class TestedRun:
 def scenario_run(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., TestedRun]:
     """Run scenarios: `scenario_run("push", {"controller.kp": 7})`, with keys as for `--set`."""
     from ...fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
-    from ..run.options import with_values  # noqa: PLC0415 - see above
     from ..scenario.scenario import load_scenario  # noqa: PLC0415 - see above
 
     numbers = count(1)
 
     def run(scenario: str | Path, values: Mapping[str, Any] | None = None) -> TestedRun:
-        changed = with_values(load_scenario(scenario), values or {})
+        changed = load_scenario(scenario).changed(values or {})
         outcome = _runs(request.session).run(changed, tmp_path / f"run-{next(numbers)}")
         if outcome.verdict == "failed":
             raise CosimError(f"{outcome.name}: {outcome.error}")

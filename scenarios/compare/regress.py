@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
@@ -26,7 +26,7 @@ from ..judging.verdict import NO_CRITERIA, Summary
 from ..recording import Recording
 from ..run.options import Options
 from ..run.run import run_scenario
-from ..run.start import Overrides, check_criteria, check_tolerances, start_values
+from ..run.start import check_criteria, check_tolerances, start_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..scenario.tolerances import Tolerances
 from ..work import Workers
@@ -36,6 +36,7 @@ from .tubes import widths
 
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
+    from ..scenario.values import Values
     from ..sweep.engine import SuiteSweep
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
@@ -169,26 +170,28 @@ def _judged(
 
 @dataclass(frozen=True)
 class Suite:
-    """The scenarios of a suite, and how to run them; refuses parameters that cannot be used."""
+    """The scenarios of a suite, and how to run them."""
 
     scenarios: Sequence[Scenario | Unusable]
-    overrides: Overrides = field(default_factory=dict)  # in place of the scenarios' own
     exact: bool = False  # whether each bit must match the reference
     jobs: int = 1  # how many run at the same time
     kind: Kind = "auto"  # of the project's own FMUs
 
-    def __post_init__(self) -> None:
-        """Check the parameters, before anything runs."""
-        for scenario in self.usable:
-            try:
-                start_values(scenario, self.overrides)
-            except InputError as error:
-                raise InputError(f"{scenario.name}: {error}") from error
 
-    @property
-    def usable(self) -> list[Scenario]:
-        """The scenarios that can be run."""
-        return [scenario for scenario in self.scenarios if isinstance(scenario, Scenario)]
+def with_values(
+    scenarios: Iterable[Scenario | Unusable], values: Values
+) -> Iterator[Scenario | Unusable]:
+    """Yield the scenarios with values changed by key; refuses values that cannot be used."""
+    for scenario in scenarios:
+        if isinstance(scenario, Unusable):
+            yield scenario
+            continue
+        try:
+            changed = scenario.changed(values)
+            start_values(changed)
+        except InputError as error:
+            raise InputError(f"{scenario.name}: {error}") from error
+        yield changed
 
 
 def run_suite(
@@ -197,9 +200,10 @@ def run_suite(
     """Run a suite into a folder, the longest first; `tell` is called with each outcome."""
     from ...fmus.sources.targets import Target, build  # noqa: PLC0415 - imports much
 
-    for engine in dict.fromkeys(scenario.mujoco for scenario in suite.usable):
+    usable = (each for each in suite.scenarios if isinstance(each, Scenario))
+    for engine in dict.fromkeys(scenario.mujoco for scenario in usable):
         build(target=Target(suite.kind, mujoco=engine))  # once, not in each process
-    outcomes, options = {}, Options(suite.overrides, kind=suite.kind)
+    outcomes, options = {}, Options(kind=suite.kind)
     with Workers(suite.jobs) as workers:
         futures = [
             start(workers, each, folder / each.name, options, exact=suite.exact)

@@ -19,9 +19,9 @@ from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
 from ..judging.criterion import cells
 from ..recording import Recording
-from ..run.start import Overrides
 from ..scenario.scenario import Scenario
 from ..scenario.tolerances import flattened
+from ..scenario.values import Values
 from ..view.page import shown_run
 from .compare import Comparison, Deviation, deviation_text, matching_rows
 from .differences import DASH, instant, measure, numbers, side_by_side
@@ -45,9 +45,8 @@ SIGNALS: Final = (
 MANIFEST_FILE: Final = "made-by-regress.json"
 
 
-def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) -> None:
-    """Write the report of a suite that was run with changed parameters, by instance and name."""
-    settings = [f"{i}.{name} = {value}" for i, v in overrides.items() for name, value in v.items()]
+def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> None:
+    """Write the report of a suite that was run with some values changed, by key."""
     views = Views()
     sections = [_section(outcome, views) for outcome in sorted(outcomes, key=_rank)]
     page = Page(
@@ -57,7 +56,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
         key=KEY,
         sections=sections,
         runs=views.elements,
-        settings=settings,
+        settings=[f"{key} = {value}" for key, value in values.items()],
         listed=True,
     )
     with replacing(path) as temporary:

@@ -1,9 +1,10 @@
-"""Prepares a run once: the scenario with its options, its system, start values and inputs."""
+"""Prepares a run once: its system, start values and inputs."""
 
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from ..scenario.scenario import Scenario
 from ..system.assembly import Assembly, assemble
 from .folder import model_in
 from .guarded import GuardedCommands
-from .options import Options, with_options
+from .options import Options
 from .start import (
     StartValues,
     check_criteria,
@@ -40,7 +41,7 @@ CHUNK = 16_384  # ticks of inputs computed at a time; a whole hour would take 0.
 class Prepared:
     """All that a run needs before its FMUs are opened; nothing has been built or written."""
 
-    scenario: Scenario  # with the values of the options
+    scenario: Scenario  # as it is run
     options: Options
     assembly: Assembly
     values: StartValues  # all parameters by instance and scalar variable
@@ -112,18 +113,26 @@ def prepare(
     `UnreadSlaveError`, and the installed version stands for one that is not there.
     """
     options = options or Options()
-    scenario = with_options(scenario, options)
-    assembly = assemble(
-        scenario, options.kind, files=options.fmus, run_code=run_code, from_outside=interactive
-    )
-    check_criteria(scenario, assembly)
-    values = start_values(scenario, assembly=assembly)
-    assembly.recorded()  # refuses columns of the same name
-    prepared = Prepared(scenario, options, assembly, values)
+    scenario = scenario.changed(options.values)
+    connect = partial(_connected, options=options, run_code=run_code, from_outside=interactive)
     if scenario.route:
-        return prepare(_routed(prepared), options, interactive=interactive, run_code=run_code)
+        scenario = _routed(connect(scenario))
+    prepared = connect(scenario)
     prepared.inputs()  # refuses a table that cannot be resolved
     return prepared
+
+
+def _connected(
+    scenario: Scenario, *, options: Options, run_code: bool, from_outside: bool
+) -> Prepared:
+    """Read and connect the FMUs, and give them start values."""
+    assembly = assemble(
+        scenario, options.kind, files=options.fmus, run_code=run_code, from_outside=from_outside
+    )
+    check_criteria(scenario, assembly)
+    values = start_values(scenario, assembly)
+    assembly.recorded()  # refuses columns of the same name
+    return Prepared(scenario, options, assembly, values)
 
 
 def _routed(prepared: Prepared) -> Scenario:

@@ -16,6 +16,7 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.master import Master, RealtimePacer
 from ..judging.verdict import ENDED, FAILED, STOPPED, TIMEOUT, Summary
 from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.values import Values
 from .folder import claimed_folder
 from .journal import END, Action, Adjustments
 from .options import Options
@@ -27,11 +28,12 @@ from .stopping import StopRequest, exit_guard, stopping_on_signals
 Progress = Callable[[int, int], None]  # completed and total steps
 
 
-def run_scenario(
+def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
     scenario: Scenario | str | Path,
     out: Path | str | None = None,
     options: Options | None = None,
     *,
+    values: Values | None = None,
     progress: Callable[[int, int], None] | None = None,
     stop: threading.Event | None = None,
 ) -> Run:
@@ -41,6 +43,7 @@ def run_scenario(
         scenario: A scenario, a shipped one's name, or a folder.
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it.
+        values: Values to change, by key: see `Scenario.changed`.
         progress: Called with the completed and the total steps, a few times a second.
         stop: Set in another thread, it stops the run after the step under way.
 
@@ -51,23 +54,13 @@ def run_scenario(
         InputError: Something given cannot be used; nothing is written then.
         SimulationError: An FMU failed; what was recorded is kept, marked incomplete.
     """
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario)
-    return run_prepared(prepare(scenario, options), out, progress=progress, stop=stop)
-
-
-def run_prepared(
-    prepared: Prepared,
-    out: Path | str | None = None,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-    stop: threading.Event | None = None,
-    meanwhile: Callable[[Run], None] | None = None,
-) -> Run:
-    """Run what `prepare` has returned, see `run_scenario`; for `meanwhile`, `Execution.close`."""
+    loaded = load_scenario(scenario)  # read
+    changed = loaded.changed(values or {})  # change
+    prepared = prepare(changed, options)  # prepare
     with stopping_on_signals(stop) as request, Execution(prepared, out) as execution:
-        execution.advance(execution.ticks, request, progress)
-        return execution.close(stop=request, meanwhile=meanwhile)
+        execution.advance(execution.ticks, request, progress)  # step
+        execution.judge(stop=request)  # judge
+        return execution.close(stop=request)  # write
 
 
 class Execution:
@@ -97,7 +90,7 @@ class Execution:
         self.actions: list[Action] = []
         self.warnings: list[str] = self.prepared.notes
         self.failure = ""
-        self._summary: Summary | None = None  # of a failed run, if its recording can be read
+        self._summary: Summary | None = None  # of a failed run only if its recording can be read
         self._columns: dict[str, list[int]] = {}  # of the master's rows, by signal
 
     def open(self) -> Self:
@@ -127,6 +120,15 @@ class Execution:
             self._stack = stack.pop_all()
         return self
 
+    def judge(self, reason: str | None = None, *, stop: StopRequest | None = None) -> None:
+        """Record the last row and judge the recording; see `close`, which does it otherwise."""
+        stop = stop or StopRequest()
+        if not (self.failure or self._summary):  # else it has been judged
+            with self._guarded():
+                self._end(reason or stop.text)
+                end = STOPPED if stop.signal else TIMEOUT if stop.is_late else ENDED
+                self._summary = self._begun.judge(end)
+
     def close(
         self,
         reason: str | None = None,
@@ -148,16 +150,12 @@ class Execution:
             raise InputError("session: is not open; `open` opens it")
         with self._stack:
             self._stack = None
-            stop = stop or StopRequest()
-            if not self.failure:  # else it has been judged
-                with self._guarded():
-                    self._end(reason or stop.text)
-                    end = STOPPED if stop.signal else TIMEOUT if stop.is_late else ENDED
-                    self._summary = self._begun.judge(end)
+            self.judge(reason, stop=stop)
             if self._summary is None:
                 raise SimulationError(self.failure)
             warnings, recording = tuple(self.warnings), self._begun.in_memory
-            run = Run(self.folder, self._summary, stop.signal, warnings, recording)
+            signal = stop.signal if stop else 0
+            run = Run(self.folder, self._summary, signal, warnings, recording)
             if meanwhile is not None:
                 meanwhile(run)
         return run
@@ -266,6 +264,8 @@ class Execution:
             raise InputError("session: is not open; `open` opens it")
         if self.failure:
             raise InputError("session: its run has failed; `restart` begins another")
+        if self._summary is not None:
+            raise InputError("session: its run has been judged; `restart` begins another")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

@@ -35,9 +35,10 @@ from ...fmus.master.step import Coupling
 from ..scenario.scenario import Push, Scenario, load_scenario
 from ..scenario.table import TrajectoryTable
 from ..scenario.trajectory import StartPose, Trajectory
+from ..scenario.values import Values
 from .folder import keep_scenario, refuse_existing
 from .journal import Action, Adjustments
-from .options import Options, with_options
+from .options import Options
 from .prepare import Inputs, Prepared, prepare
 from .run import Execution, Progress
 from .start import resolve, start_pose
@@ -80,7 +81,7 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
     if written.coupling == "jacobi" and written.controller != scenario.controller:
         raise InputError(
             "session: a parameter was set before the first step, which with Jacobi coupling acts a "
-            "tick later than a start value; give it as an override in the session's options"
+            "tick later than a start value; give it in the session's `values`"
         )
     same = prepared.inputs(written)[0:ticks] == session
     if not same.all():
@@ -100,8 +101,7 @@ def _with_parameter(prepared: Prepared, scenario: Scenario, action: Action) -> S
             f"session: {name} was set at {_time(prepared, action.tick)}; a scenario has values of "
             "parameters at its start only"
         )
-    instance, _, parameter = name.partition(".")
-    return with_options(scenario, Options(overrides={instance: {parameter: value}}))
+    return scenario.changed({name: value})
 
 
 def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
@@ -138,6 +138,7 @@ class Session(Execution):
         scenario: A scenario, a shipped one's name, or a folder.
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it; pacing and time limits are up to the caller.
+        values: Values to change, by key.
 
     Attributes:
         scenario: As it is run.
@@ -156,9 +157,10 @@ class Session(Execution):
         scenario: Scenario | str | Path,
         out: Path | str | None = None,
         options: Options | None = None,
+        *,
+        values: Values | None = None,
     ) -> None:
-        if not isinstance(scenario, Scenario):
-            scenario = load_scenario(scenario)
+        scenario = load_scenario(scenario).changed(values or {})
         options = options or Options()
         for name in _REFUSED:
             if getattr(options, name) != getattr(Options(), name):

@@ -15,7 +15,7 @@ from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import DEFAULT, OF_IMPEDANCE, OF_SERVOS, PRESETS, Gains, preset
 from ...fmus.errors import InputError
 from ...fmus.interface.controller import CONTROLLER
-from ...fmus.interface.parameters import ParameterValue, grouped
+from ...fmus.interface.parameters import grouped
 from ...fmus.interface.variables import Value
 from ...plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
 from ..judging.signals import check_bodies, check_signals
@@ -28,15 +28,12 @@ from ..system.assembly import Assembly, assemble
 if TYPE_CHECKING:
     from ..timing.demand import Timing
 
-Overrides = Mapping[str, Mapping[str, ParameterValue]]
 StartValues = dict[str, dict[str, Value]]
 NOISES: Final = ("joint_noise", "joint_quantisation")  # of [mismatch]
 
 
-def start_values(
-    scenario: Scenario, overrides: Overrides | None = None, assembly: Assembly | None = None
-) -> StartValues:
-    """Parameters of each FMU: scene and gains of our own, the sections, then the overrides."""
+def start_values(scenario: Scenario, assembly: Assembly | None = None) -> StartValues:
+    """Parameters of each FMU: scene and gains of our own, the mismatch, then the sections."""
     own: dict[str, Any] = {}
     assembly = assembly or assemble(scenario)
     if not scenario.is_system:
@@ -53,9 +50,7 @@ def start_values(
             own["controller"] = asdict(gains)
         if scenario.mismatch.has_sensors:
             own["sensors"] = {"robot": scenario.robot}
-    mismatch = scenario.mismatch.start_values()
-    layers: list[Overrides] = [own, mismatch, scenario.sections, overrides or {}]
-    return assembly.start_values(layers)
+    return assembly.start_values([own, scenario.mismatch.start_values(), scenario.sections])
 
 
 def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:

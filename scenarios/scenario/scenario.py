@@ -36,6 +36,7 @@ from .mismatch import Mismatch
 from .table import InputTable, TableRow, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
+from .values import Values, changed
 
 GAINS = ("default", "robust", "tutorial", "impedance")
 TIMINGS = ("table", "feasible", "optimal")
@@ -242,6 +243,8 @@ class Scenario:
         return next((key for key in keys if getattr(self, key) != getattr(Scenario, key)), "")
 
     def _check_time(self) -> None:
+        if not self.is_system and self.step != STEP_SIZE:
+            raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
         valid = SYSTEM_DURATION if self.is_system else DURATION
         object.__setattr__(self, "duration", valid.check("duration", self.duration))
         off = abs(self.ticks * self.step - self.duration) / max(self.duration, 1.0)
@@ -251,8 +254,6 @@ class Scenario:
                 f"duration: value {self.duration!r}; must be a whole number of ticks of "
                 f"{self.step} s, such as {nearest:.12g}"
             )
-        if not self.is_system and self.step != STEP_SIZE:
-            raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
 
     @property
     def ticks(self) -> int:
@@ -354,6 +355,19 @@ class Scenario:
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
+    def changed(self, values: Values) -> Scenario:
+        """Return it with values changed by key, all at once: the one way to change a scenario.
+
+            scenario.changed({"duration": 3, "plant.block_mass": 0.3, "controller.kp[3]": 7})
+
+        Keys are those of `--set`: see `values.py`. A file of `fmus` is relative to the working
+        directory, that of `inputs` to the scenario's folder.
+
+        Raises:
+            InputError: A key or a value cannot be used; the key is named.
+        """
+        return changed(self, values)
+
     def trajectory(self, start: StartPose) -> Trajectory:
         """Resolve the table from the poses at the start."""
         assert self.table is not None
@@ -378,14 +392,18 @@ def is_shipped(scenario: Scenario) -> bool:
     return scenario.folder is not None and scenario.folder.resolve().parent == SHIPPED_FOLDER
 
 
-def load_scenario(name_or_folder: str | Path) -> Scenario:
+def load_scenario(name_or_folder: Scenario | str | Path) -> Scenario:
     """Load a shipped scenario by name (a str), or any scenario from its folder (a str or Path).
+
+    One that is loaded is returned as it is.
 
     A shipped name takes precedence over a folder of that name: write `./tutorial` for the folder.
 
     Raises:
         InputError: There is no such scenario, or its files cannot be used.
     """
+    if isinstance(name_or_folder, Scenario):
+        return name_or_folder
     shipped, folder = shipped_scenarios(), Path(name_or_folder)
     if isinstance(name_or_folder, str) and name_or_folder in shipped:
         return Scenario.read(shipped[name_or_folder])

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ..files import read_text
-from ..run.options import with_values
 from ..run.prepare import CHUNK, prepare
 from ..run.start import start_values
 from ..scenario.scenario import Scenario
@@ -133,7 +132,7 @@ def check_design(sweep: Sweep, columns: Columns, scenarios: Sequence[Loaded]) ->
         for key, column in {**columns, **ends}.items():  # the numbers of the file, if it has them
             for value in _extremes(column):
                 try:
-                    start_values(with_values(loaded.scenario, {key: value}))
+                    start_values(loaded.scenario.changed({key: value}))
                 except InputError as error:
                     raise InputError(f"vary: scenario {loaded.label}: {error}") from None
 
@@ -164,7 +163,7 @@ def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> b
     if len(variants) == 1:
         variants.append({other: value for other, value in row.items() if other != key})
     try:
-        first, *others = (with_values(scenario, each) for each in variants)
+        first, *others = (scenario.changed(each) for each in variants)
         return any(_differ(first, other) for other in others)
     except InputError:  # it decides whether the row can run
         return True

@@ -22,7 +22,6 @@ from ..compare.regress import Outcome, Unusable, Verdict
 from ..judging.criterion import Criterion, miss_text
 from ..judging.verdict import SUMMARY_FILE
 from ..run.folder import default_folder
-from ..run.options import with_values
 from ..scenario.criteria import Success
 from ..scenario.scenario import SCENARIO_FILE, Scenario
 from ..work import cores
@@ -100,7 +99,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     job = _job(scenarios, time_limit, keep)
     engines = {}
     for each in dict.fromkeys(map(str, design.columns.get("mujoco", ()))):
-        own = [replace(s, scenario=with_values(s.scenario, {"mujoco": each})) for s in scenarios]
+        own = [replace(s, scenario=s.scenario.changed({"mujoco": each})) for s in scenarios]
         engines[each] = _job(own, time_limit, keep)
     job = replace(job, engines=engines)
     begun_with = origin(definition, job.scenarios, job.fmus)

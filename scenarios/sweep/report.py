@@ -26,7 +26,6 @@ from ..compare.reference import REFERENCE_FILE, Reference
 from ..judging.definitions import DEFINITIONS, Definition
 from ..judging.verdict import SUMMARY_FILE
 from ..run.folder import SCENARIO_FOLDER, refuse_existing
-from ..run.options import with_values
 from ..run.run import run_scenario
 from ..scenario.scenario import Scenario
 from ..view.page import (
@@ -219,7 +218,7 @@ def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
     row = store.row(index)
     number = list(content["nominal"]).index(row["scenario"])
     nominal = store.kept(number)
-    return number, nominal, with_values(nominal, {key: row[key] for key in content["keys"]})
+    return number, nominal, nominal.changed({key: row[key] for key in content["keys"]})
 
 
 def show_row(folder: str | Path, index: int) -> Path:

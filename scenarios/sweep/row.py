@@ -23,7 +23,7 @@ from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_li
 from ...fmus.interface.parameters import ParameterValue
 from ..judging.verdict import VERDICTS, Summary
 from ..run.folder import with_files
-from ..run.options import Options, with_values
+from ..run.options import Options
 from ..run.prepare import prepare
 from ..run.result import Run
 from ..run.run import Execution
@@ -197,7 +197,7 @@ def _run(folder: Path, task: Task, *, writes: bool) -> Done:
     try:
         with warnings.catch_warnings():  # an overflow is a failure of the run soon
             warnings.simplefilter("ignore", RuntimeWarning)
-            scenario = with_values(job.scenarios[task.scenario].scenario, values)
+            scenario = job.scenarios[task.scenario].scenario.changed(values)
             prepared = prepare(scenario, Options(fmus=fmus, time_limit=job.time_limit))
             stop = StopRequest()
             with Execution(prepared, place, writes=writes) as execution:

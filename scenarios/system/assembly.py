@@ -164,7 +164,8 @@ class Assembly:
             for name in layer:
                 if layer[name] and name not in self.interfaces:
                     valid = ", ".join(self.interfaces)
-                    raise InputError(f"{name}: no FMU of this name; valid: {valid}")
+                    hint = did_you_mean(name, self.interfaces)
+                    raise InputError(f"{name}: no FMU of this name; valid: {valid}{hint}")
         values: dict[str, dict[str, Value]] = {}
         for name, interface in self.interfaces.items():
             parameters = [s for s in interface.scalars() if s.variable.causality == "parameter"]
@@ -320,11 +321,6 @@ def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> l
             external += [(instance, n) for n in variable.names()]
             connector.mark_fed(instance, variable)
     return external
-
-
-def instances(scenario: Scenario) -> tuple[str, ...]:
-    """Names of the FMUs of a scenario that it names."""
-    return tuple(_of_ssp(scenario).interfaces if scenario.system else scenario.fmus)
 
 
 # A coupled system from an .ssp file.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from textwrap import fill
@@ -18,8 +17,8 @@ from ....fmus.master.step import SWITCHED
 from ...analysis.analysis import Analysis, Margins, analyze
 from ...analysis.plot import plot_analysis
 from ...files import marked_json
-from ...run.options import Options
 from ...scenario.scenario import Scenario
+from ...scenario.values import Values
 from ..console import show, show_json, table, tell, warn
 from ..options import (
     CONTROLLER,
@@ -28,10 +27,9 @@ from ..options import (
     PLANT,
     SCENARIO_OR_DEFAULT,
     SETTINGS,
-    assigned,
     find_scenario,
-    named_parts,
     option,
+    values_of,
 )
 
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s] of our own controller
@@ -84,16 +82,15 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim analyze --controller my_law.py:MyLaw --set scene=motors --at 2.3
     ```
     """
-    options = Options(parts=named_parts(controller, plant))
-    chosen, options = assigned(find_scenario(scenario), assignments, options)
+    chosen = find_scenario(scenario).changed(values_of(assignments, controller, plant))
     files = [out / name for name in (NUMBERS_FILE, PLOT_FILE, MODEL_FILE)]
     check_replaceable(*files, overwrite=overwrite)
     tell("Measuring the loops ...")
     Thread(target=import_module, args=("control",), daemon=True).start()  # 1 s, while FMUs step
-    first = analyze(chosen, at, options, loop=loop)
+    first = analyze(chosen, at, loop=loop)
     variants = [first.margins]
-    for others in _variants(chosen, options, first):
-        variants.append(analyze(chosen, first.at, others, loop=loop).margins)
+    for values in _variants(chosen, first):
+        variants.append(analyze(chosen.changed(values), first.at, loop=loop).margins)
     model = {n: np.asarray(value).tolist() for n, value in first.matrices.items()}
     content = {
         "scenario": first.scenario, "folder": out, "at": first.at, "left_out": LEFT_OUT,
@@ -119,14 +116,13 @@ def command(  # noqa: PLR0913 - one for each option
     show("\n".join(map(str, files)))
 
 
-def _variants(scenario: Scenario, options: Options, first: Analysis) -> Iterator[Options]:
-    """Yield options for other periods of our own controller, and for the other coupling."""
+def _variants(scenario: Scenario, first: Analysis) -> Iterator[Values]:
+    """Yield values for other periods of our own controller, and for the other coupling."""
     if not scenario.is_system and "controller" not in scenario.fmus:
         for period in PERIODS:
             if not math.isclose(period, first.period):
-                own = {**options.overrides.get("controller", {}), "period": period}
-                yield replace(options, overrides={**options.overrides, "controller": own})
-    yield from (replace(options, coupling=c) for c in SWITCHED if c != first.margins.coupling)
+                yield {"controller.period": period}
+    yield from ({"coupling": each} for each in SWITCHED if each != first.margins.coupling)
 
 
 def _show_variant(margins: Margins) -> None:

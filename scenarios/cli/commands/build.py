@@ -22,7 +22,6 @@ from ....fmus.sources.python_fmu import slave_fmu
 from ....fmus.sources.targets import Kind, Target
 from ....fmus.twins import FMUS
 from ...check.experiments import Experiment, add_experiment, experiments_of, write_compatibility
-from ...run.options import with_values
 from ...run.written import written_system
 from ...scenario.scenario import Scenario
 from ..console import show_file, warn
@@ -109,7 +108,7 @@ def command(  # noqa: PLR0913 - one for each option
     else:
         chosen = find_scenario(scenario)
         if mujoco:
-            chosen = with_values(chosen, {"mujoco": mujoco})
+            chosen = chosen.changed({"mujoco": mujoco})
         if not chosen.is_system:
             announce_build(target)
             announce_python(kind, [name for name in FMUS if name not in chosen.fmus])

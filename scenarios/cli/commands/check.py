@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
 import typer
 
 from ....fmus.errors import InputError
-from ...check.check import check_folder, read_checked
+from ...check.check import check_folder
 from ...check.experiments import check_experiments
 from ...judging.verdict import MISSED
-from ...run.options import TOP, split_settings
 from ...scenario.scenario import shipped_scenarios
-from ...system.assembly import instances
 from ..console import show, show_json
 from ..options import (
     CONTROLLER,
@@ -23,9 +20,8 @@ from ..options import (
     ROBOT,
     SETTINGS,
     Robot,
-    named_parts,
-    overrides,
     scenario_argument,
+    values_of,
 )
 from ..outcome import STYLES
 
@@ -76,13 +72,8 @@ def command(  # noqa: PLR0913 - one for each option
             raise InputError(f"{option}: not for an .fmu, whose experiments set their own values")
         _check_fmu(folder, as_json=json)
         return
-    settings, parameters = split_settings(assignments or ())
-    parts = named_parts(controller, plant)
-    names: tuple[str, ...] = ()
-    with suppress(InputError):  # a scenario that cannot be read: the check explains why
-        names = tuple(instances(read_checked(folder)))
-    changed = overrides(parameters, (*names, *parts), TOP)
-    diagnostics = check_folder(folder, changed, settings, parts, robot or "")
+    values = values_of(assignments, controller, plant)
+    diagnostics = check_folder(folder, values, robot or "")
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
         show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})

@@ -14,26 +14,25 @@ from ...live.server import LOCAL, LiveServer, opened
 from ...live.simulation import Simulation
 from ...run.options import Options
 from ...run.session import Session
-from ...system.assembly import instances
 from .. import ending
 from ..console import show, warn
 from ..options import (
     KIND,
     OPEN_PAGE,
     OUT_RUN,
-    PARAMETERS,
     SCENARIO_OR_DEFAULT,
+    SETTINGS,
     announce_build,
     find_scenario,
     option,
-    overrides,
+    values_of,
 )
 
 
 def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO_OR_DEFAULT,
     out: Path | None = OUT_RUN,
-    assignments: list[str] | None = PARAMETERS,
+    assignments: list[str] | None = SETTINGS,
     speed: float = option("--speed", "Speed, relative to real time.", 1.0, min=0.01, max=10.0),
     port: int = option("--port", "Port to listen on; 0: any free one.", 0, min=0, max=65535),
     host: str = option(
@@ -59,7 +58,7 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     chosen = find_scenario(scenario)
-    options = Options(overrides=overrides(assignments, instances(chosen)), kind=kind)
+    values = values_of(assignments)
     if not chosen.is_system:
         announce_build(Target(kind))
     if host != LOCAL:
@@ -67,7 +66,7 @@ def command(  # noqa: PLR0913 - one for each option
             f"--host {host}: everyone who can reach this address and has the page's token can "
             "watch and control the run; nothing is encrypted"
         )
-    with Session(chosen, out, options) as session:
+    with Session(chosen, out, Options(kind=kind), values=values) as session:
         for text in session.warnings:
             warn(text)
         try:

@@ -15,12 +15,12 @@ from ..options import (
     CSV_FILE,
     JSON,
     OVERWRITE,
-    PARAMETERS,
     SCENARIO,
+    SETTINGS,
     argument,
     find_scenario,
     option,
-    overrides,
+    values_of,
 )
 
 
@@ -90,7 +90,7 @@ def list_scenarios(json: bool = JSON) -> None:
 def inputs(
     scenario: str = SCENARIO,
     file: Path = CSV_FILE,
-    assignments: list[str] | None = PARAMETERS,
+    assignments: list[str] | None = SETTINGS,
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Write a scenario's commands as an FMI input file.
@@ -103,10 +103,10 @@ def inputs(
     fmpy simulate PandaController.fmu --input-file commands.csv
     ```
     """
-    chosen = find_scenario(scenario)
+    chosen = find_scenario(scenario).changed(values_of(assignments))
     if chosen.is_system:
         raise InputError(f"scenario {chosen.name!r}: commands no hand; must have a {TABLE_FILE}")
     times = instants(chosen)
-    trajectory = resolve(chosen, start_values(chosen, overrides(assignments)))
+    trajectory = resolve(chosen, start_values(chosen))
     write_input_csv(file, times, trajectory.sample(times), overwrite=overwrite)
     show(f"{file}: {len(times)} rows")

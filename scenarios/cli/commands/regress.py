@@ -26,6 +26,7 @@ from ...compare.regress import (
     headline,
     run_suite,
     variants,
+    with_values,
 )
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
 from ...recording import Recording
@@ -39,11 +40,11 @@ from ..options import (
     JSON,
     KIND,
     OVERWRITE,
-    PARAMETERS,
+    SETTINGS,
     announce_python,
     argument,
     option,
-    overrides,
+    values_of,
 )
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
@@ -68,7 +69,7 @@ def command(  # noqa: PLR0913 - one for each option
         "Record the results as new references. Lists the changes, also in a page, and asks first.",
         False,
     ),
-    assignments: list[str] | None = PARAMETERS,
+    assignments: list[str] | None = SETTINGS,
     exact: bool = option(
         "--exact",
         "Require the same bits. Use it only on the same machine, with the same versions.",
@@ -129,7 +130,8 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError("--overwrite: needs --report")
     chosen = find_scenarios(scenarios or (), folder)
     runs_of = [v for s in chosen for v in (variants(s, engines) if engines else [s])]
-    suite = Suite(runs_of, overrides(assignments), exact, jobs or cores(), kind)
+    values = values_of(assignments)
+    suite = Suite(list(with_values(runs_of, values)), exact, jobs or cores(), kind)
     # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
     alone = update or engines or kind != "auto"
     swept = _swept(chosen, folder) if sweeps and not alone else []
@@ -150,7 +152,7 @@ def command(  # noqa: PLR0913 - one for each option
         rows = engine_rows(chosen, len(engines), outcomes) if engines else []
         outcomes = [outcome for row in rows for outcome in row] or outcomes
         if report is not None:
-            write_report(outcomes, report / REPORT_FILE, suite.overrides)
+            write_report(outcomes, report / REPORT_FILE, values)
             write_junit(outcomes, report / JUNIT_FILE)
             if not json:
                 show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
@@ -169,7 +171,7 @@ def command(  # noqa: PLR0913 - one for each option
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
     """Run, with a line per scenario and a progress bar for all."""
     ticks = dict.fromkeys((s.name for s in suite.scenarios), 0)
-    ticks |= {s.name: s.ticks for s in suite.usable}
+    ticks |= {s.name: s.ticks for s in suite.scenarios if isinstance(s, Scenario)}
     done, total = 0, sum(ticks.values())
     with progress(f"Running {len(ticks)} scenario{'s' if len(ticks) > 1 else ''}") as advance:
 

@@ -10,7 +10,6 @@ from ....assets import STEP_SIZE
 from ....fmus.errors import InputError
 from ...files import as_argument, check_new
 from ...run.folder import keep_scenario, refuse_existing
-from ...run.options import with_options
 from ...run.prepare import prepare
 from ...run.start import new_timing, start_values
 from ...scenario.scenario import MAX_DURATION, SCENARIO_FILE, TABLE_FILE, Scenario
@@ -18,7 +17,7 @@ from ...scenario.table import TrajectoryTable
 from ...scenario.writer import write_scenario
 from ...timing.demand import Shares
 from ..console import show, table, tell
-from ..options import ROBOT, SCENARIO, SETTINGS, Robot, assigned, find_scenario, option
+from ..options import ROBOT, SCENARIO, SETTINGS, Robot, arm_of, find_scenario, option, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -53,7 +52,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
     """
-    chosen = with_options(*assigned(find_scenario(scenario), assignments, robot=robot))
+    chosen = find_scenario(scenario).changed(values_of(assignments, robot=arm_of(robot)))
     folder = out or Path(f"{chosen.name}_{'feasible' if keep_times else 'fast'}")
     check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
     tell(f"Timing {chosen.name} ...")
@@ -114,7 +113,7 @@ def route(
     panda-cosim run behind
     ```
     """
-    chosen = with_options(*assigned(find_scenario(scenario), assignments, robot=robot))
+    chosen = find_scenario(scenario).changed(values_of(assignments, robot=arm_of(robot)))
     folder = out or Path(f"{chosen.name}_routed")
     refuse_existing(folder)
     tell(f"Planning {chosen.name} ...")

@@ -9,10 +9,11 @@ from pathlib import Path
 from ....fmus.errors import InputError
 from ....fmus.master.step import Coupling, Stepper
 from ....fmus.sources.targets import Kind
-from ...run.options import Options, with_values
+from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
-from ...run.run import run_prepared
+from ...run.run import Execution
+from ...run.stopping import stopping_on_signals
 from ...scenario.scenario import Scenario
 from ..options import (
     CONTROLLER,
@@ -24,11 +25,10 @@ from ..options import (
     PLANT,
     SETTINGS,
     argument,
-    assigned,
     find_scenario,
-    named_parts,
     option,
     scenario_argument,
+    values_of,
 )
 from ..outcome import Output, Progress, conclude, draw_view, simulate
 
@@ -103,8 +103,6 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     options = Options(
-        coupling=coupling,
-        parts=named_parts(controller, plant),
         realtime=1.0 if realtime else 0.0,
         isolate=isolate,
         step_timeout=step_timeout,
@@ -114,16 +112,18 @@ def command(  # noqa: PLR0913 - one for each option
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
-    if mujoco:
-        assignments = [*(assignments or ()), f"mujoco={mujoco}"]
-    prepared = prepare(*assigned(chosen, assignments, options))  # refuses bad input
+    values = values_of(assignments, controller, plant, coupling=coupling, mujoco=mujoco or None)
+    prepared = prepare(chosen.changed(values), options)  # refuses bad input
     output = Output(out, video, plot, view, junit, json, fps)
 
     def run(folder: Path, update: Progress) -> Run:
-        return run_prepared(prepared, folder, progress=update, meanwhile=partial(draw_view, output))
+        with stopping_on_signals() as stop, Execution(prepared, folder) as execution:
+            execution.advance(execution.ticks, stop, update)
+            draw = partial(draw_view, output)
+            return execution.close(stop=stop, meanwhile=draw)
 
-    early, values = not realtime, prepared.values
-    done = simulate(prepared.scenario, kind, output, run, early=early, values=values)
+    early, parameters = not realtime, prepared.values
+    done = simulate(prepared.scenario, kind, output, run, early=early, values=parameters)
     conclude(done, output, ours=not prepared.scenario.has_own_parts, realtime=realtime)
 
 
@@ -159,7 +159,7 @@ def replay(  # noqa: PLR0913 - one for each option
         return journal.replay(run, folder, options, progress=update)
 
     done = simulate(scenario, options.kind, output, repeat)
-    conclude(done, output, ours=not (scenario.has_own_parts or options.parts))
+    conclude(done, output, ours=not scenario.has_own_parts)
 
 
 def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:
@@ -168,7 +168,7 @@ def _chosen(name: str | None, system: Path | None, duration: float | None) -> Sc
         system, name = Path(name), None
     if system is None:
         chosen = find_scenario(DEFAULT_SCENARIO if name is None else name)
-        return chosen if duration is None else with_values(chosen, {"duration": duration})
+        return chosen if duration is None else chosen.changed({"duration": duration})
     from ...system.assembly import system_scenario  # noqa: PLC0415 - rarely needed
 
     alone = system_scenario(system, duration)
