@@ -91,7 +91,7 @@ BAD_USE = [
     (["run", "nowhere.ssp"], "nowhere.ssp"),
     (["run", "--out", Path(__file__).parent], "must be a new or an empty folder"),
     (["run", "--set", "plant.block_mas=1"], "did you mean 'block_mass'"),
-    (["run", "--set", "block_mass=0.3"], "did you mean plant.block_mass=0.3?"),
+    (["run", "--set", "block_mass=0.3"], "did you mean 'plant.block_mass'?"),
     (["run", "--set", "plant.block_mass=heavy"], "'heavy' is not a number"),
     (["run", "--set", "duratoin=3"], "did you mean 'duration'?"),
     (["run", "--set", "duration=inf"], "Error: duration: value inf; must be a number from 0.001"),
