@@ -7,7 +7,6 @@ digests, and no requests, so that nothing else would run even if a text got thro
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -33,19 +32,6 @@ from .run import describe as describe_run
 
 TEMPLATE: Final = "template.html"
 TITLE: Final = 200  # [character]
-LOADER: Final = """
-(async () => {
-  for (const element of document.querySelectorAll("script[data-code]")) {
-    const bytes = Uint8Array.from(atob(element.textContent), (c) => c.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    const script = document.createElement("script");
-    script.textContent = await new Response(stream).text();
-    document.head.append(script);
-    script.remove();
-  }
-  dispatchEvent(new Event("code-ready"));
-})();
-"""
 VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &hellip;</p></main>
 <noscript><p class="pv-wait">This page needs JavaScript and WebGL, which are switched off. \
 The pictures in the run's folder show the run without them.</p></noscript>"""
@@ -107,7 +93,7 @@ def _code_elements(code: Sequence[str]) -> str:
         f'<script type="text/plain" data-code="{name}">{_code()[name]["deflated"]}</script>'
         for name in code
     ]
-    return "\n".join((*bundles, f"<script>{LOADER}</script>"))
+    return "\n".join((*bundles, f"<script>{_code()['loader']['text']}</script>"))
 
 
 def rendered(template: Path, **content: Any) -> str:
@@ -130,10 +116,7 @@ def data_elements(contents: Contents) -> str:
 
 def script_sources(*code: str) -> list[str]:
     """Return the sources for a content security policy that lets the code run."""
-    loader = base64.b64encode(hashlib.sha256(LOADER.encode()).digest()).decode()
-    return [
-        f"'sha256-{digest}'" for digest in (loader, *(_code()[name]["sha256"] for name in code))
-    ]
+    return [f"'sha256-{_code()[name]['sha256']}'" for name in ("loader", *code)]
 
 
 def data_element(name: str, value: Any) -> str:
@@ -152,7 +135,7 @@ def _part(name: str) -> str:
 
 @cache
 def _code() -> dict[str, dict[str, str]]:
-    """Return each bundle as it was built: deflated, and its digest, both in base64."""
+    """Return each bundle as it was built: its text, or deflated, and its digest, both in base64."""
     return dict(json.loads(_part("code.json")))
 
 

@@ -28,7 +28,8 @@ function notice(names) {
   return `Contains the following libraries, each under its own licence.\n\n${texts.join(`\n${"-".repeat(78)}\n\n`)}`;
 }
 
-async function bundle(name, entry, globalName) {
+/** Build a page's code, and its style sheet if it has one. */
+async function built(name, entry, globalName) {
   const { outputFiles, metafile } = await build({
     absWorkingDir: here,
     entryPoints: { [name]: entry },
@@ -43,19 +44,21 @@ async function bundle(name, entry, globalName) {
     write: false,
     metafile: true,
   });
-  const built = (suffix) => outputFiles.find(({ path }) => path.endsWith(suffix));
-  writeFileSync(join(out, `${name}.css`), built(".css").contents);
-  const inputs = Object.keys(metafile.outputs[relative(here, built(".js").path)].inputs);
+  const file = (suffix) => outputFiles.find(({ path }) => path.endsWith(suffix));
+  if (file(".css")) writeFileSync(join(out, `${name}.css`), file(".css").contents);
+  const inputs = Object.keys(metafile.outputs[relative(here, file(".js").path)].inputs);
   const used = libraries.filter((library) => inputs.some((path) => path.startsWith(`node_modules/${library}/`)));
-  const code = Buffer.from((used.length ? `/*\n${notice(used)}*/\n` : "") + built(".js").text);
-  return {
-    sha256: createHash("sha256").update(code).digest("base64"),
-    deflated: deflateSync(code, { level: 9 }).toString("base64"),
-  };
+  return (used.length ? `/*\n${notice(used)}*/\n` : "") + file(".js").text.trim();
 }
+
+const digest = (text) => createHash("sha256").update(text).digest("base64");
 
 mkdirSync(out, { recursive: true });
 writeFileSync(join(out, "LICENSES.txt"), notice(libraries));
-const code = {};
-for (const [name, [entry, globalName]] of Object.entries(pages)) code[name] = await bundle(name, entry, globalName);
+const loader = await built("loader", "src/loader.ts");
+const code = { loader: { sha256: digest(loader), text: loader } };
+for (const [name, [entry, globalName]] of Object.entries(pages)) {
+  const text = await built(name, entry, globalName);
+  code[name] = { sha256: digest(text), deflated: deflateSync(text, { level: 9 }).toString("base64") };
+}
 writeFileSync(join(out, "code.json"), JSON.stringify(code));
