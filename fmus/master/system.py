@@ -324,8 +324,10 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             not_finite=system.not_finite,
         )
         if external is not None or not system.external:
-            with _nothing_recorded():
+            try:
                 unsettled = master.initialize(np.empty((1, 0)) if external is None else external)
+            except SimulationError as error:  # nothing is recorded yet
+                raise InputError(f"initialization: {error}") from error
             if unsettled and on_message is not None:
                 text = f"{unsettled[1]} does not settle between FMUs; start values are used"
                 on_message(unsettled[0], "Warning", f"initialization: {text}")
@@ -333,15 +335,6 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             slave.exit_initialization()
         return_to(here)
         yield OpenSystem(master, slaves, fmus)
-
-
-@contextmanager
-def _nothing_recorded() -> Iterator[None]:
-    """An FMU that fails before there is a first row is refused."""
-    try:
-        yield
-    except SimulationError as error:
-        raise InputError(f"initialization: {error}") from error
 
 
 class PerturbedSystem:

@@ -202,13 +202,11 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     write_scenario(scenario, folder)
     shutil.copy(path, folder / path.name)
     total = sum(each.size for _, each in values)
-    about = f"Criteria: {len(criteria)} of {total} reference values, at most one of an output; "
-    more = (
-        f"panda-cosim check {as_argument(path)} compares the rest"
-        if criteria
-        else f"add [[success.signal]] to {folder / SCENARIO_FILE}, or every run is a success"
-    )
-    return sorted(folder.iterdir()), about + more
+    more = f"panda-cosim check {as_argument(path)} compares the rest"
+    if not criteria:
+        more = f"add [[success.signal]] to {folder / SCENARIO_FILE}, or every run is a success"
+    about = f"{len(criteria)} of {total} reference values, at most one of an output; {more}"
+    return sorted(folder.iterdir()), f"Criteria: {about}"
 
 
 # Read.
@@ -283,10 +281,8 @@ def _series(fmu: Fmu, file: Path) -> Series:
     series = {"time": np.array(table.times)}
     for name, cells in table.columns.items():
         scalars = arrays.get(name) or [fmu.variable(name)]
-        kind, rows = (
-            scalars[0].variable.kind,
-            [cell.split() if len(scalars) > 1 else [cell.strip()] for cell in cells],
-        )
+        kind = scalars[0].variable.kind
+        rows = [cell.split() if len(scalars) > 1 else [cell.strip()] for cell in cells]
         try:
             parts = [[_cell(kind, word) for word in row] for row in rows]
             values = np.array(parts, object if kind in TEXTS else float)
