@@ -257,7 +257,7 @@ def test_whatever_ends_the_block_the_run_is_kept(tmp_path: Path, what: str) -> N
     reason = "ValueError: no more" if what == "raise" else "KeyboardInterrupt"
     assert recording.reason == reason
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["reason"] == reason
-    assert Journal.read(tmp_path / "run").actions[-1].name == "end"
+    assert Journal.read(tmp_path / "run").actions[-1].act.do == "end"
 
 
 def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
@@ -282,8 +282,11 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
         ([json.dumps({"format": 1, **HEAD, "kind": "fast"})], "must be one of auto, native"),
         (["[1]"], "line 1: '\\[1\\]'; must be a JSON object"),
         ([None, '{"tick": -1, "action": "end"}'], "line 2: tick -1; must be a whole number from 0"),
-        ([None, '{"tick": 5}'], "line 2: action None; must be a name"),
-        ([None, '{"tick": 5, "action": "set", "name": 7}'], "line 2: name 7; must be that of"),
+        ([None, '{"tick": 5}'], "action: value None; must be one of set"),
+        (
+            [None, '{"tick": 5, "action": "set", "name": 7}'],
+            "line 2: set: name: Input should be a",
+        ),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 4, "action": "set"}'], "line 3: tick 4"),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 5, "action": "set"}'], "after the end"),
     ],
@@ -299,8 +302,8 @@ def test_a_damaged_journal_is_refused_with_its_line(
 
 
 UNDOABLE = {  # the journal's third line, and what is said of it
-    "action 'jump'; valid: set, release": {"action": "jump"},
-    "set: missing a required argument: 'value'": {"action": "set", "name": "controller.kp"},
+    "action: value 'jump'; must be one of set, release": {"action": "jump"},
+    "set: value: Field required": {"action": "set", "name": "controller.kp"},
     "tick 1000000000; must be at most": {"tick": 10**9, "action": "end"},
     "push_force: 'x' is not a number": {
         "action": "set",
@@ -309,8 +312,8 @@ UNDOABLE = {  # the journal's third line, and what is said of it
     },
     "coupling: [1]; valid": {"action": "set_coupling", "coupling": [1]},
     "row 0: time 0 s has passed": {"action": "move_waypoint", "row": 0},
-    "end: reason [1]; must be text": {"action": "end", "reason": [1]},
-    "end: got an unexpected keyword argument 'why'; must be as": {"action": "end", "why": 1},
+    "end: reason: Input should be a valid string": {"action": "end", "reason": [1]},
+    "end: why: Extra inputs are not permitted": {"action": "end", "why": 1},
 }
 
 

@@ -21,17 +21,15 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.step import Coupling
 from ..run.folder import SCENARIO_FOLDER
-from ..run.journal import JOURNAL_FILE
+from ..run.journal import JOURNAL_FILE, Release, Set, first_problem
 from ..run.session import Session
 from .page import offset_of, plan
 
 if TYPE_CHECKING:
     from .server import LiveServer
 
-Name = Annotated[str, Field(max_length=100)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Place = Annotated[Number, Field(ge=-10.0, le=10.0)]  # [m]
-Vector = Annotated[list[Number], Field(max_length=16)]
 
 
 class _Command(BaseModel):
@@ -58,22 +56,7 @@ class Speed(_Command):
     factor: Annotated[Number, Field(ge=0.01, le=10.0)]
 
 
-class Set(_Command):
-    """Set a tunable parameter, or hold an input; `Session.set`."""
-
-    do: Literal["set"]
-    name: Name
-    value: bool | Number | Annotated[str, Field(max_length=100)] | Vector
-
-
-class Release(_Command):
-    """Release a held input; `Session.release`."""
-
-    do: Literal["release"]
-    name: Name
-
-
-class MoveWaypoint(_Command):
+class Drag(_Command):
     """Move a later row of the table to another position in the world [m]."""
 
     do: Literal["waypoint"]
@@ -88,7 +71,7 @@ class Keep(_Command):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 
 
-class SetCoupling(_Command):
+class Couple(_Command):
     """Change the coupling; `Session.set_coupling`."""
 
     do: Literal["coupling"]
@@ -96,7 +79,7 @@ class SetCoupling(_Command):
 
 
 Command = Annotated[
-    Act | Step | Speed | Set | Release | MoveWaypoint | Keep | SetCoupling,
+    Act | Step | Speed | Set | Release | Drag | Keep | Couple,
     Field(discriminator="do"),
 ]
 _ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
@@ -107,9 +90,7 @@ def parse_command(text: str | bytes) -> Command:
     try:
         return _ADAPTER.validate_json(text)
     except ValidationError as error:
-        first = error.errors(include_input=False, include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"command: {place}: {first['msg']}") from None
+        raise InputError(f"command: {first_problem(error)}") from None
 
 
 Array = NDArray[np.float64]
@@ -257,11 +238,9 @@ class Simulation:
                 self._step(command.ticks, server)
             case Speed():
                 self._speed = command.factor
-            case Set():
-                session.set(command.name, command.value)
-            case Release():
-                session.release(command.name)
-            case MoveWaypoint():
+            case Set() | Release():
+                session.act(command)
+            case Drag():
                 row, last = command.row, len(session.table.rows) - 1
                 if row > last:
                     raise InputError(f"waypoint: row {row}; must be from 0 to {last}")
@@ -270,7 +249,7 @@ class Simulation:
             case Keep():  # in the working directory
                 session.keep(command.name)
                 self._message = f"kept as a scenario: panda-cosim run ./{command.name}"
-            case SetCoupling():
+            case Couple():
                 session.set_coupling(command.coupling)
         if isinstance(command, Act | Step | Speed):
             self._anchor()

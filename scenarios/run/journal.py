@@ -18,16 +18,18 @@ it before anything is run; and a session is written as a scenario from the input
 
 from __future__ import annotations
 
-import inspect
 import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Self, get_args
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
-from ...fmus.errors import InputError, did_you_mean, excerpt
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+
+from ...fmus.errors import InputError, excerpt
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.step import SWITCHED
@@ -39,9 +41,64 @@ from .prepare import Prepared
 
 JOURNAL_FILE = "session.jsonl"
 FORMAT = 1
-END = "end"
 _HEAD = {"scenario": str, "kind": str, "fmus": dict}
 _MAX_BYTES = 256 * 1024 * 1024
+
+
+def _plain(value: Any) -> Any:
+    """Return arrays and tuples as lists, which nobody changes later and JSON can hold."""
+    value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return list(map(_plain, value)) if isinstance(value, list | tuple) else value
+
+
+Plain = Annotated[Any, BeforeValidator(_plain)]
+
+
+class _Act(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Set(_Act):
+    """Set a tunable parameter, or hold an input at a value until it is released."""
+
+    do: Literal["set"] = "set"
+    name: str
+    value: Plain
+
+
+class Release(_Act):
+    """Give an input that is held back to the scenario."""
+
+    do: Literal["release"] = "release"
+    name: str
+
+
+class MoveWaypoint(_Act, extra="allow"):
+    """Change a later row of the trajectory table, counted from 0: the fields that are given."""
+
+    __pydantic_extra__: dict[str, Plain]
+    do: Literal["move_waypoint"] = "move_waypoint"
+    row: Any
+
+
+class SetCoupling(_Act):
+    """Change the coupling."""
+
+    do: Literal["set_coupling"] = "set_coupling"
+    coupling: Any
+
+
+class End(_Act):
+    """End the run, for a reason if it ends before its scenario does."""
+
+    do: Literal["end"] = "end"
+    reason: str = ""
+
+
+Act = Set | Release | MoveWaypoint | SetCoupling | End
+ACTS: Final[Mapping[str, type[Act]]] = {
+    each.model_fields["do"].default: each for each in get_args(Act)
+}
 
 
 @dataclass(frozen=True)
@@ -49,8 +106,7 @@ class Action:
     """One action on a session."""
 
     tick: int  # completed steps before it
-    name: str  # the method of `Session` that was called, or `end`
-    arguments: Mapping[str, Any]
+    act: Act
 
 
 def begin_journal(path: Path, head: Mapping[str, Any]) -> None:
@@ -60,7 +116,8 @@ def begin_journal(path: Path, head: Mapping[str, Any]) -> None:
 
 def append_action(path: Path, action: Action) -> None:
     """Append a line to a journal; it is passed to the operating system at once."""
-    _write(path, "a", {"tick": action.tick, "action": action.name, **action.arguments})
+    arguments = action.act.model_dump(exclude_defaults=True)
+    _write(path, "a", {"tick": action.tick, "action": action.act.do, **arguments})
 
 
 def _write(path: Path, mode: str, content: Mapping[str, Any]) -> None:
@@ -128,16 +185,21 @@ def _action(place: str, content: dict[str, Any], before: list[Action]) -> Action
     least = before[-1].tick if before else 0
     if isinstance(tick, bool) or not isinstance(tick, int) or tick < least:
         raise InputError(f"{place}: tick {excerpt(tick)}; must be a whole number from {least} on")
-    if not isinstance(name, str):
-        raise InputError(f"{place}: action {excerpt(name)}; must be a name")
-    if not isinstance(content.get("name", ""), str):
-        raise InputError(f"{place}: name {excerpt(content['name'])}; must be that of a variable")
-    if before and before[-1].name == END:
+    if before and isinstance(before[-1].act, End):
         raise InputError(f"{place}: {excerpt(name)} after the end; must be the last line")
-    return Action(tick, name, content)
+    kind = ACTS[check_choice(f"{place}: action", name, ACTS)]
+    try:
+        return Action(tick, kind.model_validate(content))
+    except ValidationError as error:
+        raise InputError(f"{place}: {name}: {first_problem(error)}") from None
 
 
-ACTIONS: Final = ("set", "release", "move_waypoint", "set_coupling", END)
+def first_problem(error: ValidationError) -> str:
+    """Return the first problem of what was read, in one line."""
+    first = error.errors(include_input=False, include_url=False)[0]
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+
+
 Parameters = Mapping[str, Mapping[str, Value]]  # by instance and scalar variable
 
 
@@ -163,18 +225,18 @@ class Adjustments:
 
     def take(self, action: Action) -> Parameters:
         """Take an action; returns the parameters that FMUs are to be given."""
-        if action.name not in ACTIONS:
-            hint = did_you_mean(action.name, ACTIONS)
-            raise InputError(f"action {excerpt(action.name)}; valid: {', '.join(ACTIONS)}{hint}")
-        method = getattr(self, f"_{action.name}")
-        try:
-            inspect.signature(method).bind(action, **action.arguments)
-        except TypeError as error:
-            raise InputError(f"{action.name}: {error}; must be as `Session` writes it") from None
-        parameters: Parameters | None = method(action, **action.arguments)
-        return parameters or {}
+        match action.act:
+            case Set(name=name, value=value):
+                return self._set(name, value)
+            case Release(name=name):
+                self.inputs.release(name)
+            case MoveWaypoint(row=row, model_extra=changes):
+                self._move_waypoint(action.tick, row, changes or {})
+            case SetCoupling(coupling=coupling):
+                self._set_coupling(coupling)
+        return {}
 
-    def _set(self, _: Action, /, name: str, value: ParameterValue) -> Parameters:
+    def _set(self, name: str, value: ParameterValue) -> Parameters:
         if name in self.inputs:
             self.inputs.hold(name, value)
             return {}
@@ -192,21 +254,18 @@ class Adjustments:
         self.values[instance] |= values
         return {instance: values}
 
-    def _release(self, _: Action, /, name: str) -> None:
-        self.inputs.release(name)
-
-    def _set_coupling(self, _: Action, /, coupling: Any) -> None:
+    def _set_coupling(self, coupling: Any) -> None:
         if coupling not in SWITCHED:
             raise InputError(f"coupling: {excerpt(coupling)}; valid: {', '.join(SWITCHED)}")
         if self._scenario.coupling not in SWITCHED or self._scenario.steps:
             raise InputError('coupling: cannot change with [steps], or from "iterated"')
         self.coupling = coupling
 
-    def _move_waypoint(self, action: Action, /, row: int, **changes: Any) -> None:
+    def _move_waypoint(self, tick: int, row: Any, changes: Mapping[str, Any]) -> None:
         if self.inputs.table is None:
             raise InputError("move_waypoint: the scenario is a system without a trajectory")
-        rows, ahead = list(self.inputs.table.rows), self.inputs.guarded.ahead(action.tick)
-        now = (action.tick + ahead) * self._scenario.step
+        rows, ahead = list(self.inputs.table.rows), self.inputs.guarded.ahead(tick)
+        now = (tick + ahead) * self._scenario.step
         if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
             last = len(rows) - 1
             raise InputError(f"move_waypoint: row {row!r}; must be a whole number from 0 to {last}")
@@ -221,7 +280,3 @@ class Adjustments:
             self.inputs.use(replace(self._scenario, table=table))
         except InputError as error:
             raise InputError(f"move_waypoint: row {row}: {error}") from None
-
-    def _end(self, _: Action, /, reason: str = "") -> None:
-        if not isinstance(reason, str):
-            raise InputError(f"end: reason {excerpt(reason)}; must be text")

@@ -9,7 +9,7 @@ from pathlib import Path
 from ...fmus.errors import InputError, excerpt
 from ..scenario.scenario import Scenario
 from .folder import SCENARIO_FOLDER
-from .journal import END, Adjustments, Journal
+from .journal import Adjustments, End, Journal
 from .options import Options
 from .prepare import Prepared
 from .result import Run
@@ -50,9 +50,9 @@ def replay(
         ]
         for action in journal.actions:
             session.step(action.tick - session.tick, progress)
-            if action.name == END:
-                return session.close(action.arguments.get("reason"))
-            session.act(action.name, **action.arguments)
+            if isinstance(action.act, End):
+                return session.close(action.act.reason or None)
+            session.act(action.act)
         session.step(session.ticks - session.tick, progress)
         return session.close()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -18,7 +17,7 @@ from ..judging.verdict import ENDED, FAILED, STOPPED, TIMEOUT, Summary
 from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.values import Values
 from .folder import claimed_folder
-from .journal import END, Action, Adjustments
+from .journal import Action, Adjustments, End
 from .options import Options
 from .output import Output
 from .prepare import Inputs, Prepared, prepare
@@ -163,7 +162,7 @@ class Execution:
     def _end(self, reason: str | None) -> None:
         """Record the last row and the end; an FMU may have ended the simulation."""
         ended = self._master.ended
-        self._note(Action(self.tick, END, {"reason": reason} if reason else {}))
+        self._note(Action(self.tick, End(reason=reason or "")))
         self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
         finished = self.tick == self.ticks
         if finished and ended:
@@ -282,6 +281,5 @@ class Execution:
             raise
 
     def _note(self, action: Action) -> None:
-        plain = {name: np.asarray(value).tolist() for name, value in action.arguments.items()}
-        self.actions.append(replace(action, arguments=plain))
-        self._begun.note(self.actions[-1])
+        self.actions.append(action)
+        self._begun.note(action)

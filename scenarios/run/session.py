@@ -37,7 +37,7 @@ from ..scenario.table import TrajectoryTable
 from ..scenario.trajectory import StartPose, Trajectory
 from ..scenario.values import Values
 from .folder import keep_scenario, refuse_existing
-from .journal import Action, Adjustments
+from .journal import Act, Action, Adjustments, MoveWaypoint, Release, Set, SetCoupling
 from .options import Options
 from .prepare import Inputs, Prepared, prepare
 from .run import Execution, Progress
@@ -61,9 +61,9 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
     for action in actions:
         rows.append(inputs[first : action.tick])
         first = action.tick
-        if action.name == "set" and action.arguments["name"] not in inputs:
-            started = _with_parameter(prepared, started, action)
-        elif action.name == "set_coupling" and action.tick > 0:
+        if isinstance(action.act, Set) and action.act.name not in inputs:
+            started = _with_parameter(prepared, started, action.tick, action.act)
+        elif isinstance(action.act, SetCoupling) and action.tick > 0:
             raise InputError(f"session: the coupling was changed at {_time(prepared, action.tick)};"
                              " a scenario has one")  # fmt: skip
         adjustments.take(action)
@@ -93,15 +93,14 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
     return written
 
 
-def _with_parameter(prepared: Prepared, scenario: Scenario, action: Action) -> Scenario:
+def _with_parameter(prepared: Prepared, scenario: Scenario, tick: int, act: Set) -> Scenario:
     """Return the scenario with a parameter that was set before the first step."""
-    name, value = action.arguments["name"], action.arguments["value"]
-    if action.tick > 0:
+    if tick > 0:
         raise InputError(
-            f"session: {name} was set at {_time(prepared, action.tick)}; a scenario has values of "
+            f"session: {act.name} was set at {_time(prepared, tick)}; a scenario has values of "
             "parameters at its start only"
         )
-    return scenario.changed({name: value})
+    return scenario.changed({act.name: act.value})
 
 
 def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
@@ -309,7 +308,7 @@ class Session(Execution):
                 bounds; nothing has changed then.
             SimulationError: The FMU rejects it; the run is over.
         """
-        self.act("set", name=name, value=value)
+        self.act(Set(name=name, value=value))
 
     def release(self, name: str) -> None:
         """Give an input held by `set` back to the scenario.
@@ -317,7 +316,7 @@ class Session(Execution):
         Raises:
             InputError: It is not held.
         """
-        self.act("release", name=name)
+        self.act(Release(name=name))
 
     def move_waypoint(self, row: int, **changes: Any) -> None:
         """Change a later row of the trajectory table, from the next tick on.
@@ -332,7 +331,7 @@ class Session(Execution):
         Raises:
             InputError: The row has passed, or a value is out of bounds.
         """
-        self.act("move_waypoint", row=row, **changes)
+        self.act(MoveWaypoint(row=row, **changes))
 
     def set_coupling(self, coupling: Coupling) -> None:
         """Change the coupling from the next tick on: "gauss-seidel" or "jacobi".
@@ -340,12 +339,12 @@ class Session(Execution):
         Raises:
             InputError: There is no such coupling.
         """
-        self.act("set_coupling", coupling=coupling)
+        self.act(SetCoupling(coupling=coupling))
 
-    def act(self, method: str, /, **arguments: Any) -> None:
-        """Take an action by its name: check it, change the FMUs, and write it to the journal."""
+    def act(self, act: Act) -> None:
+        """Take an action: check it, change the FMUs, and write it to the journal."""
         self._check_open()
-        action = Action(self.tick, method, arguments)
+        action = Action(self.tick, act)
         parameters = self._adjustments.take(action)
         with self._guarded():
             for instance, values in parameters.items():
