@@ -246,4 +246,4 @@ def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path: Path) ->
         done = command(name, tmp_path, cwd=tmp_path)
         assert done.returncode == 2
         said = " ".join((done.stdout + done.stderr).split())
-        assert 'it: coupling = "iterated" needs FMUs whose state can be restored' in said
+        assert 'it.fmu: coupling = "iterated": it cannot restore its state; its FMU must' in said

@@ -151,14 +151,10 @@ def _compiler(platform: str) -> tuple[str, ...]:
 def includes() -> tuple[Path, ...]:
     """Folders of the FMI standard's headers, which FMPy brings, and of MuJoCo's."""
     places = {"fmpy": "c-code", "mujoco": "include"}
-    return tuple(_folder_of(package) / place for package, place in places.items())
-
-
-def _folder_of(package: str) -> Path:
-    spec = find_spec(package)  # not imported, which takes time
-    assert spec is not None, package
-    assert spec.origin is not None, package
-    return Path(spec.origin).parent
+    return tuple(
+        Path(str(distribution(package).locate_file(f"{package}/{place}")))
+        for package, place in places.items()
+    )
 
 
 # From the package, the cache, or another package.

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, ClassVar, Final, NoReturn
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from ..errors import SimulationEndedError, SimulationError
 from ..interface.types import type_of
 from ..interface.variables import INTEGERS, Scalar
-
-if TYPE_CHECKING:
-    from .fmu import FmuSlave
+from .fmu_file import Fmu
 
 OnMessage = Callable[[str, str, str], None]  # with instance, status and text
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
@@ -97,11 +95,79 @@ class MessageLog:
         self._on_message(self.instance, status, message)
 
 
+class Caller:
+    """An instance of an FMU, whose methods are called; `FmuSlave` makes it."""
+
+    instance: Any  # of FMPy
+    component: int  # that FMI's functions take
+    prefix: ClassVar[str]  # of FMI's functions
+    enumeration: ClassVar[str]  # in the names of functions
+    has_events = False  # whether it is run with event mode
+
+    def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
+        self.name, self.fmu, self.log = name, fmu, MessageLog(name, on_message)
+        self.no_going_back = True  # argument of fmiDoStep: whether no earlier state is restored
+        self._worst = OK
+
+    def call(
+        self,
+        what: str,
+        method: Callable[..., Any],
+        *arguments: Any,
+        variable: str = "",
+        time: float | None = None,
+    ) -> Any:
+        """Call a method of FMPy; a status worse than a warning is an error."""
+        try:
+            returned = method(*arguments)
+        except Exception as error:  # FMPy's FMICallException or a ctypes error
+            status = getattr(error, "status", ERROR)
+            self.fail(what, status if isinstance(status, int) else ERROR, time, variable)
+        if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
+            self.fail(what, returned, time, variable)
+        return returned
+
+    def fail(
+        self, what: str, status: int, time: float | None = None, variable: str = ""
+    ) -> NoReturn:
+        """Raise the error of a call that returned a status."""
+        known = OK <= status < len(STATUS)
+        self._worst = max(self._worst, status if known else ERROR)
+        cause = self.log.cause.removeprefix(f"{what}: ")
+        name = STATUS[status] if known else f"{status}, which is not a status"
+        text = f"{what} returned {name}" + (f": {cause}" if cause else "")
+        raise SimulationError(text, time=time, instance=self.name, variable=variable)
+
+    def get_values(self, arrays: Sequence[Scalar]) -> list[Any]:
+        """Read whole arrays of one type; each is named by one of its scalars."""
+        kind = arrays[0].variable.fmi_type
+        size = [sum(array.variable.size for array in arrays)] if self.fmu.fmi == 3 else []
+        values = self._call_typed("get", arrays, *size)
+        if kind == "String":
+            texts = (
+                v if isinstance(v, str) else (v or b"").decode("utf-8", "replace") for v in values
+            )
+            return list(texts)
+        return [v or b"" for v in values] if kind == "Binary" else list(values)
+
+    def set_lists(self, arrays: Sequence[Scalar], values: Sequence[Any]) -> None:
+        """Write whole arrays of one type, see `get_values`."""
+        self._call_typed("set", arrays, values)
+
+    def _call_typed(self, verb: str, arrays: Sequence[Scalar], *arguments: object) -> Any:
+        kind = arrays[0].variable.fmi_type
+        label = f"{verb}{self.enumeration if kind == 'Enumeration' else kind}"
+        references = [array.value_reference for array in arrays]
+        names = [array.variable.name for array in arrays]
+        one = names[0] if len(names) == 1 else ""
+        return self.call(label, getattr(self.instance, label), references, *arguments, variable=one)
+
+
 class Access:
     """A getter or setter of FMPy, called with the index of a row of a block (n, values)."""
 
     def __init__(
-        self, slave: FmuSlave, label: str, references: Sequence[int], block: NDArray[np.float64]
+        self, slave: Caller, label: str, references: Sequence[int], block: NDArray[np.float64]
     ) -> None:
         self.slave, self.name, self.block = slave, f"{slave.prefix}{label}", block
         self.references = (ctypes.c_uint * len(references))(*references)
@@ -128,7 +194,7 @@ class Typed:
 
     def __init__(  # noqa: PLR0913 - both sides of the exchange
         self,
-        slave: FmuSlave,
+        slave: Caller,
         scalars: Sequence[Scalar],
         places: Sequence[int],  # of the values that belong to
         columns: Sequence[int],  # of the block
@@ -182,7 +248,7 @@ class StepCall(ABC):
 
     reached = 0.0  # [s] by the last step of FMI 3.0
 
-    def __init__(self, slave: FmuSlave) -> None:
+    def __init__(self, slave: Caller) -> None:
         self.slave, self.name = slave, f"{slave.prefix}DoStep"
         self._method = getattr(slave.instance, self.name)
 

@@ -15,13 +15,13 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from threading import Lock
-from typing import Any, ClassVar, Final, NoReturn
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
-from .calls import ERROR, FATAL, OK, STATUS, WARNING, Access, MessageLog, OnMessage, StepCall, Typed
+from .calls import ERROR, FATAL, WARNING, Access, Caller, OnMessage, StepCall, Typed
 from .fmu_file import Fmu
 from .wiring import Array, Exchange, Moved
 
@@ -50,29 +50,22 @@ def _keep_signatures(fmpy_class: type) -> None:
         method.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]
 
 
-class FmuSlave(ABC):
+class FmuSlave(Caller, ABC):
     """One instance of an FMU, as the master steps it; for the arguments see `system.open_slave`."""
 
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
-        self.name = name
-        self.fmu = fmu
-        self.log = MessageLog(name, on_message)
+        super().__init__(name, fmu, on_message)
         self._keep: list[object] = []
-        self._worst = OK
         self._state = ctypes.c_void_p()  # that was kept, if one was
         self.stop = math.inf  # [s] up to which it can be stepped
-        self.no_going_back = True  # argument of fmiDoStep: whether no earlier state is restored
         with _loading:
             self.instance = self._open()
-        self.component: int = self.instance.component
+        self.component = self.instance.component
         self.step = self._make_step()
 
     # Different in FMI 2.0 and 3.0.
 
-    has_events = False  # whether it is run with event mode
     fmpy_class: ClassVar[Any]  # of FMPy, which loads the library
-    enumeration: ClassVar[str]  # in the names of functions
-    prefix: ClassVar[str]  # of FMI's functions
     state_name: ClassVar[str]  # in the names of functions
 
     @abstractmethod
@@ -110,30 +103,6 @@ class FmuSlave(ABC):
                 if scalar.name in values:
                     content[i] = scalar.converted(values[scalar.name])
             self.set_lists(scalars[:1], content)
-
-    def get_values(self, arrays: Sequence[Scalar]) -> list[Any]:
-        """Read whole arrays of one type; each is named by one of its scalars."""
-        kind = arrays[0].variable.fmi_type
-        size = [sum(array.variable.size for array in arrays)] if self.fmu.fmi == 3 else []
-        values = self._call_typed("get", arrays, *size)
-        if kind == "String":
-            texts = (
-                v if isinstance(v, str) else (v or b"").decode("utf-8", "replace") for v in values
-            )
-            return list(texts)
-        return [v or b"" for v in values] if kind == "Binary" else list(values)
-
-    def set_lists(self, arrays: Sequence[Scalar], values: Sequence[Any]) -> None:
-        """Write whole arrays of one type, see `get_values`."""
-        self._call_typed("set", arrays, values)
-
-    def _call_typed(self, verb: str, arrays: Sequence[Scalar], *arguments: object) -> Any:
-        kind = arrays[0].variable.fmi_type
-        label = f"{verb}{self.enumeration if kind == 'Enumeration' else kind}"
-        references = [array.value_reference for array in arrays]
-        names = [array.variable.name for array in arrays]
-        one = names[0] if len(names) == 1 else ""
-        return self.call(label, getattr(self.instance, label), references, *arguments, variable=one)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function of a row's index that reads variables into that row of a block."""
@@ -244,43 +213,6 @@ class FmuSlave(ABC):
     def _refusal(self) -> InputError:
         cause = self.log.cause.removeprefix("initialization: ")
         return InputError(f"{self.name}: the FMU refuses its start values: {cause}")
-
-    def call(
-        self,
-        what: str,
-        method: Callable[..., Any],
-        *arguments: Any,
-        variable: str = "",
-        time: float | None = None,
-    ) -> Any:
-        """Call a method of FMPy; a status worse than a warning is an error."""
-        try:
-            returned = method(*arguments)
-        except Exception as error:  # FMPy's FMICallException or a ctypes error
-            status = getattr(error, "status", ERROR)
-            self.fail(what, status if isinstance(status, int) else ERROR, time, variable)
-        if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
-            self.fail(what, returned, time, variable)
-        return returned
-
-    def fail(
-        self, what: str, status: int, time: float | None = None, variable: str = ""
-    ) -> NoReturn:
-        """Raise the error of a call that returned a status."""
-        known = OK <= status < len(STATUS)
-        self._worst = max(self._worst, status if known else ERROR)
-        cause = self.log.cause.removeprefix(f"{what}: ")
-        name = STATUS[status] if known else f"{status}, which is not a status"
-        text = f"{what} returned {name}" + (f": {cause}" if cause else "")
-        raise SimulationError(text, time=time, instance=self.name, variable=variable)
-
-    def check_restorable(self) -> None:
-        """Refuse an FMU whose state cannot be saved and restored."""
-        if not self.fmu.description.coSimulation.canGetAndSetFMUstate:
-            raise InputError(
-                f"{self.fmu.label}: {self.name} cannot restore its state; its FMU must have "
-                f"canGetAndSetFMU{'s' if self.fmu.fmi == 2 else 'S'}tate"
-            )
 
     def save_state(self) -> None:
         """Keep the present state in the one place for it."""

@@ -151,6 +151,14 @@ class Fmu:
         host = self.folder / "resources" / "python_host.py"
         return "python" if self.in_python or host.is_file() else "native"
 
+    def check_restorable(self, whose: str) -> None:
+        """Refuse an FMU whose state cannot be saved and restored; `whose` is for the message."""
+        if not self.description.coSimulation.canGetAndSetFMUstate:
+            raise InputError(
+                f"{self.label}: {whose} cannot restore its state; its FMU must have "
+                f"canGetAndSetFMU{'s' if self.fmi == 2 else 'S'}tate"
+            )
+
     def variable(self, name: str) -> Scalar:
         """Return a scalar; raises InputError if there is no variable of this name."""
         scalar = self.variables.get(name) or self._described.get(name)

@@ -66,23 +66,21 @@ def load_stepper() -> Any:
     return stepper.panda_take_steps
 
 
-def make_kernel(
-    step: Step, rows: Array, start: float, stop: ctypes.c_int32, checked: Sequence[int]
-) -> Kernel | None:
-    """Make the kernel of a step, if all of it can be called from C.
-
-    `checked` are the columns whose values must be finite before followers read a row.
-    """
+def make_kernel(step: Step, rows: Array, *others: Any) -> Kernel | None:
+    """Make the kernel of a step, if all of it can be called from C; see `Kernel`."""
     if rows.dtype != np.float64 or type(step) is not Step or load_stepper() is None:
         return None
     try:
-        return Kernel(step, rows, start, stop, checked)
+        return Kernel(step, rows, *others)
     except _NotInCError:
         return None
 
 
 class Kernel:
-    """Takes steps in C; for the arguments see `make_kernel`."""
+    """Takes steps in C.
+
+    `checked` are the columns whose values must be finite before followers read a row.
+    """
 
     def __init__(
         self, step: Step, rows: Array, start: float, stop: ctypes.c_int32, checked: Sequence[int]

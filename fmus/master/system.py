@@ -80,8 +80,8 @@ def read_fmus(
         name: read_fmu(path, system.labels.get(name, "")).restructured(start_values.get(name, {}))
         for name, path in system.fmus.items()
     }
-    if coupling == "iterated":
-        _check_states(fmus)
+    for name, fmu in fmus.items() if coupling == "iterated" else ():
+        fmu.check_restorable(f'coupling = "iterated": {name}')
     _check_connections(fmus, system)
     if not isolate:
         _check_single_instances(fmus)
@@ -262,15 +262,6 @@ def _loop(fmus: tuple[tuple[str, Fmu], ...], connections: tuple[Connection, ...]
     return ()
 
 
-def _check_states(fmus: Mapping[str, Fmu]) -> None:
-    for name, fmu in fmus.items():
-        if not fmu.description.coSimulation.canGetAndSetFMUstate:
-            raise InputError(
-                f'{name}: coupling = "iterated" needs FMUs whose state can be restored; '
-                f"{fmu.label} lacks canGetAndSetFMUState"
-            )
-
-
 @contextmanager
 def open_system(  # noqa: PLR0913 - a run has this many sides
     system: System,
@@ -402,6 +393,6 @@ def _save(slave: Slave) -> Callable[[], None]:
     fmu = slave.slave if isinstance(slave, SlowSlave) else slave
     if not isinstance(fmu, FmuSlave):
         raise InputError("isolate: states of an isolated FMU cannot be restored; must be False")
-    fmu.check_restorable()
+    fmu.fmu.check_restorable(fmu.name)
     slave.save_state()
     return slave.restore_state
