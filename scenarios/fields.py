@@ -201,7 +201,7 @@ def check_rules(rules: Mapping[str, object]) -> None:
     """Raise the first message whose condition, a combination that is not allowed, holds."""
     for message, is_broken in rules.items():
         if is_broken:
-            raise ValueError(message)
+            raise InputError(message)
 
 
 def check_keys(place: str, keys: Collection[str], valid: Collection[str]) -> None:

@@ -36,8 +36,8 @@ FMI_LAYER: Final = (
     *("state.c", "table.c", "resources.c", "log.c"),
 )
 CONTROLLER_LAW: Final = (
-    "controller_law.c", "controller_ik.c", "controller_limits.c", "controller_pid.c",
-    "controller_touch.c", "controller_impedance.c",
+    "controller.c", "controller_law.c", "controller_ik.c", "controller_limits.c",
+    "controller_pid.c", "controller_touch.c", "controller_impedance.c",
 )  # fmt: skip
 STEPPER: Final = "stepper"  # no FMU's library, but the master's
 BACKENDS: Final = MappingProxyType({

@@ -238,10 +238,7 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
         known = (system.components[end[0]].units for end in (source, target))
         scale = conversion(one.unit, next(known), other.unit, next(known))
         if (connection.factor, connection.offset) != PLAIN or scale != PLAIN:
-            raise InputError(
-                f"--container: connection from {'.'.join(source)} to {'.'.join(target)} converts "
-                "values; must be a plain one"
-            )
+            raise InputError(f"--container: {connection} converts values; must be a plain one")
         feeder, fed = f"{source[0]}.fmu", f"{target[0]}.fmu"
         container.add_link(feeder, one.variable.name, fed, other.variable.name)
     for label, (name, variable) in system.outputs().items():

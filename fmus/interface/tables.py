@@ -101,6 +101,9 @@ class Connection:
     converts_units: bool = True  # first, if the FMUs declare different ones
     converts_types: bool = False  # also where that rounds, or makes a number of a Boolean
 
+    def __str__(self) -> str:
+        return f"connection from {'.'.join(self.source)} to {'.'.join(self.target)}"
+
 
 CONNECTIONS = (
     *(Connection(("plant", name), ("controller", name))

@@ -109,8 +109,7 @@ class Fmu:
             if unknown.dependencies is not None
             and all(v.causality != "input" for v in unknown.dependencies)
         }
-        rows = ((name, scalar.variable) for name, scalar in self.variables.items())
-        return frozenset(name for name, variable in rows if variable.name in free)
+        return frozenset(n for n, scalar in self.variables.items() if scalar.variable.name in free)
 
     def restructured(self, values: Mapping[str, object]) -> Fmu:
         """Return the FMU with the arrays' shapes that values of structural parameters give."""

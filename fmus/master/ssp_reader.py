@@ -107,12 +107,8 @@ class Parameters:
         links = [(chain[0], first), *((end, structure.links[end]) for end in chain[1:])]
         factor, offset = structure.linear(given.place, given.unit, links)
         reason = doubt(*given.unit, scalar.unit, structure.fmus[instance].units)
-        if (
-            reason
-            and given.unit[0]
-            and scalar.unit
-            and all(link.converts_units for _, link in links)
-        ):
+        have_units = given.unit[0] and scalar.unit
+        if reason and have_units and all(link.converts_units for _, link in links):
             self.warnings.append(f"{given.place}: {reason}, so the value is taken as it is")
         if (factor, offset) != PLAIN:
             if kind != "Real":

@@ -22,7 +22,7 @@ from ..errors import InputError, SimulationError
 from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
 from ..interface.units import PLAIN, conversion, doubt
-from ..interface.variables import Value
+from ..interface.variables import Scalar, Value, by_array
 from .calls import OnMessage
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
@@ -103,32 +103,30 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
                 f"{fmus[instance].label}: {name}: causality {own}; must be {causality}"
             )
     for connection in system.connections:
-        source, target = (
-            fmus[i].variable(name).variable for i, name in (connection.source, connection.target)
-        )
+        source, target = (scalar.variable for _, scalar in _ends(fmus, connection))
         fits = can_convert if connection.converts_types else is_lossless
         if not fits(source, target):
             raise InputError(
-                f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}: "
-                f"type {type_of(source)} feeds type {type_of(target)}; must be one that holds all "
-                "its values"
+                f"{connection}: type {type_of(source)} feeds type {type_of(target)}; must be one "
+                "that holds all its values"
             )
         in_units(fmus, connection)
 
 
 def conversions(fmus: Mapping[str, Fmu], system: System) -> list[str]:
     """Formulas of the connections that convert numbers, one for all elements of an array."""
-    converting = (
-        each
-        for each in (in_units(fmus, connection) for connection in system.connections)
-        if (each.factor, each.offset) != PLAIN
-    )
     formulas = (
         f"{_shown(fmus, each.target)} = {each.factor:g} * {_shown(fmus, each.source)} "
         f"+ {each.offset:g}"
-        for each in converting
+        for each in (in_units(fmus, connection) for connection in system.connections)
+        if (each.factor, each.offset) != PLAIN
     )
     return list(dict.fromkeys(formulas))
+
+
+def _ends(fmus: Mapping[str, Fmu], connection: Connection) -> list[tuple[Fmu, Scalar]]:
+    """Source and target of a connection, each with its FMU."""
+    return [(fmus[i], fmus[i].variable(n)) for i, n in (connection.source, connection.target)]
 
 
 def _shown(fmus: Mapping[str, Fmu], end: Name) -> str:
@@ -140,8 +138,7 @@ def _doubts(fmus: Mapping[str, Fmu], system: System) -> Iterator[tuple[str, str,
     """Yield warnings about connections whose units or names of values may not be meant so."""
     found: dict[tuple[str, str], dict[str, None]] = {}
     for each in system.connections:
-        (one, source), (other, target) = ((fmus[i], fmus[i].variable(n))
-                                          for i, n in (each.source, each.target))  # fmt: skip
+        (one, source), (other, target) = _ends(fmus, each)
         reason = doubt(source.unit, one.units, target.unit, other.units)
         names = [v.variable.choices for v in (source, target)]
         if all(names) and not {*names[0]} <= {*names[1]}:
@@ -169,14 +166,13 @@ def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
     """Return a connection whose factor and offset convert units, too."""
     if not connection.converts_units:
         return connection
-    ends = [(fmus[i], fmus[i].variable(name)) for i, name in (connection.source, connection.target)]
+    ends = _ends(fmus, connection)
     (source, one), (target, other) = ends
     scale = conversion(one.unit, source.units, other.unit, target.units)
     if scale is None and not connection.converts_types:
         raise InputError(
-            f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}: unit "
-            f"{one.unit!r} feeds unit {other.unit!r}; must be the same, or both defined by the "
-            "same SI base units"
+            f"{connection}: unit {one.unit!r} feeds unit {other.unit!r}; must be the same, or "
+            "both defined by the same SI base units"
         )
     if scale in (None, PLAIN):  # no copy of each of the many
         return connection
@@ -247,13 +243,12 @@ def _loop(fmus: tuple[tuple[str, Fmu], ...], connections: tuple[Connection, ...]
     fed = {connection.target: connection.source for connection in connections}
     before: dict[Name, set[Name]] = {target: {source} for target, source in fed.items()}
     for instance, fmu in fmus:
-        arrays: dict[str, list[Name]] = {}
-        for each, scalar in fmu.variables.items():
-            arrays.setdefault(scalar.variable.name, []).append((instance, each))
+        arrays = by_array(fmu.variables.values())
         for unknown in fmu.description.outputs:
-            inputs = [end for v in unknown.dependencies or () for end in arrays.get(v.name, ())]
+            fed_by = (each for v in unknown.dependencies or () for each in arrays.get(v.name, ()))
+            inputs = {(instance, scalar.name) for scalar in fed_by}
             for output in arrays.get(unknown.variable.name, ()) if inputs else ():
-                before[output] = fed.keys() & inputs
+                before[instance, output.name] = fed.keys() & inputs
     try:
         TopologicalSorter(before).prepare()
     except CycleError as error:

@@ -223,10 +223,6 @@ BLOCK_ROWS = 256  # few enough to stay in the processor's cache
 class ExternalInputs(Protocol):
     """External inputs of each tick: an array, or an object that computes rows when sliced."""
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of rows and of columns."""
-
     def __getitem__(self, rows: slice, /) -> Array:
         """Return some rows."""
 

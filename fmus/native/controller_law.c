@@ -1,12 +1,9 @@
-/* Two control laws, what all share, and the gripper. */
-#include "controller_law.h"
-
+/* Two control laws, and what all share. */
 #include <math.h>
 #include <string.h>
 
 #include "controller_parts.h"
 
-static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0, IMPEDANCE_LAW = 3.0;
 static const double PULL_DAMPING = 0.05; /* see controller/ik.py */
 
 /* ---- late readings: controller/signals.py ---- */
@@ -50,8 +47,9 @@ void get_twist_cmd(const controller_inputs *in, double twist[TWIST])
     memcpy(twist + 3, in->omega_cmd, sizeof in->omega_cmd);
 }
 
-static void start_reference_law(controller *c, const controller_functions *mj)
+void start_reference_law(controller *c, const controller_mujoco *mujoco)
 {
+    const controller_functions *mj = &mujoco->call;
     memcpy(c->state.reference.q_ref, c->inputs.qpos, sizeof c->inputs.qpos);
     memcpy(c->state.reference.qd_before, c->inputs.qvel, sizeof c->inputs.qvel);
     memset(c->state.reference.qdd_before, 0, sizeof c->state.reference.qdd_before);
@@ -137,7 +135,7 @@ static double drift_of(const controller *c, int i)
     return gains->posture_gain[i] * (gains->posture[i] - q_ref) + pull_from_ends(robot_of(gains), i, q_ref);
 }
 
-static void update_reference_law(controller *c, const controller_mujoco *mujoco)
+void update_reference_law(controller *c, const controller_mujoco *mujoco)
 {
     const controller_functions *mj = &mujoco->call;
     const controller_inputs *x = &c->inputs;
@@ -189,7 +187,7 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
 
 /* ---- the tutorial's law: controller/tutorial_law.py ---- */
 
-static void start_tutorial_law(controller *c)
+void start_tutorial_law(controller *c, const controller_mujoco *mujoco)
 {
     memset(c->outputs.qvel_ref, 0, sizeof c->outputs.qvel_ref);
     memset(c->outputs.limit, 0, sizeof c->outputs.limit);
@@ -200,8 +198,9 @@ static void start_tutorial_law(controller *c)
     reset_late(c->state.tutorial.poses, pose);
 }
 
-static void update_tutorial_law(controller *c, const controller_functions *mj)
+void update_tutorial_law(controller *c, const controller_mujoco *mujoco)
 {
+    const controller_functions *mj = &mujoco->call;
     double error[TWIST], factor[TWIST * TWIST], solution[TWIST], dq[JOINTS], pid[JOINTS];
     late_pose_error(c, mj, c->state.tutorial.poses, error);
     damped_factor(mj, c->inputs.jac, 0.0, factor);
@@ -214,65 +213,4 @@ static void update_tutorial_law(controller *c, const controller_functions *mj)
         c->outputs.qpos_ref[i] = c->inputs.qpos[i] + dq[i];
         c->outputs.ctrl[i] = c->gains.base_ctrl[i] + pid[i];
     }
-}
-
-/* ---- the controller: controller/controller.py ---- */
-
-/* Target opening: the commanded one, or the one that gives the grip force. */
-static double grip_cmd(const controller *c)
-{
-    const controller_gains *gains = &c->gains;
-    double wanted = c->inputs.grip_cmd;
-    if (gains->grip_force > 0.0 && wanted < gains->grip_width)
-        wanted = gains->grip_width - 2.0 * gains->grip_force / gains->grip_stiffness;
-    return smaller(larger(wanted, 0.0), CONTROLLER_COMMON.opening_max);
-}
-
-/* Moves the gripper's target towards its command at the fingers' speed. */
-static void move_gripper(controller *c)
-{
-    double wanted = grip_cmd(c);
-    if (c->gains.finger_speed > 0.0) {
-        const double step = 2.0 * c->gains.finger_speed * c->period; /* both fingers move */
-        wanted = smaller(larger(wanted, c->state.opening - step), c->state.opening + step);
-    }
-    c->state.opening = wanted;
-    c->outputs.ctrl[JOINTS] = CONTROLLER_COMMON.ctrl_open * (wanted / CONTROLLER_COMMON.opening_max);
-}
-
-/* Starts the chosen law, and the gripper if nothing ran before. */
-static void start(controller *c, const controller_mujoco *mj, double law)
-{
-    if (c->state.law == 0.0) c->state.opening = grip_cmd(c);
-    c->state.law = law;
-    c->state.touch.reacts = 0.0;
-    if (law == REFERENCE_LAW) start_reference_law(c, &mj->call);
-    else if (law == IMPEDANCE_LAW) start_impedance_law(c, mj);
-    else start_tutorial_law(c);
-}
-
-void controller_reset(controller *c)
-{
-    memset(&c->inputs, 0, sizeof c->inputs);
-    memset(&c->outputs, 0, sizeof c->outputs);
-    memset(&c->state, 0, sizeof c->state);
-    memcpy(c->outputs.ctrl, c->gains.base_ctrl, sizeof c->gains.base_ctrl);
-    c->outputs.ctrl[JOINTS] = CONTROLLER_COMMON.ctrl_open;
-}
-
-static double law_of(const controller_gains *gains)
-{
-    if (gains->impedance != 0.0) return IMPEDANCE_LAW;
-    return gains->use_reference != 0.0 ? REFERENCE_LAW : TUTORIAL_LAW;
-}
-
-void controller_update(controller *c, const controller_mujoco *mj)
-{
-    const double law = law_of(&c->gains);
-    if (touch_takes_over(c, mj)) return;
-    if (c->state.law != law || c->state.touch.reacts != 0.0) start(c, mj, law);
-    move_gripper(c);
-    if (law == REFERENCE_LAW) update_reference_law(c, mj);
-    else if (law == IMPEDANCE_LAW) update_impedance_law(c, mj);
-    else update_tutorial_law(c, &mj->call);
 }

@@ -61,13 +61,18 @@ void pid_reset(controller_pid_state *pid);
 void pid_update(controller_pid_state *pid, const controller_gains *gains, double period,
                 const double error[JOINTS], double correction[JOINTS]);
 
-/* controller_law.c */
+/* controller_law.c: controller/reference_law.py, tutorial_law.py, signals.py */
 void reset_late(double rows[KEPT][JOINTS], const double now[JOINTS]);
 void get_pose_cmd(const controller_inputs *in, double pose[POSE]);
 void get_twist_cmd(const controller_inputs *in, double twist[TWIST]);
 void late_pose_error(controller *c, const controller_functions *mj, double poses[KEPT][POSE],
                      double error[TWIST]);
 void inertia_force(const controller_mujoco *mj, const double *q, const double *qdd, double force[JOINTS]);
+
+void start_reference_law(controller *c, const controller_mujoco *mujoco);
+void update_reference_law(controller *c, const controller_mujoco *mujoco);
+void start_tutorial_law(controller *c, const controller_mujoco *mujoco);
+void update_tutorial_law(controller *c, const controller_mujoco *mujoco);
 
 /* controller_impedance.c: controller/impedance.py */
 void start_impedance_law(controller *c, const controller_mujoco *mj);

@@ -12,6 +12,16 @@ static fmu_status call(instance *c, fmu_status (*function)(fmu *f))
     return status;
 }
 
+fmu_status fmu_set_text(fmu *f, unsigned reference, const char *text)
+{
+    if (f->texts[reference] && !strcmp(f->texts[reference], text)) return FMU_OK;
+    char *copy = copy_text(text);
+    if (!copy) return fmu_error(f, "out of memory");
+    free(f->texts[reference]);
+    f->texts[reference] = copy;
+    return FMU_OK;
+}
+
 static fmu_status set_start_values(instance *c)
 {
     for (unsigned i = 0; i < c->table.count; i++) {

@@ -1,6 +1,5 @@
 /* Access by value reference. */
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "instance.h"
@@ -209,16 +208,6 @@ static void note_change(instance *c, const fmu_variable *v)
     } else {
         c->stale = true;
     }
-}
-
-fmu_status fmu_set_text(fmu *f, unsigned reference, const char *text)
-{
-    if (f->texts[reference] && !strcmp(f->texts[reference], text)) return FMU_OK;
-    char *copy = copy_text(text);
-    if (!copy) return fmu_error(f, "out of memory");
-    free(f->texts[reference]);
-    f->texts[reference] = copy;
-    return FMU_OK;
 }
 
 static fmu_status put(instance *c, value_format format, unsigned reference, const void *values, size_t at)

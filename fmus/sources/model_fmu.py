@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from threading import RLock
 from typing import Any, Final
 
 import mujoco
@@ -17,6 +15,7 @@ import mujoco
 from ...assets import asset_files
 from ...assets.arm import change_arm, saved
 from ...assets.franka import DEFAULT_ROBOT
+from ...plant.mujoco_warnings import taken_warnings
 from ..atomic import cache_folder, cached, temporary_folder
 from ..build.libraries import digest
 from ..build.native import NativeFmu
@@ -209,19 +208,3 @@ def _fill_keyframes(model: Any, path: Path, files: Mapping[str, bytes]) -> None:
         spec = mujoco.MjSpec.from_file(str(path), include=files, assets=files)
         for key, row in zip(spec.keys, model.key_qpos, strict=False):  # <size nkey> may add some
             row[len(key.qpos) :] = model.qpos0[len(key.qpos) :]
-
-
-_one_taker: Final = RLock()  # MuJoCo has one handler per process
-
-
-@contextmanager
-def taken_warnings() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, which its own handler writes to a file; other threads wait."""
-    texts: list[str] = []
-    with _one_taker:
-        before = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(texts.append)
-        try:
-            yield texts
-        finally:
-            mujoco.set_mju_user_warning(before)

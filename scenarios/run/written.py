@@ -26,6 +26,8 @@ LAW: Final = (
     "Plays a table, one row per step from t = 0 on. After the last row its values are kept."
 )
 
+Makers = dict[str, Callable[..., Path]]  # what builds each FMU
+
 
 def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
     """Build the FMUs of a scenario, and say how they are connected."""
@@ -35,48 +37,55 @@ def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
             "must be a scenario of FMUs"
         )
     prepared = prepare(scenario, Options(kind=target.kind))
-    assembly, values = prepared.assembly, prepared.start_values()
-    makers: dict[str, Callable[..., Path]] = {part.name: part.make for part in assembly.parts}
-    connections = list(assembly.connections)
-    # Values that never change are start values; the others are played.
-    constant = {name for name, driven in assembly.driven.items() if len(driven.values) == 1}
-    played = [name for name in assembly.external if name not in constant]
-    if played:
-        player = "trajectory"
-        while player in makers:
-            player += "_"
-        counts = Counter(name for _, name in played)
-        outputs = [name if counts[name] == 1 else f"{i}.{name}" for i, name in played]
-        ends = zip(outputs, played, strict=True)
-        connections += [Connection((player, name), end) for name, end in ends]
-        for signal, felt in _felt(prepared).items():
-            source = signal.partition(".")[0]
-            connections += [Connection((source, n), (player, n)) for n in felt.names()]
-        makers[player] = lambda target: _build_player(prepared, played, outputs, target)
+    makers: Makers = {part.name: part.make for part in prepared.assembly.parts}
+    connections = [*prepared.assembly.connections, *_add_player(prepared, makers)]
     files = {name: make(target) for name, make in makers.items()}
     counts = Counter(file.name for file in {*files.values()})  # two files may have one name
     components: dict[str, Component] = {}
     for name, file in files.items():
-        fmu = read_fmu(makers[name](replace(target, platforms=())))  # for this machine
-        fmu = fmu.restructured(values.get(name, {}))
-        given = {
-            scalar: value
-            for scalar, value in values.get(name, {}).items()
-            # Few importers set what is not Real.
-            if isinstance(value, float) or value != assembly.scalars[name, scalar].start
-        }
-        components[name] = Component(
-            file,
-            file.name if counts[file.name] == 1 else f"{name}.fmu",
-            fmu.fmi,
-            fmu.variables,
-            fmu.units,
-            given,
-            assembly.steps.get(name, 1),
-        )
+        here = makers[name](replace(target, platforms=()))  # for this machine
+        file_name = file.name if counts[file.name] == 1 else f"{name}.fmu"
+        components[name] = _component(prepared, name, file, file_name, here)
     return WrittenSystem(
         components, connections, scenario.duration, scenario.step, scenario.coupling
     )
+
+
+def _component(prepared: Prepared, name: str, file: Path, file_name: str, here: Path) -> Component:
+    """Describe a part of the system; `here` is its FMU for this machine."""
+    assembly, values = prepared.assembly, prepared.start_values().get(name, {})
+    fmu = read_fmu(here).restructured(values)
+    given = {
+        scalar: value
+        for scalar, value in values.items()
+        # Few importers set what is not Real.
+        if isinstance(value, float) or value != assembly.scalars[name, scalar].start
+    }
+    steps = assembly.steps.get(name, 1)
+    return Component(file, file_name, fmu.fmi, fmu.variables, fmu.units, given, steps)
+
+
+def _add_player(prepared: Prepared, makers: Makers) -> list[Connection]:
+    """Add the FMU that plays inputs, if there are some, and return its connections."""
+    # Values that never change are start values; the others are played.
+    assembly = prepared.assembly
+    constant = {name for name, driven in assembly.driven.items() if len(driven.values) == 1}
+    played = [name for name in assembly.external if name not in constant]
+    if not played:
+        return []
+    player = "trajectory"
+    while player in makers:
+        player += "_"
+    counts = Counter(name for _, name in played)
+    outputs = [name if counts[name] == 1 else f"{i}.{name}" for i, name in played]
+    makers[player] = lambda target: _build_player(prepared, played, outputs, target)
+    felt = [
+        Connection((signal.partition(".")[0], name), (player, name))
+        for signal, variable in _felt(prepared).items()
+        for name in variable.names()
+    ]
+    ends = zip(outputs, played, strict=True)
+    return [*(Connection((player, name), end) for name, end in ends), *felt]
 
 
 def _build_player(
@@ -108,8 +117,9 @@ def _build_player(
     )
     stay = () if scenario.inputs_move else assembly.driven  # the last ones; pushes are the first
     moving = [o for o, name in zip(outputs, played, strict=True) if name not in stay]
-    files = {"table": TABLE_FILE, **({"guards": "guards.bin", "left": "left.bin"} if felt else {})}
-    content = {"table": rows, **(prepared.inputs().guarded.packed(len(rows)) if felt else {})}
+    guards = prepared.inputs().guarded.packed(len(rows)) if felt else {}
+    files, content = {"table": TABLE_FILE}, {"table": rows, **guards}
+    files |= {name: f"{name}.bin" for name in guards}
     resources = {files[key]: content[key].astype("<f8").tobytes() for key in files}
     options = (*files.items(), *([("moving", moving[-1])] if felt else []))
     player = NativeFmu(interface, "player", LAW, resources, options, step_size=scenario.step)

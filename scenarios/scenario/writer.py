@@ -115,14 +115,9 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
     try:
         if Scenario.read(scenario.folder) != scenario:
             return None
-        return {
-            folder / name: (scenario.folder / name).read_bytes().decode("utf-8")
-            for name in (
-                SCENARIO_FILE,
-                *([TABLE_FILE] if (scenario.folder / TABLE_FILE).exists() else []),
-                *([str(scenario.inputs["file"])] if "file" in scenario.inputs else []),
-            )
-        }
+        names = filter(None, (SCENARIO_FILE, TABLE_FILE, str(scenario.inputs.get("file", ""))))
+        files = ((folder / name, scenario.folder / name) for name in names)
+        return {new: old.read_bytes().decode("utf-8") for new, old in files if old.exists()}
     except (InputError, OSError, ValueError):  # changed or removed since
         return None
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
 from ...fmus.errors import InputError, did_you_mean
-from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import (
@@ -21,7 +20,6 @@ from ...fmus.interface.tables import (
     MEASURED,
     SEEN,
     Connection,
-    measurement_of,
 )
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
@@ -33,7 +31,7 @@ from ...fmus.master.wiring import Array, Name
 from ...fmus.sources.targets import Kind
 from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, SCENARIO_FILE, Coupling, Scenario
-from .connector import Connector, DrivenInput, driven_inputs
+from .connector import RARE, Connector, DrivenInput, driven_inputs
 from .parts import Part, measures_a_panda, read_parts
 
 
@@ -114,8 +112,7 @@ class Assembly:
                     f"FMUs {other[0]!r} and {name[0]!r}: {other[1]!r} and {name[1]!r} would both "
                     f"be column {column} of the recording; rename one of the FMUs"
                 )
-            variable = scalar.variable
-            kind = column_type(variable)
+            variable, kind = scalar.variable, column_type(scalar.variable)
             about = (scalar.unit, variable.description, kind, variable.nominal)
             columns.append(Column(column, *about))
         return columns
@@ -212,15 +209,10 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     interfaces = {part.name: part.interface for part in parts}
     driven = driven_inputs(scenario, interfaces)
     connector.drive(driven)
-    if scenario.mismatch.has_sensors:  # they feed the controller, unless [connect] does
-        inputs = {v.name for v in connector.parts["controller"].interface.of("input")}
-        modelled = [INERTIA] if scenario.mismatch.values.get("hand_pose_source") == "model" else []
-        for name in (*MEASURED, *SEEN, *modelled):
-            if name in inputs and not connector.is_fed("controller", name):
-                connector.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
-    for part in parts:
-        for variable in part.interface.of("input"):
-            connector.connect_by_name(part, variable)
+    if scenario.mismatch.has_sensors:
+        is_modelled = scenario.mismatch.values.get("hand_pose_source") == "model"
+        connector.connect_sensors((*MEASURED, *SEEN, *([INERTIA] if is_modelled else [])))
+    connector.connect_rest_by_name()
     if not scenario.is_system and not connector.is_fed("plant", "ctrl"):
         raise InputError(connector.unfed_message("plant", "ctrl"))
     _check_names(scenario, interfaces)
@@ -287,17 +279,11 @@ def _unfed(
 ) -> list[Name]:
     """Inputs that nothing feeds, but for those of ours that act only in other scenarios."""
     without = {connection.target for connection in connections} | {*external}
-    for instance, inputs in (
-        ("plant", ("torque",)),
-        ("controller", (*POSTURE_COMMANDS, FORCE_COMMAND)),
-    ):
-        ours = INTERFACES[instance]
-        if interfaces.get(instance) is ours:
-            without |= {(instance, n) for name in inputs for n in ours.variable(name).names()}
     return [
         (instance, name)
         for instance, interface in interfaces.items()
         for variable in interface.of("input")
+        if not (interface is INTERFACES.get(instance) and variable.name in RARE)
         for name in variable.names()
         if (instance, name) not in without
     ]
@@ -310,12 +296,10 @@ def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> l
     names += [("controller", command) for command in scenario.commands]
     external: list[Name] = []
     for instance, name in names:
-        inputs = [v for v in connector.parts[instance].interface.of("input") if v.name == name]
-        if not inputs and name in map(FORCES.get, scenario.pushed):
+        variable = connector.parts[instance].interface.end(name, "input")
+        if variable is None and name in map(FORCES.get, scenario.pushed):
             raise InputError(f"[[push]]: {instance} has no input {name}")
-        for variable in inputs:
-            if connector.is_fed(instance, name):
-                continue
+        if variable is not None and not connector.is_fed(instance, name):
             ours = INTERFACES[instance].variable(name)
             connector.check(f"the scenario's {name}", ours, f"{instance}.{name}", variable)
             external += [(instance, n) for n in variable.names()]
@@ -335,8 +319,7 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
         name: described_interface(read_fmu(file).restructured(coupled.start_values.get(name, {})))
         for name, file in system.fmus.items()
     }
-    parts = [Part(n, f, interfaces[n], partial(Path, f)) for n, f in system.fmus.items()]
-    connector, driven = Connector(parts), driven_inputs(scenario, interfaces)
+    connector, driven = Connector([]), driven_inputs(scenario, interfaces)
     connector.drive([connection.target for connection in system.connections])
     connector.drive(driven)
     unfed = _unfed(interfaces, system.connections, [*driven]) if from_outside else []

@@ -18,7 +18,7 @@ from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.parameters import ParameterValue, expand, targets
 from ...fmus.interface.plant import FORCES
-from ...fmus.interface.tables import Connection
+from ...fmus.interface.tables import Connection, measurement_of
 from ...fmus.interface.types import can_convert, in_row, is_lossless, type_of
 from ...fmus.interface.units import BASES, Unit, Units, conversion
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
@@ -28,8 +28,10 @@ from ...plant.parameters import ARM_JOINTS
 from ..scenario.scenario import Scenario
 from .parts import Part, measures_a_panda
 
-# Inputs of PandaPlant and PandaController that may stay unconnected.
-OPTIONAL: Final = (*FORCES.values(), "torque", *POSTURE_COMMANDS, FORCE_COMMAND)
+# Inputs of PandaPlant and PandaController that act only in some scenarios; those that may stay
+# unconnected.
+RARE: Final = ("torque", *POSTURE_COMMANDS, FORCE_COMMAND)
+OPTIONAL: Final = (*FORCES.values(), *RARE)
 OUR_UNITS: Final[Units] = {
     name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
     for name, exponents in BASE_UNITS.items()
@@ -104,6 +106,19 @@ class Connector:
             self.connect(f"plant.torque[{i}]", f"controller.ctrl[{i}]")
         self.connect("plant.ctrl[8]", "controller.ctrl[8]")
         self.mark_fed("plant", self.parts["plant"].interface.variable("ctrl"))
+
+    def connect_sensors(self, names: Sequence[str]) -> None:
+        """Connect measurements to the controller's inputs of some names that are not fed yet."""
+        inputs = {v.name for v in self.parts["controller"].interface.of("input")}
+        for name in names:
+            if name in inputs and not self.is_fed("controller", name):
+                self.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
+
+    def connect_rest_by_name(self) -> None:
+        """Connect all inputs that are not fed yet."""
+        for part in self.parts.values():
+            for variable in part.interface.of("input"):
+                self.connect_by_name(part, variable)
 
     def connect_by_name(self, part: Part, variable: Variable) -> None:
         """Connect an input to the one output of its name."""
@@ -270,16 +285,15 @@ def driven_inputs(
             instance, name = _split(key, interfaces)
             by_fmu.setdefault(instance, {})[name] = value
     driven: dict[Name, DrivenInput] = {}
+    by_name = {i: {s.name: s for s in each.scalars()} for i, each in interfaces.items()}
     for instance, values in by_fmu.items():
-        scalars = {scalar.name: scalar for scalar in interfaces[instance].scalars()}
         place = f"[inputs] {instance}"
         for name, value in expand(place, interfaces[instance], values, "input").items():
-            driven[instance, name] = DrivenInput(scalars[name], [value], np.zeros(1))
+            driven[instance, name] = DrivenInput(by_name[instance][name], [value], np.zeros(1))
     table = scenario.input_table
     for key, cells in table.columns.items():
         instance, name = _split(key, interfaces)
-        scalars = {scalar.name: scalar for scalar in interfaces[instance].scalars()}
-        scalar, *others = targets(instance, interfaces[instance], scalars, name, "input")
+        scalar, *others = targets(instance, interfaces[instance], by_name[instance], name, "input")
         if others or (instance, scalar.name) in driven:
             what = "has several elements" if others else "is in [inputs], too"
             raise InputError(f"{table.place}: {key}: {what}; must be one element, given once")

@@ -17,6 +17,7 @@ from ...fmus.interface.tables import INTERFACES, MEASURED, SENSORS
 from ...fmus.interface.variables import Interface, Variable, joints
 from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.sources.targets import Kind, Target, build, build_fmu
+from ..fields import check_rules
 from ..scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -92,14 +93,26 @@ def read_parts(
     for name, law in read.items():
         if not isinstance(law, Part):  # its signals are those of the parts around it
             parts[name] = _law_part(scenario, name, law, parts)
-    ours = tuple(name for name in OURS if name in parts and parts[name].file is None)
-    if scenario.mujoco and any(Target(kind).kind_of(name) != "native" for name in ours):
-        raise InputError("mujoco: FMUs in Python use the installed version; must be left out")
-    if scenario.mujoco and not any(part.is_model for part in parts.values()):
-        raise InputError("mujoco: no FMU here is made from a MuJoCo model; must be left out")
-    if scenario.input_scale != 1.0 and "plant" not in parts:
-        raise InputError("input_scale: there is no FMU named plant; must be left out")
+    _check_engine(scenario, kind, parts)
     return [parts[name] for name in read]
+
+
+def _check_engine(scenario: Scenario, kind: Kind, parts: Mapping[str, Part]) -> None:
+    """Refuse keys about MuJoCo and about the plant where no FMU is meant."""
+    ours = [name for name in OURS if name in parts and parts[name].file is None]
+    in_python = any(Target(kind).kind_of(name) != "native" for name in ours)
+    has_model = any(part.is_model for part in parts.values())
+    check_rules({
+        "mujoco: FMUs in Python use the installed version; must be left out": (
+            scenario.mujoco and in_python
+        ),
+        "mujoco: no FMU here is made from a MuJoCo model; must be left out": (
+            scenario.mujoco and not has_model
+        ),
+        "input_scale: there is no FMU named plant; must be left out": (
+            scenario.input_scale != 1.0 and "plant" not in parts
+        ),
+    })  # fmt: skip
 
 
 def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
