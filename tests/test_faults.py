@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from panda_cosim.controller.gains import DEFAULT
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference, reference_path
+from panda_cosim.scenarios.judging.verdict import Summary
 from panda_cosim.scenarios.run import guarded
 from panda_cosim.scenarios.scenario.trajectory import Trajectory
 
@@ -41,7 +41,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {
     "no lag of a servo": (
         {"controller.servo_lag[7]": 0.0}, "push", "controller.dq[7]"
     ),
-    "late gripper": ({}, "heavy_block", "plant.qpos"),
+    "late gripper": ({}, "heavy_block", "plant.q"),
 }  # fmt: skip
 
 
@@ -50,8 +50,9 @@ def compared(name: str, out: Path, **how: Any) -> tuple[Comparison, Reference, A
     scenario = load_scenario(name)
     recording = run_scenario(scenario, out, **how).recording
     reference = Reference.read(reference_path(scenario))
-    summary = json.loads((out / "summary.json").read_text())
-    comparison = compare_with_reference(recording, summary, reference, scenario.regression)
+    comparison = compare_with_reference(
+        recording, Summary.open(out), reference, scenario.regression
+    )
     return comparison, reference, recording
 
 
