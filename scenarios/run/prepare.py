@@ -83,6 +83,7 @@ class Prepared:
             warnings.append(f"{instance}{kind}: {text}")
 
         start = self.assembly.start_time
+        is_planned = not self.scenario.route or self.scenario.table is not None
         return open_system(
             self.assembly.system,
             self.start_values(),
@@ -90,7 +91,7 @@ class Prepared:
             stop=start + self.scenario.duration + longer,
             step_size=self.scenario.step,
             coupling=self.scenario.coupling,
-            external=self.inputs().at_start(),
+            external=self.inputs().at_start() if is_planned else None,
             tolerance=self.scenario.tolerance,
             on_message=hear,
             isolate=self.options.isolate,
