@@ -19,9 +19,10 @@ from statistics import median
 from typing import Any, Final
 
 from matplotlib.figure import Figure
-from panda_cosim.scenarios.benchmark import MICRO, BenchResult, bench
-from panda_cosim.scenarios.cli.commands.bench import tables
-from panda_cosim.scenarios.cli.console import show, table
+
+from panda_cosim.cli.commands.bench import tables
+from panda_cosim.cli.console import show, table
+from panda_cosim.study.benchmark import MICRO, BenchResult, bench
 
 GROWTH: Final = Path(__file__).with_name("growth.py")
 FIGURES: Final = {  # what growth.py measures

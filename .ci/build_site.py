@@ -21,13 +21,14 @@ from typing import Any
 from urllib.parse import unquote, urldefrag, urlsplit
 
 import html5lib
-import panda_cosim
 from gallery import gallery
+
+import panda_cosim
+from panda_cosim.cli.app import load
+from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
+from panda_cosim.cli.commands.info import variables_markdown
 from panda_cosim.fmus.interface.tables import INTERFACES, SENSORS
-from panda_cosim.scenarios.cli.app import load
-from panda_cosim.scenarios.cli.commands import COMMANDS, ELSEWHERE
-from panda_cosim.scenarios.cli.commands.info import variables_markdown
-from panda_cosim.scenarios.judging.definitions import DEFINITIONS
+from panda_cosim.result.judging.definitions import DEFINITIONS
 
 ROOT = Path(__file__).parents[1]
 
@@ -126,7 +127,7 @@ def build(out: Path, *, with_gallery: bool) -> None:
     with tempfile.TemporaryDirectory() as name:
         work, docs = Path(name), Path(name, "docs")
         shutil.copytree(ROOT / "docs", docs)
-        (work / ".ci").symlink_to(ROOT / ".ci")
+        (work / "src").symlink_to(ROOT / "src")
         made = {f.__name__: f for f in (commands, definitions, history, margins, python, variables)}
         made["gallery"] = partial(gallery, docs) if with_gallery else str
         for page in docs.rglob("*.md"):

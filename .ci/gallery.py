@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Template
-from panda_cosim import Recording, load_scenario, shipped_scenarios
-from panda_cosim.scenarios.judging.criterion import bound_text, margin_text, quantity
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.pictures.motion import poses, scene_of
-from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer
 from PIL import Image
+
+from panda_cosim import Recording, load_scenario, shipped_scenarios
+from panda_cosim.result.judging.criterion import bound_text, margin_text, quantity
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.show.pictures.motion import poses, scene_of
+from panda_cosim.show.pictures.offscreen import OffscreenRenderer
 
 FRAME = 0.55  # share of a run at which its thumbnail is drawn
 VERDICTS = (0, 1, 3)  # exit codes

@@ -17,17 +17,18 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.interface.variables import Interface, input_, output
 from panda_cosim.fmus.master.wiring import BLOCK_ROWS
 from panda_cosim.fmus.sources.targets import build_fmu
-from panda_cosim.scenarios.benchmark import OURS, cost_of
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.run.run import Execution
-from panda_cosim.scenarios.run.stopping import StopRequest
-from panda_cosim.scenarios.scenario.scenario import SCENARIO_FILE, load_scenario, shipped_scenarios
-from panda_cosim.scenarios.sweep.definition import shipped_sweeps
+from panda_cosim.run.prepare import prepare
+from panda_cosim.run.run import Execution
+from panda_cosim.run.stopping import StopRequest
+from panda_cosim.study.benchmark import OURS, cost_of
+from panda_cosim.study.sweep.definition import shipped_sweeps
+from panda_cosim.task.scenario import SCENARIO_FILE, load_scenario, shipped_scenarios
 
 FEW, MANY = 8, 40  # rows of two sweeps, whose difference is without start and end
 HOUR: Final = 3600.0  # [s]

@@ -16,10 +16,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+
 from panda_cosim.fmus.atomic import KEPT
-from panda_cosim.scenarios.compare.reference import Reference
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.journal import JOURNAL_FILE, Journal
+from panda_cosim.result.recording import Recording
+from panda_cosim.run.journal import JOURNAL_FILE, Journal
+from panda_cosim.study.compare.reference import Reference
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from bounded import line_of

@@ -26,12 +26,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.benchmark import LABELS
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.sweep.definition import load_sweep
-from panda_cosim.scenarios.sweep.engine import check_sweep
 from scipy.stats import binomtest
+
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.benchmark import LABELS
+from panda_cosim.study.sweep.definition import load_sweep
+from panda_cosim.study.sweep.engine import check_sweep
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "measured.md"
@@ -223,7 +224,7 @@ def touch(folder: Path | None) -> str:
         )
     with tempfile.TemporaryDirectory() as new:
         box = Path(new, "random_box.toml")
-        text = (ROOT / "scenarios/sweep/library/random_box.toml").read_text()
+        text = (ROOT / "scenarios/sweeps/random_box.toml").read_text()
         text = text.replace("samples = 10000", "samples = 300")
         box.write_text(text + OBSERVED)
         varied = ("mismatch.seed=5001:5300:300", "controller.observer=true")

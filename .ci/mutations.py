@@ -18,6 +18,7 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+
 from panda_cosim import Session, run_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))

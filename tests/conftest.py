@@ -16,10 +16,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parents[1] / ".ci" / "studies"))
 sys.path.insert(0, str(Path(__file__).parent))
 
+from hypothesis import settings
+
 import forked
 from browser import Page, browser, find_browser
 from fmu_support import JobError, in_fork
-from hypothesis import settings
 
 settings.register_profile("tests", deadline=None)  # a machine may be busy
 settings.load_profile("tests")

@@ -9,19 +9,20 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from couple_support import panda_system
 from numpy.typing import NDArray
+from rich.console import Console
+
+from couple_support import panda_system
 from panda_cosim.assets import STEP_SIZE
+from panda_cosim.cli.commands.bench import tables
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.plant.plant import Plant, PlantParameters
-from panda_cosim.scenarios import benchmark
-from panda_cosim.scenarios.cli.commands.bench import tables
-from panda_cosim.scenarios.run.start import instants, resolve, start_values
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from rich.console import Console
+from panda_cosim.run.start import instants, resolve, start_values
+from panda_cosim.study import benchmark
+from panda_cosim.task.scenario import load_scenario
 
 Array = NDArray[np.float64]
 MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias")

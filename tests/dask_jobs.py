@@ -10,9 +10,10 @@ from pathlib import Path
 
 import distributed
 import pytest
+
 from panda_cosim.fmus.errors import CosimError
-from panda_cosim.scenarios.sweep import backend
-from panda_cosim.scenarios.sweep.engine import Progress, sweep
+from panda_cosim.study.sweep import backend
+from panda_cosim.study.sweep.engine import Progress, sweep
 from sweep_support import short_sweep
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import forked
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant
-from panda_cosim.scenarios.scenario.scenario import SCENARIO_FILE, TABLE_FILE
+from panda_cosim.task.scenario import SCENARIO_FILE, TABLE_FILE
 
 SCRIPT = '''
 import ctypes, json, os, subprocess
@@ -137,8 +137,8 @@ def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
 RUN = """
 import json, sys, time
 from pathlib import Path
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.run.options import Options
+from panda_cosim.run.run import run_scenario
 from panda_cosim.fmus.errors import CosimError
 from panda_cosim.fmus.sources.targets import build
 

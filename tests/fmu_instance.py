@@ -18,6 +18,7 @@ from urllib.parse import quote
 
 import mujoco
 import numpy as np
+
 from panda_cosim.fmus.build.native import NativeFmu, table
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu

@@ -14,8 +14,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
-import forked
 import pytest
+
+import forked
 from panda_cosim.fmus.build import libraries
 
 # The Reference-FMUs of the Modelica Association.

@@ -24,15 +24,15 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
-from panda_cosim.scenarios import work
-from panda_cosim.scenarios.cli.commands import COMMANDS, ELSEWHERE
+from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
+from panda_cosim.study import work
 
 _context = get_context("forkserver")
 _context.set_forkserver_preload([
     "pytest", "numpy", "mujoco", "pyarrow.parquet", "fmpy", "scipy.optimize", "scipy.stats",
     "matplotlib.backends.backend_agg", "control", "panda_cosim.fmus.sources.targets",
-    "panda_cosim.scenarios.pictures.plot",
-    *(f"panda_cosim.scenarios.cli.commands.{name}" for name in COMMANDS if name not in ELSEWHERE),
+    "panda_cosim.show.pictures.plot",
+    *(f"panda_cosim.cli.commands.{name}" for name in COMMANDS if name not in ELSEWHERE),
 ])  # fmt: skip
 
 
@@ -140,7 +140,7 @@ def _begin(
 
 
 def _command(arguments: list[str]) -> None:
-    from panda_cosim.scenarios.cli import main  # noqa: PLC0415 - in the tests it is not needed
+    from panda_cosim.cli import main  # noqa: PLC0415 - in the tests it is not needed
 
     sys.argv = arguments
     main()

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from fmu_instance import mujoco_library
 from numpy.typing import NDArray
+
+from fmu_instance import mujoco_library
 from panda_cosim.assets.franka import ROBOTS
 from panda_cosim.controller.controller import STATE, Controller
 from panda_cosim.controller.gains import RANGES, REACTIONS, Gains

@@ -16,6 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
 from panda_cosim.assets import STEP_SIZE, asset_files
 from panda_cosim.controller.controller import STATE, Controller
 from panda_cosim.controller.gains import Gains

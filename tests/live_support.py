@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from bounded import line_of
 from websockets.sync.client import ClientConnection, connect
+
+from bounded import line_of
 
 BIN = Path(sys.executable).parent
 READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"

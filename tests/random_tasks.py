@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from fmu_support import in_fork
 from numpy.typing import NDArray
+
+from fmu_support import in_fork
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
@@ -21,13 +22,13 @@ from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.run.prepare import Prepared, prepare
-from panda_cosim.scenarios.run.run import Execution
-from panda_cosim.scenarios.run.start import instants, resolve, start_values
-from panda_cosim.scenarios.run.stopping import StopRequest
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.trajectory import COMMANDS
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.run.prepare import Prepared, prepare
+from panda_cosim.run.run import Execution
+from panda_cosim.run.start import instants, resolve, start_values
+from panda_cosim.run.stopping import StopRequest
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.trajectory import COMMANDS
 
 Array = NDArray[np.float64]
 

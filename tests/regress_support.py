@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.recording import Column, Recorder, Recording
+
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.recording import Column, Recorder, Recording
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from panda_cosim.scenarios.sweep.definition import Sweep
-from panda_cosim.scenarios.sweep.design import Design, make_design
-from panda_cosim.scenarios.sweep.row import Job, command, load_scenarios
-from panda_cosim.scenarios.sweep.store import Store, schema
+
+from panda_cosim.study.sweep.definition import Sweep
+from panda_cosim.study.sweep.design import Design, make_design
+from panda_cosim.study.sweep.row import Job, command, load_scenarios
+from panda_cosim.study.sweep.store import Store, schema
 
 SETTINGS = """\
 duration = 0.1

@@ -14,16 +14,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from fmu_support import in_process
 from forked import command
 from linear_loop import LinearLoop, linear_loop
 from panda_cosim import InputError, Options, Push, analyze, load_scenario, run_scenario
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.master import kernel
-from panda_cosim.scenarios.analysis.analysis import frequencies
-from panda_cosim.scenarios.analysis.sensitivity import scaled_norms
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.scenario.mismatch import Mismatch
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.analysis.analysis import frequencies
+from panda_cosim.study.analysis.sensitivity import scaled_norms
+from panda_cosim.task.mismatch import Mismatch
 
 pytestmark = pytest.mark.fmu
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.reading import ANY_SIZE, MOST_TIMES, read_xml, unpack
 

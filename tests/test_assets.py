@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+
 from panda_cosim.assets import SCENES, TORQUE_DRIVEN, asset_path, scene_file
 from panda_cosim.assets.franka import TORQUE_MAX
 

@@ -11,17 +11,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
+
 from bounded import limited
 from fault_support import write_scenario
 from fmu_support import initialize
+from panda_cosim.cli.app import app
 from panda_cosim.fmus.atomic import replacing
 from panda_cosim.fmus.errors import InputError, nearest
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.sources.targets import Target, build
-from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.recording import Column, Recorder
-from typer.testing import CliRunner
+from panda_cosim.result.recording import Column, Recorder
 
 pytestmark = pytest.mark.fmu
 Change = Callable[[dict[str, bytes]], None]

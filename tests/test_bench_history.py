@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from panda_cosim.scenarios.benchmark import BenchResult, Spread
+
+from panda_cosim.study.benchmark import BenchResult, Spread
 
 CI = Path(__file__).parents[1] / ".ci"
 HISTORY = runpy.run_path(str(CI / "bench_history.py"))

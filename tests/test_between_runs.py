@@ -12,14 +12,15 @@ from subprocess import run as run_process
 
 import numpy as np
 import pytest
-from forked import command
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from forked import command
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.compare.between_runs import compare
-from panda_cosim.scenarios.compare.differences import numbers
-from panda_cosim.scenarios.judging.criterion import Criterion
-from panda_cosim.scenarios.recording import Recording
+from panda_cosim.result.judging.criterion import Criterion
+from panda_cosim.result.recording import Recording
+from panda_cosim.study.compare.between_runs import compare
+from panda_cosim.study.compare.differences import numbers
 from regress_support import CONTENT, columns, record
 
 DISTANCE = 2e-3  # rad

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.model_fmu import model_part
-from panda_cosim.scenarios.judging.signals import check_bodies, judge_bodies, judge_signals
-from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.run.start import check_criteria
-from panda_cosim.scenarios.scenario.criteria import BodyCriterion, SignalCriterion, Success
-from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.system.assembly import assemble
+from panda_cosim.result.judging.signals import check_bodies, judge_bodies, judge_signals
+from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.run.start import check_criteria
+from panda_cosim.run.system.assembly import assemble
+from panda_cosim.task.criteria import BodyCriterion, SignalCriterion, Success
+from panda_cosim.task.scenario import Scenario, load_scenario
 
 EVENTS: dict[str, float | None] = {"start": 0.0, "end": 1.0, "release": None}
 ROUNDING = 1e-12  # m

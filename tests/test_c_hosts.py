@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from couple_support import TABLES, compile_host, read_rows, unpack_task, write_plan
 from fmu_instance import Unpacked, mujoco_library, unpacked, unpacked_fmu
 from fmu_support import compiler, in_process
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library, slave_fmu
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.result.recording import Recording
+from panda_cosim.run.options import Options
+from panda_cosim.run.run import run_scenario
 
 SCENARIO = "pick_and_place"
 FIRST_INSTANCE = 0.050  # [s] from opening the library to the end of its initialization

@@ -16,17 +16,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner, Result
+
 from forked import command as forked
 from panda_cosim import Recording, shipped_scenarios
+from panda_cosim.cli.app import app, load
+from panda_cosim.cli.commands import COMMANDS
+from panda_cosim.cli.console import progress
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.scenarios.cli.app import app, load
-from panda_cosim.scenarios.cli.commands import COMMANDS
-from panda_cosim.scenarios.cli.console import progress
-from typer.testing import CliRunner, Result
 
-MODULES = "panda_cosim.scenarios.cli.commands"
+MODULES = "panda_cosim.cli.commands"
 PROGRAM = [sys.executable, "-m", "panda_cosim"]
 
 SCENARIO = """
@@ -148,14 +149,14 @@ def test_help_lists_the_exit_codes_and_is_what_no_command_gives() -> None:
 
 COUNTED = """
 import sys
-from panda_cosim.scenarios.system import assembly
+from panda_cosim.run.system import assembly
 
 def counted(*arguments, original=assembly.assemble, **options):
     print("ASSEMBLED")
     return original(*arguments, **options)
 
 assembly.assemble = counted
-from panda_cosim.scenarios.cli import main
+from panda_cosim.cli import main
 try: main()
 finally: print("LOADED", *sys.modules)
 """

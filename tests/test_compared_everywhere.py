@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from forked import command
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from forked import command
 from odd_fmu import odd_fmu
 from panda_cosim import compare
-from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference
-from panda_cosim.scenarios.compare.reference import Reference
-from panda_cosim.scenarios.judging.signals import judge_signals
-from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.scenario.criteria import SignalCriterion
-from panda_cosim.scenarios.scenario.tolerances import OURS, Tolerances
+from panda_cosim.result.judging.signals import judge_signals
+from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.study.compare.compare import Comparison, compare_with_reference
+from panda_cosim.study.compare.reference import Reference
+from panda_cosim.task.criteria import SignalCriterion
+from panda_cosim.task.tolerances import OURS, Tolerances
 from regress_support import CONTENT, METADATA, SUMMARY
 
 DEFAULT = Tolerances()

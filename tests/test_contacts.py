@@ -10,17 +10,18 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+
 from panda_cosim import load_scenario, run_scenario
 from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.plant.plant import SUPPORT, UNWANTED, Plant, PlantParameters, contacts_of, kinds_of
 from panda_cosim.plant.scene import load_scene
-from panda_cosim.scenarios.cli.outcome import outcome_lines
-from panda_cosim.scenarios.judging.contacts import unwanted_contacts
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.run.summary import summarize
-from panda_cosim.scenarios.scenario.criteria import Success
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.writer import write_scenario
+from panda_cosim.result.judging.contacts import unwanted_contacts
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.run.summary import summarize
+from panda_cosim.task.criteria import Success
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.writer import write_scenario
 from random_tasks import Course, run_plain
 
 SLACK = 0.0015  # [s] more than a tick

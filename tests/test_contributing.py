@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from fmu_support import compiler, copy_libraries
 from forked import command
 from panda_cosim import Recording
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.scenarios.scenario.writer import make_scenario
+from panda_cosim.task.writer import make_scenario
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -47,9 +48,9 @@ def copy_of_project(folder: Path) -> Path:
     """A copy of the project, and beside it a cache with what takes long to compile."""
     root = folder / "project"
     shutil.copytree(ROOT / ".ci", root / ".ci", symlinks=True)
-    for each in ("assets", "plant", "controller", "fmus", "scenarios", "tests"):
-        ignored = shutil.ignore_patterns("node_modules")
-        shutil.copytree(ROOT / each, root / each, ignore=ignored)
+    for each in ("assets", "plant", "controller", "fmus", "scenarios", "src", "tests"):
+        ignored = shutil.ignore_patterns("node_modules", "*.egg-info")
+        shutil.copytree(ROOT / each, root / each, ignore=ignored, symlinks=True)
     shutil.copy(ROOT / "pyproject.toml", root)
     copy_libraries(folder / "cache" / "libraries")
     return root
@@ -67,7 +68,7 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def python(changed: Path, *arguments: object, code: int = 0) -> str:
     """Run Python with the changed project and a cache of its own; return what it prints."""
     environment = os.environ | {
-        "PYTHONPATH": str(changed / ".ci" / "typing"),
+        "PYTHONPATH": str(changed / "src"),
         "PANDA_COSIM_CACHE": str(changed.parent / "cache"),
     }
     command = [sys.executable, "-P", *map(str, arguments)]
@@ -125,9 +126,9 @@ from pathlib import Path
 import numpy as np
 from panda_cosim import run_scenario
 from panda_cosim.fmus.twins import notice
-from panda_cosim.scenarios.cli.commands.build import build_all
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.system.assembly import system_scenario
+from panda_cosim.cli.commands.build import build_all
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.run.system.assembly import system_scenario
 scenario, out, is_played = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] == "True"
 runs = {"run": scenario}
 if is_played:
@@ -144,7 +145,7 @@ print(json.dumps({
 """
 TOLD = """
 import sys
-from panda_cosim.scenarios.cli import main
+from panda_cosim.cli import main
 sys.stderr = sys.stdout
 main()
 """
@@ -221,7 +222,7 @@ def test_a_stamp_is_only_renewed_if_c_and_python_are_equal(tmp_path: Path) -> No
 def test_every_path_exists() -> None:
     spans = re.findall(r"`([^`\n]+)`", TEXT)
     paths = {span for span in spans if re.fullmatch(r"\.?[a-z]\w*/[\w./]*", span)}
-    paths -= {"scenarios/cli/commands/NAME.py", ".ci/typing/panda_cosim/..."}
+    paths -= {"src/panda_cosim/cli/commands/NAME.py"}
     assert paths
     assert not [path for path in paths if not (ROOT / path).exists()]
 

@@ -5,13 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from control_support import started
 from numpy.typing import NDArray
+
+from control_support import started
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import QD_MAX, QDD_MAX, QDDD_MAX
-from panda_cosim.scenarios.judging.limits import largest_share
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.result.judging.limits import largest_share
+from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import Done, connect, random_tasks, run_in_memory
 
 Array = NDArray[np.float64]

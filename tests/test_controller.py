@@ -2,17 +2,18 @@
 
 import numpy as np
 import pytest
-from control_support import started
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from law_support import replay
 from numpy.typing import NDArray
+
+from control_support import started
+from law_support import replay
 from panda_cosim.assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains, preset
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.signals import OUTPUTS
-from panda_cosim.scenarios.rotations import exp, multiply
+from panda_cosim.task.rotations import exp, multiply
 from random_tasks import connect
 
 Array = NDArray[np.float64]

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from fmu_instance import ERROR, OK, STEP, Instance, RefusedError, Unpacked, unpacked
 from law_support import inputs_of, replay
-from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains, preset

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from law_support import INPUTS, LawInC, compile_law, inputs_of, replay
 from numpy.typing import NDArray
+
+from law_support import INPUTS, LawInC, compile_law, inputs_of, replay
 from panda_cosim import load_scenario
 from panda_cosim.assets import franka
 from panda_cosim.controller.controller import Controller
@@ -20,8 +21,8 @@ from panda_cosim.controller.gains import RANGES, REACTIONS, Gains, preset
 from panda_cosim.controller.signals import OUTPUTS
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
-from panda_cosim.scenarios.run.start import start_values
-from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
+from panda_cosim.run.start import start_values
+from panda_cosim.task.scenario import shipped_scenarios
 from random_tasks import run_plain
 
 Array = NDArray[np.float64]

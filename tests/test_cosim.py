@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 
-import cosim_jobs
 import pytest
+
+import cosim_jobs
 from fmu_support import in_process
 
 pytestmark = pytest.mark.fmu

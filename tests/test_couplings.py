@@ -6,17 +6,18 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from fmu_support import compiler
-from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
+
+from fmu_support import compiler
+from forked import command
 from odd_fmu import odd_fmu, odd_ssp
 from panda_cosim import Recording, load_scenario
 from panda_cosim.fmus.interface.types import is_lossless
 from panda_cosim.fmus.interface.units import PLAIN, Unit, conversion, doubt
 from panda_cosim.fmus.interface.variables import Variable
-from panda_cosim.scenarios.check.check import check_folder, rehearse
-from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.check.check import check_folder, rehearse
 from toy_fmu import UNITS, toy_fmu
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")

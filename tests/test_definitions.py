@@ -11,21 +11,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_recording import FakeRecording
-from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+from fake_recording import FakeRecording
+from forked import command
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QDD_MAX, QDDD_MAX
-from panda_cosim.scenarios.analysis.analysis import Loop, Margins
-from panda_cosim.scenarios.fields import field_names
-from panda_cosim.scenarios.judging.definitions import DEFINITIONS
-from panda_cosim.scenarios.judging.holds import find_holds
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.recording.storage import open_parquet
-from panda_cosim.scenarios.run.summary import summarize
-from panda_cosim.scenarios.scenario.criteria import EVENTS, Success
-from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.result.judging.definitions import DEFINITIONS
+from panda_cosim.result.judging.holds import find_holds
+from panda_cosim.result.recording import Recording
+from panda_cosim.result.recording.storage import open_parquet
+from panda_cosim.run.summary import summarize
+from panda_cosim.study.analysis.analysis import Loop, Margins
+from panda_cosim.task.criteria import EVENTS, Success
+from panda_cosim.task.fields import field_names
+from panda_cosim.task.scenario import Scenario
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from fault_support import run_command, write_scenario
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.scenarios.recording import Recording
+from panda_cosim.result.recording import Recording
 
 pytestmark = pytest.mark.fmu
 

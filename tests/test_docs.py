@@ -19,8 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from panda_cosim.scenarios.cli.app import load
-from panda_cosim.scenarios.cli.commands import COMMANDS, ELSEWHERE
+
+from panda_cosim.cli.app import load
+from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

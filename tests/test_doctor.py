@@ -9,8 +9,9 @@ from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
-from panda_cosim.scenarios.cli.commands import doctor
-from panda_cosim.scenarios.cli.commands.doctor import Finding, examine
+
+from panda_cosim.cli.commands import doctor
+from panda_cosim.cli.commands.doctor import Finding, examine
 
 
 def look(what: str) -> Finding:
@@ -70,7 +71,7 @@ def test_a_cache_that_cannot_be_written_is_reported(
 WITHOUT_NUMPY = """
 import sys
 sys.modules["numpy"] = None
-from panda_cosim.scenarios.cli import main
+from panda_cosim.cli import main
 main()
 """
 

@@ -14,21 +14,22 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+
 from forked import command as cli
 from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.controller.ik import scaled_least_squares
 from panda_cosim.fmus.atomic import cache_folder
 from panda_cosim.fmus.build.libraries import made_with
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.scenarios.compare.compare import compare_with_reference
-from panda_cosim.scenarios.compare.reference import Reference
-from panda_cosim.scenarios.compare.regress import difference_of
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.run.run import run_scenario
-from panda_cosim.scenarios.scenario.tolerances import Tolerances
-from panda_cosim.scenarios.sweep.definition import sweep_of
-from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.run.options import Options
+from panda_cosim.run.prepare import prepare
+from panda_cosim.run.run import run_scenario
+from panda_cosim.study.compare.compare import compare_with_reference
+from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.compare.regress import difference_of
+from panda_cosim.study.sweep.definition import sweep_of
+from panda_cosim.study.sweep.engine import sweep
+from panda_cosim.task.tolerances import Tolerances
 from regress_support import SUMMARY, columns, record
 
 ENGINE = "3.11.0"

@@ -9,6 +9,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+
 from fmu_support import REFERENCE_FMUS, compiler, needs_reference_fmus
 from forked import command
 from panda_cosim import Recording

@@ -14,8 +14,9 @@ import nbformat
 import numpy as np
 import pytest
 from nbclient import NotebookClient
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.scenario import load_scenario
+
+from panda_cosim.result.recording import Recording
+from panda_cosim.task.scenario import load_scenario
 
 pytestmark = [pytest.mark.fmu, pytest.mark.long]
 EXAMPLES = Path(__file__).parent.parent / "scenarios" / "examples"

@@ -14,10 +14,11 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+
 from fmu_support import REFERENCE_FMUS, compiler, needs_reference_fmus
 from forked import command
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.result.recording import Recording
+from panda_cosim.run.run import run_scenario
 from toy_fmu import toy_fmu
 
 pytestmark = pytest.mark.fmu

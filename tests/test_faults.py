@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from panda_cosim import Options, load_scenario, run_scenario
 from panda_cosim.controller.gains import DEFAULT
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference
-from panda_cosim.scenarios.compare.reference import Reference, reference_path
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.run import guarded
-from panda_cosim.scenarios.scenario.trajectory import Trajectory
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.run import guarded
+from panda_cosim.study.compare.compare import Comparison, compare_with_reference
+from panda_cosim.study.compare.reference import Reference, reference_path
+from panda_cosim.task.trajectory import Trajectory
 
 pytestmark = pytest.mark.fmu
 

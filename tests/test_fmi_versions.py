@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+
 from fmu_support import compiler, initialize
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.interface.parameters import expand

@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+
 from fmu_instance import ERROR, OK, STEP, Instance, RefusedError, Unpacked, unpacked, unpacked_fmu
 from fmu_support import in_fork
 from panda_cosim.fmus.master.fmu_file import Fmu

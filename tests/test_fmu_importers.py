@@ -13,14 +13,15 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
+
 from panda_cosim.fmus.build.ssp import write_container, write_ssp
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.master.step import Coupling
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.fmus.sources.targets import Target, build
-from panda_cosim.scenarios.run.written import written_system
-from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.run.written import written_system
+from panda_cosim.task.scenario import load_scenario
 
 TICKS, TICK = 300, 0.001
 TOLERANCE = 1e-12  # [1] largest relative difference

@@ -14,10 +14,11 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+from lxml import etree
+
 from fmu_instance import ERROR, Instance, Unpacked, unpacked
 from fmu_support import copy_libraries, in_fork
 from forked import command
-from lxml import etree
 from panda_cosim.controller import controller as controller_module
 from panda_cosim.fmus.build.description import LOG_CATEGORIES, Layout, described
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
@@ -35,9 +36,9 @@ from panda_cosim.fmus.sources.targets import (
     own_fmu,
 )
 from panda_cosim.plant import plant as plant_module
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.result.recording import Recording
+from panda_cosim.run.options import Options
+from panda_cosim.run.run import run_scenario
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 SCHEMAS = Path(fmpy.__file__).parent / "schema"

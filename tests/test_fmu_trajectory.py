@@ -7,16 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmu_instance import OK, STEP, Instance, Unpacked
 from numpy.typing import NDArray
+
+from fmu_instance import OK, STEP, Instance, Unpacked
 from panda_cosim.fmus.inside.trajectory import NAMES
 from panda_cosim.fmus.interface.controller import COMMANDS, CONTROLLER
 from panda_cosim.fmus.interface.tables import TRAJECTORY
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import Target, build_trajectory
-from panda_cosim.scenarios.run.start import instants, resolve, start_values
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.scenario.writer import write_input_csv
+from panda_cosim.run.start import instants, resolve, start_values
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.writer import write_input_csv
 
 Array = NDArray[np.float64]
 LENGTH = 300  # [tick] that are played

@@ -8,12 +8,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
 from panda_cosim import InputError, Recording, Scenario, load_scenario, run_scenario
 from panda_cosim.assets import asset_path
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.plant import Plant, PlantParameters
-from panda_cosim.scenarios.check.check import feasibility
-from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
+from panda_cosim.study.check.check import feasibility
+from panda_cosim.task.scenario import shipped_scenarios
 from random_tasks import run_plain
 
 Array = NDArray[np.float64]

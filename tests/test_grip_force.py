@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.check.check import rehearse, weakest_grip
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.check.check import rehearse, weakest_grip
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_plain
 
 FORCE = 22.0  # [N] a finger

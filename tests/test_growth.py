@@ -10,17 +10,18 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.compare.between_runs import compare
-from panda_cosim.scenarios.compare.compare import compare_with_reference
-from panda_cosim.scenarios.compare.reference import Reference
-from panda_cosim.scenarios.judging.contacts import SIGNAL as UNWANTED
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.recording import Column, Recorder, Recording, storage
-from panda_cosim.scenarios.run.summary import summarize
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.scenario.tolerances import Tolerances
-from panda_cosim.scenarios.sweep.store import Store
+from panda_cosim.result.judging.contacts import SIGNAL as UNWANTED
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.recording import Column, Recorder, Recording, storage
+from panda_cosim.run.summary import summarize
+from panda_cosim.study.compare.between_runs import compare
+from panda_cosim.study.compare.compare import compare_with_reference
+from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.sweep.store import Store
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.tolerances import Tolerances
 
 STEP = 0.001  # s
 SHORT, LONG = 2, 4  # blocks of rows

@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from fmu_instance import MODELS, Unpacked, unpacked
 from fmu_support import compiler
 from panda_cosim.fmus.build import libraries as native

@@ -20,26 +20,27 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
 from live_support import READY
+from panda_cosim.cli.console import QuietConsole, as_cell, complain, table
+from panda_cosim.cli.outcome import verdict_table
 from panda_cosim.fmus.build.description import Layout, documentation, members
 from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.errors import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.interface.tables import SENSORS
-from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
-from panda_cosim.scenarios.cli.outcome import verdict_table
-from panda_cosim.scenarios.compare.between_runs import RunComparison, compare
-from panda_cosim.scenarios.compare.junit import Case, write_cases
-from panda_cosim.scenarios.judging.criterion import Criterion
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.live.server import LiveServer
-from panda_cosim.scenarios.run.result import Run
-from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.row import command as row_command
-from panda_cosim.scenarios.sweep.store import Store
-from panda_cosim.scenarios.view.model import describe
-from panda_cosim.scenarios.view.page import Inline, live_page
+from panda_cosim.result.judging.criterion import Criterion
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.run.result import Run
+from panda_cosim.show.view.model import describe
+from panda_cosim.show.view.page import Inline, live_page
+from panda_cosim.study.compare.between_runs import RunComparison, compare
+from panda_cosim.study.compare.junit import Case, write_cases
+from panda_cosim.study.live.server import LiveServer
+from panda_cosim.study.sweep.report import write_report
+from panda_cosim.study.sweep.row import command as row_command
+from panda_cosim.study.sweep.store import Store
 from regress_support import columns, record
 from view_support import MODEL
 

@@ -11,17 +11,17 @@ import tomllib
 from pathlib import Path
 
 import pytest
+
 from panda_cosim.fmus.build import libraries
-from panda_cosim.scenarios.sweep import store
+from panda_cosim.study.sweep import store
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("assets", "plant", "controller", "fmus", "scenarios")
 # Says of each module what it imports, and by file which of the two digests change with it.
 TOUCH = """
 import grimp, json, sys
 from pathlib import Path
 from panda_cosim.fmus.build.libraries import code_digest
-from panda_cosim.scenarios.sweep.store import ABOVE
+from panda_cosim.study.sweep.store import ABOVE
 def digests():
     code_digest.cache_clear()
     return code_digest(), code_digest(ABOVE)
@@ -50,13 +50,13 @@ def above(container: str, layer: str) -> set[str]:
 
 
 def test_only_what_the_contracts_have_above_is_left_out() -> None:
-    of_fmus = above("panda_cosim", "fmus")
+    of_fmus = above("panda_cosim", "fmus") - {"__main__"}
     of_fmus |= {f"fmus/{name}" for name in above("panda_cosim.fmus", "sources")}
     assert set(libraries.ABOVE) == of_fmus
-    of_sweeps = {f"scenarios/{name}" for name in above("panda_cosim.scenarios", "sweep")}
-    data = {"scenarios/library", "scenarios/examples"}
-    assert set(store.ABOVE) == of_sweeps | data
-    assert not [folder for folder in data if (ROOT / folder / "__init__.py").exists()]
+    of_sweeps = above("panda_cosim", "study") - {"__main__"}
+    of_sweeps |= {f"study/{name}" for name in above("panda_cosim.study", "sweep")}
+    assert set(store.ABOVE) == of_sweeps
+    assert not (ROOT / "scenarios" / "__init__.py").exists()  # so that it is no package
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +64,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Changed, dict[str, 
     """What the digests change with, in a copy of the package, and what its modules import."""
     package = tmp_path_factory.mktemp("copy") / "panda_cosim"
     ignored = shutil.ignore_patterns("__pycache__", "*.parquet", "lib")
-    shutil.copytree(ROOT / "scenarios" / "api", package, ignore=ignored)
-    for room in ROOMS:
-        shutil.copytree(ROOT / room, package / room, ignore=ignored)
+    shutil.copytree(ROOT / "src" / "panda_cosim", package, ignore=ignored)  # links as folders
     files = [p.relative_to(package).as_posix() for p in package.rglob("*") if p.is_file()]
     done = subprocess.run(
         [sys.executable, "-c", TOUCH, package], input=json.dumps(files), text=True, check=True,
@@ -79,7 +77,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Changed, dict[str, 
 @pytest.mark.parametrize(
     ("digest", "module"),
     [(0, "fmus.sources.targets"), (0, "fmus.inside.plant"), (0, "fmus.inside.controller"),
-     (1, "scenarios.sweep.row"), (1, "scenarios.sweep.design"), (1, "controller.controller")],
+     (1, "study.sweep.row"), (1, "study.sweep.design"), (1, "controller.controller")],
 )  # fmt: skip
 def test_a_digest_changes_with_each_module_that_is_imported(
     found: tuple[Changed, dict[str, list[str]]], digest: int, module: str
@@ -97,8 +95,8 @@ def test_a_digest_changes_with_data_and_c_but_not_with_what_is_above(
 ) -> None:
     changed, _ = found
     for name in ("fmus/native/step.c", "fmus/native/instance.h", "assets/arm.xml",
-                 "scenarios/judging/definitions.toml"):  # fmt: skip
-        assert changed[name] == [not name.startswith("scenarios"), True], name
+                 "result/judging/definitions.toml"):  # fmt: skip
+        assert changed[name] == [not name.startswith("result"), True], name
     assert changed["fmus/master/master.py"] == [False, True]
-    assert changed["scenarios/cli/app.py"] == [False, False]
-    assert changed["scenarios/library/pick_and_place/scenario.toml"] == [False, False]
+    assert changed["cli/app.py"] == [False, False]
+    assert changed["scenarios/pick_and_place/scenario.toml"] == [False, False]

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
 from panda_cosim.assets.franka import Q_MAX, Q_MIN
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.ik import (

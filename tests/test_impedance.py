@@ -9,17 +9,18 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from control_support import started
 from forked import command
-from numpy.typing import NDArray
 from panda_cosim.assets.franka import TORQUE_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import OF_IMPEDANCE, OF_SERVOS, Gains, preset
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.run.run import run_scenario
-from panda_cosim.scenarios.scenario.scenario import Push, load_scenario
+from panda_cosim.run.options import Options
+from panda_cosim.run.prepare import prepare
+from panda_cosim.run.run import run_scenario
+from panda_cosim.task.scenario import Push, load_scenario
 
 Array = NDArray[np.float64]
 TORQUES = {"scene": "motors", "gains": "impedance"}

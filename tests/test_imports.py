@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-TYPING = ".ci/typing"  # shows the folders as the package that they are installed as
 BIN = Path(sys.executable).parent
 HEAVY = {
     *("numpy", "mujoco", "matplotlib", "pyarrow", "mediapy", "control", "scipy", "fmpy"),
@@ -24,7 +23,7 @@ def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [BIN / "lint-imports", "--no-cache", "--config", ROOT / "pyproject.toml"],
         cwd=root,
-        env=os.environ | {"PYTHONPATH": str(root / TYPING)},
+        env=os.environ | {"PYTHONPATH": str(root / "src")},
         capture_output=True,
         text=True,
         check=False,
@@ -40,18 +39,21 @@ def test_the_import_contracts_hold() -> None:
 @pytest.mark.parametrize(
     ("module", "statement", "contract"),
     [
-        ("plant/plant.py", "from ..fmus import errors", "The root folders are layers BROKEN"),
+        ("plant/plant.py", "from ..fmus import errors", "The folders are layers BROKEN"),
         ("fmus/interface/tables.py", "from ..master import fmu", "within fmus are layers BROKEN"),
-        ("scenarios/files.py", "import fmpy", "foreign library is imported in one place BROKEN"),
+        (
+            "src/panda_cosim/task/files.py",
+            "import fmpy",
+            "foreign library is imported in one place BROKEN",
+        ),
     ],
 )
 def test_a_forbidden_import_is_seen(
     module: str, statement: str, contract: str, tmp_path: Path
 ) -> None:
-    shutil.copytree(ROOT / TYPING, tmp_path / TYPING, symlinks=True)
-    for folder in ("assets", "plant", "controller", "fmus", "scenarios"):
+    for folder in ("assets", "plant", "controller", "fmus", "src"):
         ignored = shutil.ignore_patterns("__pycache__", "*.parquet", "native")
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignored)
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignored, symlinks=True)
     with (tmp_path / module).open("a", encoding="utf-8") as file:
         file.write(f"{statement}\n")
     done = lint_imports(tmp_path)
@@ -69,7 +71,14 @@ def test_a_forbidden_import_is_seen(
     ],
 )
 def test_code_that_turns_data_into_code_is_refused(source: str, rule: str) -> None:
-    command = [BIN / "ruff", "check", "--stdin-filename", "scenarios/files.py", "--no-cache", "-"]
+    command = [
+        BIN / "ruff",
+        "check",
+        "--stdin-filename",
+        "src/panda_cosim/task/files.py",
+        "--no-cache",
+        "-",
+    ]
     done = subprocess.run(
         command, cwd=ROOT, input=source, capture_output=True, text=True, check=False, timeout=300
     )
@@ -87,7 +96,7 @@ def modules_after(code: str) -> set[str]:
 
 def test_help_loads_nothing_heavy() -> None:
     code = """
-from panda_cosim.scenarios.cli.app import app
+from panda_cosim.cli.app import app
 try:
     app(["--help"])
 except SystemExit:
@@ -97,6 +106,15 @@ except SystemExit:
 
 
 def test_the_packages_themselves_cost_nothing() -> None:
-    packages = ("", ".scenarios", ".assets", ".fmus", ".fmus.interface", ".fmus.inside")
+    packages = (
+        "",
+        ".task",
+        ".run",
+        ".study",
+        ".assets",
+        ".fmus",
+        ".fmus.interface",
+        ".fmus.inside",
+    )
     code = "import " + ", ".join(f"panda_cosim{name}" for name in packages)
     assert not modules_after(f"{code}, panda_cosim.fmus.master") & HEAVY

@@ -9,17 +9,18 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from fmu_support import compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from fmu_support import compiler
 from panda_cosim import load_scenario
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.master.order import stepping_order
 from panda_cosim.fmus.master.system import System, open_system
-from panda_cosim.scenarios.check.check import rehearse
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.run.options import Options
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.check.check import rehearse
 from toy_fmu import library
 
 pytestmark = [

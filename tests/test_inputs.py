@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from panda_cosim.scenarios.run import prepare as preparing
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.run.start import instants, resolve, start_values
-from panda_cosim.scenarios.scenario.scenario import load_scenario
+
+from panda_cosim.run import prepare as preparing
+from panda_cosim.run.prepare import prepare
+from panda_cosim.run.start import instants, resolve, start_values
+from panda_cosim.task.scenario import load_scenario
 
 INPUTS = prepare(load_scenario("pick_and_place")).inputs()
 

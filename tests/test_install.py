@@ -13,13 +13,14 @@ from importlib.util import cache_from_source
 from pathlib import Path
 
 import pytest
+
 from fmu_support import copy_libraries
+from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.fmus.build.libraries import BACKENDS
-from panda_cosim.scenarios.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
-SOURCES = ("assets", "plant", "controller", "fmus", "scenarios")
-FILES = ("pyproject.toml", "README.md", "LICENSE", "NOTICE")
+SOURCES = ("assets", "plant", "controller", "fmus", "scenarios", "src")
+FILES = (".ci/build_backend.py", "pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "NOTICE")
 SETTINGS = "duration = 0.05\n"
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 
@@ -101,7 +102,7 @@ def test_a_build_needs_headers_and_a_compiler_only_where_it_compiles(
     if compiler:
         (tmp_path / "cc").touch(mode=0o755)
     ask = f"import build_backend as b; print(*b.get_requires_for_build_{kind}(), sep='#')"
-    backend = str(ROOT / "fmus" / "native")
+    backend = str(ROOT / ".ci")
     done = run(sys.executable, "-c", ask, cwd=tmp_path, PATH=str(tmp_path), PYTHONPATH=backend)
     names = done.stdout.splitlines()[-1].split("#")
     assert {re.split(r"\W", name)[0] for name in names} - {""} == needed, done.stderr
@@ -112,7 +113,7 @@ def test_an_editable_install_compiles_modules_where_python_keeps_no_byte_code(
 ) -> None:
     source = copied_source(tmp_path)
     code = "import build_backend; build_backend.build_editable('.')"
-    backend = str(source / "fmus" / "native")
+    backend = str(source / ".ci")
     python = {"PYTHONPATH": backend, "PYTHONDONTWRITEBYTECODE": "1"}
     done = run(sys.executable, "-c", code, cwd=source, **python)
     assert done.returncode == 0, done.stderr
@@ -129,9 +130,10 @@ def copied_source(folder: Path) -> Path:
     source.mkdir()
     skipped = shutil.ignore_patterns("__pycache__", "*.egg-info", "node_modules")
     for name in SOURCES:
-        shutil.copytree(ROOT / name, source / name, ignore=skipped)
+        shutil.copytree(ROOT / name, source / name, ignore=skipped, symlinks=True)
     for name in FILES:
-        shutil.copy(ROOT / name, source)
+        (source / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, source / name)
     return source
 
 

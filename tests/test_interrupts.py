@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+
 from fault_support import processes_with
 from panda_cosim.fmus.atomic import TEMPORARY
 
@@ -28,7 +29,7 @@ BUILD = """
 import sys
 from pathlib import Path
 from panda_cosim.fmus.build import libraries
-from panda_cosim.scenarios.cli import main
+from panda_cosim.cli import main
 
 libraries.PREBUILT = Path(sys.argv.pop())  # there are none
 main()
@@ -45,7 +46,7 @@ class Slave(Fmi2Slave):
 # A signal comes while code runs whose exceptions nobody sees, as in a callback of a C library.
 UNSEEN = """
 import os, sys, time
-from panda_cosim.scenarios import cli
+from panda_cosim import cli
 
 class Unseen:
     def __del__(self):

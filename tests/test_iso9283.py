@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from panda_cosim import Recording
-from panda_cosim.scenarios.sweep.definition import load_sweep
-from panda_cosim.scenarios.sweep.engine import sweep
 from scipy.spatial.transform import Rotation
+
+from panda_cosim import Recording
+from panda_cosim.study.sweep.definition import load_sweep
+from panda_cosim.study.sweep.engine import sweep
 
 Array = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[1] / "scenarios" / "examples"

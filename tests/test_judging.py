@@ -13,8 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.judging.criterion import (
+from panda_cosim.result.judging.criterion import (
     Criterion,
     margin,
     missed_text,
@@ -22,12 +23,12 @@ from panda_cosim.scenarios.judging.criterion import (
     smallest_margin,
     verdict_of,
 )
-from panda_cosim.scenarios.judging.signals import REDUCE, check_signals, judge_signals
-from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.run.start import check_criteria
-from panda_cosim.scenarios.scenario.criteria import REDUCTIONS, SignalCriterion, Success
-from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.scenario.writer import write_scenario
+from panda_cosim.result.judging.signals import REDUCE, check_signals, judge_signals
+from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.run.start import check_criteria
+from panda_cosim.task.criteria import REDUCTIONS, SignalCriterion, Success
+from panda_cosim.task.scenario import Scenario, load_scenario
+from panda_cosim.task.writer import write_scenario
 
 Array = NDArray[np.float64]
 TIME = np.arange(2001) * 1e-3  # s

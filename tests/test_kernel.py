@@ -11,19 +11,20 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from fmu_support import compiler, in_process
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from fmu_support import compiler, in_process
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.kernel import load_stepper
 from panda_cosim.fmus.master.step import Stepper
 from panda_cosim.fmus.master.system import System, open_system
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.run.run import Execution
-from panda_cosim.scenarios.run.stopping import StopRequest
-from panda_cosim.scenarios.scenario.scenario import load_scenario, shipped_scenarios
+from panda_cosim.run.options import Options
+from panda_cosim.run.prepare import prepare
+from panda_cosim.run.run import Execution
+from panda_cosim.run.stopping import StopRequest
+from panda_cosim.task.scenario import load_scenario, shipped_scenarios
 from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [

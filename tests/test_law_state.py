@@ -6,6 +6,7 @@ from ctypes import byref, c_void_p
 from pathlib import Path
 
 import pytest
+
 from fmu_instance import ERROR, OK, Instance, Unpacked, unpacked_fmu
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.law import law_fmu, law_interface, read_law

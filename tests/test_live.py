@@ -14,18 +14,19 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
 from browser import Page
 from forked import command
 from live_support import READY, Live, asked, live, told, wait_to_act
 from panda_cosim import Session
-from panda_cosim.scenarios.live.page import offset_of
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.mismatch import Mismatch
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.scenario.table import TrajectoryTable
-from panda_cosim.scenarios.scenario.trajectory import Trajectory
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
+from panda_cosim.result.recording import Recording
+from panda_cosim.study.live.page import offset_of
+from panda_cosim.task.mismatch import Mismatch
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.table import TrajectoryTable
+from panda_cosim.task.trajectory import Trajectory
 
 RUN = "PandaView.viewer.runs[0]"
 SEEN = """((place) => {

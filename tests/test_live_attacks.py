@@ -11,10 +11,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 
 import pytest
-from live_support import Live, asked, live, told, upgrade, viewer, wait_to_act
-from panda_cosim.scenarios.live.server import COMMAND_LIMIT, OPEN_TIME, VIEWERS
-from panda_cosim.scenarios.recording import Recording
 from websockets.exceptions import ConnectionClosed
+
+from live_support import Live, asked, live, told, upgrade, viewer, wait_to_act
+from panda_cosim.result.recording import Recording
+from panda_cosim.study.live.server import COMMAND_LIMIT, OPEN_TIME, VIEWERS
 
 SET = {"do": "set", "name": "controller.kp", "value": 5}
 WRONG_FRAME = bytes((0x81, 0x82, 0, 0, 0, 0)) + b"{}"  # masked with zeros

@@ -12,17 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from couple_support import panda_system
 from fmu_support import in_process
-from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.fmus.master.system import open_system
-from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.run.start import start_pose, start_values
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.scenario.trajectory import Trajectory
+from panda_cosim.run.start import start_pose, start_values
+from panda_cosim.task import rotations
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.trajectory import Trajectory
 
 pytestmark = pytest.mark.fmu
 Array = NDArray[np.float64]

@@ -11,14 +11,15 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+
 from bounded import limited
 from fault_support import write_scenario
+from panda_cosim.cli.app import report
+from panda_cosim.cli.commands.build import build_all
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing, temporary_folder
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.cli.app import report
-from panda_cosim.scenarios.cli.commands.build import build_all
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.result.recording import Recording
+from panda_cosim.task.scenario import load_scenario
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]
 QUIET = ("--no-video", "--no-view", "--no-plot")

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from panda_cosim.scenarios.analysis.analysis import judge
-from panda_cosim.scenarios.analysis.responses import Responses
-from panda_cosim.scenarios.analysis.sensitivity import Sensitivity, disk_margin, limits
+
+from panda_cosim.study.analysis.analysis import judge
+from panda_cosim.study.analysis.responses import Responses
+from panda_cosim.study.analysis.sensitivity import Sensitivity, disk_margin, limits
 
 Matrix = NDArray[Any]
 

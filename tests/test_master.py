@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import panda_cosim.fmus.master.master
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+import panda_cosim.fmus.master.master
 from panda_cosim.fmus.errors import InputError, SimulationEndedError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master

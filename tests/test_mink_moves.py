@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 from mink_moves import MinkController, described
-from panda_cosim.controller.gains import Gains
 from random_moves import HOME, random_goals, run_move
+
+from panda_cosim.controller.gains import Gains
 
 
 @pytest.mark.long

@@ -7,17 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from fmu_support import in_process
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.run import run_scenario
-from panda_cosim.scenarios.run.start import resolve, start_values
-from panda_cosim.scenarios.scenario.criteria import Success
-from panda_cosim.scenarios.scenario.mismatch import PRESETS, SIZES, Mismatch, draw_robot
-from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.scenario.writer import write_scenario
-from panda_cosim.scenarios.system.assembly import assemble
+from panda_cosim.result.recording import Recording
+from panda_cosim.run.run import run_scenario
+from panda_cosim.run.start import resolve, start_values
+from panda_cosim.run.system.assembly import assemble
+from panda_cosim.task.criteria import Success
+from panda_cosim.task.mismatch import PRESETS, SIZES, Mismatch, draw_robot
+from panda_cosim.task.scenario import Scenario, load_scenario
+from panda_cosim.task.writer import write_scenario
 from random_tasks import run_in_memory
 
 PUSH = load_scenario("push")

@@ -13,15 +13,16 @@ import fmpy
 import mujoco
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_instance import Instance, with_content
 from lxml import etree
+from typer.testing import CliRunner
+
+from fmu_instance import Instance, with_content
+from panda_cosim.cli.app import app
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from panda_cosim.fmus.sources.targets import Target, build_fmu
 from panda_cosim.plant.mujoco_warnings import taken_warnings
-from panda_cosim.scenarios.cli.app import app
-from typer.testing import CliRunner
 
 
 @pytest.fixture

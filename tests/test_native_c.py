@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+
 from fmu_instance import BACKENDS, MODELS, Unpacked, mujoco_library, unpacked
 from fmu_support import compiler
 from panda_cosim.fmus.build import libraries as native

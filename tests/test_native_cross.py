@@ -9,11 +9,12 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-import mach_o
 import numpy as np
 import pytest
-from couple_support import compile_host, read_rows, unpack_task, write_plan
 from numpy.typing import NDArray
+
+import mach_o
+from couple_support import compile_host, read_rows, unpack_task, write_plan
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.build.libraries import mujoco_library
 from panda_cosim.fmus.errors import CosimError

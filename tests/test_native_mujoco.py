@@ -12,9 +12,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from fmu_instance import OK, STEP, Instance, Unpacked, unpacked, with_content
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from fmu_instance import OK, STEP, Instance, Unpacked, unpacked, with_content
 from panda_cosim.assets import SCENES
 from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, load, model_fmu

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+
 from panda_cosim.fmus.build.libraries import this_platform
 from panda_cosim.fmus.sources.targets import Kind, Target, build
 

@@ -6,16 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from panda_cosim import shipped_scenarios
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.check.check import check_folder
-from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.run.run import run_scenario
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.writer import make_scenario
-from panda_cosim.scenarios.sweep.definition import load_sweep
-from panda_cosim.scenarios.sweep.engine import check_sweep
 from typer.testing import CliRunner
+
+from panda_cosim import shipped_scenarios
+from panda_cosim.cli.app import app
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.run.run import run_scenario
+from panda_cosim.study.check.check import check_folder
+from panda_cosim.study.sweep.definition import load_sweep
+from panda_cosim.study.sweep.engine import check_sweep
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.writer import make_scenario
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
+
 from fmu_support import compiler
 from forked import command
 from odd_fmu import Variable, odd_fmu, odd_ssp

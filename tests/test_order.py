@@ -10,17 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmu_support import compiler
-from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
+
+from fmu_support import compiler
+from forked import command
 from panda_cosim import InputError, Recording, load_scenario
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.master.order import late, stepping_order
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
-from panda_cosim.scenarios.check.check import rehearse
-from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.check.check import rehearse
 from toy_fmu import toy_fmu
 
 

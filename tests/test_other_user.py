@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from live_support import asked, live, viewer
 from panda_cosim.fmus.atomic import cache_folder
 from panda_cosim.fmus.errors import InputError

@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+
 from forked import command
 from panda_cosim.fmus.atomic import TEMPORARY
 

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from panda_cosim import load_scenario
+from panda_cosim.cli.options import values_of
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.cli.options import values_of
-from panda_cosim.scenarios.run.start import start_values
+from panda_cosim.run.start import start_values
 
 PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
 PUSH = load_scenario("push")

@@ -9,26 +9,27 @@ from typing import Any
 
 import mujoco
 import pytest
-from fmu_support import in_process
-from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from fmu_support import in_process
+from forked import command
 from odd_fmu import odd_ssp
 from panda_cosim import shipped_scenarios
+from panda_cosim.cli.app import app
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.sources.law import read_law
-from panda_cosim.scenarios.check.check import check_folder
-from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.run.start import resolve, start_values
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.scenario.writer import make_scenario
-from panda_cosim.scenarios.system.assembly import assemble
-from panda_cosim.scenarios.system.connector import Connector
-from panda_cosim.scenarios.system.parts import Part
+from panda_cosim.run.start import resolve, start_values
+from panda_cosim.run.system.assembly import assemble
+from panda_cosim.run.system.connector import Connector
+from panda_cosim.run.system.parts import Part
+from panda_cosim.study.check.check import check_folder
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.writer import make_scenario
 from parts_jobs import run_folder, same_bits, write_arm
 from toy_fmu import INDICES, toy_fmu
-from typer.testing import CliRunner
 
 LAW = """
 raise RuntimeError("only reading was asked for")

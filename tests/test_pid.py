@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.pid import PID_STATE, Pid
 from panda_cosim.controller.signals import Buffer

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
 from panda_cosim.assets import SCENES, TORQUE_DRIVEN
 from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT, SERVO_DAMPING
 from panda_cosim.plant.plant import DivergenceError, Plant, PlantParameters

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+
 from fake_recording import FakeRecording
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.pictures.panels import DPI, ROWS_DRAWN, thin
-from panda_cosim.scenarios.pictures.plot import SIZE, VERDICTS, draw_run, plot_run
-from PIL import Image
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.show.pictures.panels import DPI, ROWS_DRAWN, thin
+from panda_cosim.show.pictures.plot import SIZE, VERDICTS, draw_run, plot_run
 
 REPOSITORY = Path(__file__).parents[1]
 MATPLOTLIBRC = "text.usetex: True\naxes.facecolor: red\nsavefig.facecolor: red\nlines.marker: o\n"
@@ -142,8 +143,8 @@ def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path: Path)
         "from test_plot import made_up_run\n"
         "from regress_support import columns, record\n"
         "from panda_cosim import analyze\n"
-        "from panda_cosim.scenarios.analysis.plot import plot_analysis\n"
-        "from panda_cosim.scenarios.pictures.plot import plot_run, plot_signals\n"
+        "from panda_cosim.study.analysis.plot import plot_analysis\n"
+        "from panda_cosim.show.pictures.plot import plot_run, plot_signals\n"
         "plot_run(made_up_run(), 'run.png')\n"
         "plot_signals(record(Path('run'), columns()), Path('signals.png'))\n"
         "loops = analyze('pick_and_place')\n"

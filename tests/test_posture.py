@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+
 from fmu_support import in_process
 from forked import command
 from panda_cosim import Recording, Scenario, Trajectory, load_scenario, run_scenario
@@ -16,10 +17,10 @@ from panda_cosim.assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.scenario.trajectory import StartPose
-from panda_cosim.scenarios.scenario.writer import write_scenario
-from panda_cosim.scenarios.timing.demand import joint_reference
+from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.timing.demand import joint_reference
+from panda_cosim.task.trajectory import StartPose
+from panda_cosim.task.writer import write_scenario
 
 END = np.array([1.2, -0.3, 0.9, -1.8, 0.7, 1.9, -0.5])  # rad: the elbow leaves the vertical plane
 DURATION = 2.0  # s

@@ -9,21 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
 from fake_recording import FakeRecording
 from forked import command
-from numpy.typing import NDArray
 from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import FINGERTIPS, ArmModel
-from panda_cosim.scenarios.judging.definitions import DEFINITIONS
-from panda_cosim.scenarios.judging.limits import CHECKS, outcome
-from panda_cosim.scenarios.judging.preflight import preflight
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.sweep.row import metrics
-from panda_cosim.scenarios.view import run
+from panda_cosim.result.judging.definitions import DEFINITIONS
+from panda_cosim.result.judging.limits import CHECKS, outcome
+from panda_cosim.result.judging.preflight import preflight
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.show.view import run
+from panda_cosim.study.sweep.row import metrics
+from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_in_memory
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 Quantity = tuple[Array, Any, Any]  # values (n, k), largest sizes, and what both are counted from
@@ -509,7 +510,7 @@ def test_view_and_sweeps_have_what_the_summary_has(fast: tuple[dict[str, Any], R
 
 
 def test_check_says_what_the_robot_refuses_and_exits_3() -> None:
-    done = command("check", "scenarios/library/slow_controller", "--robot", "fer")
+    done = command("check", "scenarios/slow_controller", "--robot", "fer")
     assert done.returncode == 3, done.stdout
     assert "joint_motion_generator_velocity_discontinuity at t = 0." in done.stdout
     assert "(row 2)" in done.stdout
@@ -517,13 +518,13 @@ def test_check_says_what_the_robot_refuses_and_exits_3() -> None:
 
 
 def test_pick_and_place_passes_for_the_panda() -> None:
-    done = command("check", "scenarios/library/pick_and_place", "--robot", "fer")
+    done = command("check", "scenarios/pick_and_place", "--robot", "fer")
     assert done.returncode == 0, done.stdout
     assert "fer refuses nothing over the joint interface" in done.stdout
 
 
 def test_fr3_accepts_its_own_fast_cycle() -> None:
-    done = command("check", "scenarios/library/pick_and_place_fast_fr3")
+    done = command("check", "scenarios/pick_and_place_fast_fr3")
     assert done.returncode == 0, done.stdout
     assert "fr3 refuses nothing over the joint interface" in done.stdout
     assert "recommends" not in done.stdout  # it ends at rest

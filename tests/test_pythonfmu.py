@@ -16,20 +16,21 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
+from typer.testing import CliRunner
+
 from forked import command, script
+from panda_cosim.cli.app import app
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.fmu_file import Fmu, described_interface
 from panda_cosim.fmus.sources.targets import OWN, Target, build, build_fmu, own_code, own_fmu
-from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.prepare import Prepared, prepare
-from panda_cosim.scenarios.run.run import run_scenario
-from panda_cosim.scenarios.run.start import start_values
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.scenario.writer import make_scenario
-from typer.testing import CliRunner
+from panda_cosim.run.options import Options
+from panda_cosim.run.prepare import Prepared, prepare
+from panda_cosim.run.run import run_scenario
+from panda_cosim.run.start import start_values
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.writer import make_scenario
 
 pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
 STEP = 0.001  # [s]
@@ -300,7 +301,7 @@ def distribution(name):
     return metadata.Distribution.from_name(name)
 metadata.distribution = distribution
 sys.argv[0] = "panda-cosim"
-from panda_cosim.scenarios.cli import main
+from panda_cosim.cli import main
 main()
 """
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import nbformat
 import pytest
 from nbclient import NotebookClient
+
 from panda_cosim import Scenario
-from panda_cosim.scenarios.cli.commands import COMMANDS
-from panda_cosim.scenarios.scenario.criteria import Success
-from panda_cosim.scenarios.scenario.table import COLUMNS
+from panda_cosim.cli.commands import COMMANDS
+from panda_cosim.task.criteria import Success
+from panda_cosim.task.table import COLUMNS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

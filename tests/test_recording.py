@@ -15,13 +15,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from bounded import line_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+from bounded import line_of
 from panda_cosim.fmus.errors import InputError, SimulationError
-from panda_cosim.scenarios.recording import Column, MemoryRecorder, Recorder, Recording, storage
-from panda_cosim.scenarios.recording import recorder as recorder_module
+from panda_cosim.result.recording import Column, MemoryRecorder, Recorder, Recording, storage
+from panda_cosim.result.recording import recorder as recorder_module
 
 Array = NDArray[np.float64]
 
@@ -229,7 +230,7 @@ SCRIPT = """
 import resource, signal, sys, time
 import numpy as np
 from panda_cosim.fmus.errors import SimulationError
-from panda_cosim.scenarios.recording import Column, Recorder
+from panda_cosim.result.recording import Column, Recorder
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # so that the limit is an error, as a full disk
 columns = [Column("time")] + [Column(f"x[{i}]") for i in range(1, 21)]

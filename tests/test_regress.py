@@ -14,15 +14,16 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+
 from forked import command as cli
 from forked import script
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.scenarios.compare.reference import REFERENCE_FILE, Reference
-from panda_cosim.scenarios.compare.regress import Outcome, find_scenarios, start
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.work import Workers
+from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
+from panda_cosim.study.compare.regress import Outcome, find_scenarios, start
+from panda_cosim.study.work import Workers
+from panda_cosim.task.scenario import Scenario
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
 
@@ -106,7 +107,7 @@ CLOSED_INPUT = """
 import os, sys
 os.close(0)
 sys.stdin = sys.__stdin__ = None
-from panda_cosim.scenarios.cli import main
+from panda_cosim.cli import main
 main()
 """
 
@@ -115,7 +116,7 @@ import os, sys
 sys.stdin = open(sys.argv.pop(1))
 os.dup2(sys.stdin.fileno(), 0)
 os.chdir(sys.argv.pop(1))
-from panda_cosim.scenarios.cli import main
+from panda_cosim.cli import main
 main()
 """
 

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from panda_cosim import Run, load_scenario
-from panda_cosim.scenarios.check.check import check_folder, findings, rehearse, weakest_grip
-from panda_cosim.scenarios.run.prepare import Prepared, prepare
-from panda_cosim.scenarios.run.run import run_scenario
-from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
-from panda_cosim.scenarios.scenario.trajectory import StartPose
+from panda_cosim.run.prepare import Prepared, prepare
+from panda_cosim.run.run import run_scenario
+from panda_cosim.study.check.check import check_folder, findings, rehearse, weakest_grip
+from panda_cosim.task.scenario import shipped_scenarios
+from panda_cosim.task.trajectory import StartPose
 
 FOLDER = shipped_scenarios()["pick_and_place"]
 

@@ -12,18 +12,21 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
 from bounded import line_of
 from fake_recording import FakeRecording
 from fault_support import write_scenario
 from forked import command
-from hypothesis import given
-from hypothesis import strategies as st
 from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.judging.holds import events, find_holds
-from panda_cosim.scenarios.pictures import gl, meshes
-from panda_cosim.scenarios.pictures.gl import RenderError
-from panda_cosim.scenarios.pictures.motion import (
+from panda_cosim.result.judging.holds import events, find_holds
+from panda_cosim.result.recording import Recording
+from panda_cosim.show.pictures import gl, meshes
+from panda_cosim.show.pictures.gl import RenderError
+from panda_cosim.show.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
     frame_times,
@@ -31,11 +34,9 @@ from panda_cosim.scenarios.pictures.motion import (
     key_moments,
     slerp,
 )
-from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer, describe_gl
-from panda_cosim.scenarios.pictures.video import contact_sheet, find_ffmpeg, render_video
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.criteria import HELD_FORCE
-from PIL import Image
+from panda_cosim.show.pictures.offscreen import OffscreenRenderer, describe_gl
+from panda_cosim.show.pictures.video import contact_sheet, find_ffmpeg, render_video
+from panda_cosim.task.criteria import HELD_FORCE
 from regress_support import record
 
 REPOSITORY = Path(__file__).parents[1]
@@ -234,7 +235,7 @@ def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(tmp_path: Path) 
 LONG_VIDEO = f"""
 import sys
 import numpy as np
-from panda_cosim.scenarios.pictures.video import render_video
+from panda_cosim.show.pictures.video import render_video
 class Run(dict):
     time = np.array([0.0, 100.0])
     metadata = {{"scene": "tabletop"}}

@@ -7,16 +7,17 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
 from forked import command
 from panda_cosim.fmus.atomic import MARK, check_replaceable
 from panda_cosim.fmus.build.ssp import STRUCTURE_FILE, WrittenSystem, structure_description
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.compare.junit import write_cases
-from panda_cosim.scenarios.files import marked_json
+from panda_cosim.study.compare.junit import write_cases
+from panda_cosim.task.files import marked_json
 from regress_support import columns, record
 
 SLAVE = Path(__file__).parent / "slaves" / "decay.py"
-PAGES = Path(__file__).parent.parent / "scenarios"
+PAGES = Path(__file__).parent.parent / "src" / "panda_cosim"
 MODEL = '<mujoco><worldbody><body><joint/><geom size=".1" mass="1"/></body></worldbody></mujoco>'
 
 

@@ -11,18 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from browser import Page
 from crafted_texts import HOSTILE
 from panda_cosim.fmus.errors import TEXT_LENGTH, legible
-from panda_cosim.scenarios.compare.compare import compare_with_reference
-from panda_cosim.scenarios.compare.reference import Reference
-from panda_cosim.scenarios.compare.regress import Outcome
-from panda_cosim.scenarios.compare.report import write_report
-from panda_cosim.scenarios.judging.verdict import SUMMARY_FILE, Summary
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.scenario.tolerances import Tolerances
+from panda_cosim.result.judging.verdict import SUMMARY_FILE, Summary
+from panda_cosim.result.recording import Recording
+from panda_cosim.study.compare.compare import compare_with_reference
+from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.compare.regress import Outcome
+from panda_cosim.study.compare.report import write_report
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.tolerances import Tolerances
 from regress_support import CONTENT, MISSED_CONTENT, SUMMARY, columns, record
 
 TABLE = TrajectoryTable(tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0)))

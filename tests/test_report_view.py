@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from browser import Page, find_browser
-from panda_cosim.scenarios.compare.between_runs import compare as compare_runs
-from panda_cosim.scenarios.compare.compare import compare_with_reference
-from panda_cosim.scenarios.compare.reference import Reference
-from panda_cosim.scenarios.compare.regress import Outcome
-from panda_cosim.scenarios.compare.report import write_report
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.recording import Recording
+from panda_cosim.study.compare.between_runs import compare as compare_runs
+from panda_cosim.study.compare.compare import compare_with_reference
+from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.compare.regress import Outcome
+from panda_cosim.study.compare.report import write_report
+from panda_cosim.task.scenario import load_scenario
 from view_support import run_scenario_outside
 
 SHIFT = "--set", "plant.block_pos[1]=0.46"  # a planted difference

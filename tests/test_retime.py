@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from panda_cosim import run_scenario
 from panda_cosim.assets.franka import HOME_XQUAT
+from panda_cosim.cli.commands.retime import retime
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.check.check import feasibility
-from panda_cosim.scenarios.cli.commands.retime import retime
-from panda_cosim.scenarios.run.start import resolve, start_values
-from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.scenario.trajectory import Trajectory
-from panda_cosim.scenarios.scenario.writer import write_scenario
-from panda_cosim.scenarios.timing.time_law import motions
+from panda_cosim.run.start import resolve, start_values
+from panda_cosim.study.check.check import feasibility
+from panda_cosim.task import rotations
+from panda_cosim.task.scenario import Scenario, load_scenario
+from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.timing.time_law import motions
+from panda_cosim.task.trajectory import Trajectory
+from panda_cosim.task.writer import write_scenario
 
 SHARE = 0.8
 BLEND = 0.04  # [m]

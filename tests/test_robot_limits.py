@@ -7,19 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from fake_recording import FakeRecording
 from panda_cosim import load_scenario
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.scenarios.cli.outcome import outcome_lines
-from panda_cosim.scenarios.judging.limits import (
+from panda_cosim.cli.outcome import outcome_lines
+from panda_cosim.result.judging.limits import (
     exceeded,
     first_limit,
     largest_share,
     limit_shares,
 )
-from panda_cosim.scenarios.run.summary import summarize
-from panda_cosim.scenarios.scenario.criteria import Success
-from panda_cosim.scenarios.scenario.limits import torque_rates
+from panda_cosim.run.summary import summarize
+from panda_cosim.task.criteria import Success
+from panda_cosim.task.limits import torque_rates
 from random_tasks import run_plain
 
 TICKS = 20

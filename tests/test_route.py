@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+
 from fmu_support import in_process
 from forked import command
 from panda_cosim import Recording, Scenario, load_scenario, run_scenario
@@ -19,9 +20,9 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
-from panda_cosim.scenarios.route.scene import Load, RouteScene
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.sweep.definition import load_sweep
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.sweep.definition import load_sweep
+from panda_cosim.task.route.scene import Load, RouteScene
 
 pytest.importorskip("ompl")
 

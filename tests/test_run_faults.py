@@ -13,9 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
-import forked
 import numpy as np
 import pytest
+
+import forked
 from bounded import killed_after, line_of, running
 from fault_support import (
     build_faulty,
@@ -25,8 +26,8 @@ from fault_support import (
     write_scenario,
 )
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.options import Options
+from panda_cosim.result.recording import Recording
+from panda_cosim.run.options import Options
 
 pytestmark = pytest.mark.fmu
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost

@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fault_support import write_scenario
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+from fault_support import write_scenario
 from panda_cosim import Options, Recording, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.run.folder import claimed_folder, default_folder
-from panda_cosim.scenarios.scenario.criteria import Success
-from panda_cosim.scenarios.scenario.scenario import Push
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.scenario.tolerances import Tolerances
-from panda_cosim.scenarios.scenario.writer import make_scenario
-from panda_cosim.scenarios.scenario.writer import write_scenario as write_files
+from panda_cosim.run.folder import claimed_folder, default_folder
+from panda_cosim.task.criteria import Success
+from panda_cosim.task.scenario import Push
+from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.tolerances import Tolerances
+from panda_cosim.task.writer import make_scenario
+from panda_cosim.task.writer import write_scenario as write_files
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,14 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from fault_support import STARTING_LAW, write_scenario
-from fmu_support import copy_libraries
 from hypothesis import given
 from hypothesis import strategies as st
+
+from fault_support import STARTING_LAW, write_scenario
+from fmu_support import copy_libraries
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import Target, build
-from panda_cosim.scenarios.files import safe_name
+from panda_cosim.task.files import safe_name
 from sweep_support import write_sweep
 
 
@@ -37,7 +38,9 @@ def test_describing_an_fmu_runs_nothing_in_it(
 
 
 # Modules that `python -m` itself imports from the working directory, before any of ours.
-STARTERS = {"pkgutil", "sitecustomize", "usercustomize"}
+_LOADED = "import runpy, sys; print(*sys.modules)"
+_SAID = subprocess.run([sys.executable, "-I", "-c", _LOADED], stdout=-1, text=True, check=True)
+STARTERS = {"sitecustomize", "usercustomize", *_SAID.stdout.split()}
 OTHERS = {"numpy", "mujoco", "fmpy", "pythonfmu", "panda_cosim_user", "typer", "rich", "lxml"}
 
 
@@ -101,7 +104,7 @@ from pathlib import Path
 import fmpy, fmpy.fmi2, fmpy.model_description, mujoco, numpy, pyarrow.parquet
 import panda_cosim.fmus.sources.targets
 from panda_cosim.fmus.sources.python_fmu import slave_fmu
-from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.study.sweep.engine import sweep
 
 folder, slave, out = map(Path, sys.argv[1:])
 sys.path.insert(0, "")

@@ -4,15 +4,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import panda_cosim
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+import panda_cosim
 from panda_cosim import load_scenario
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.step import COUPLINGS
-from panda_cosim.scenarios.scenario import scenario as scenario_module
+from panda_cosim.task import scenario as scenario_module
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 GOOD = 'purpose = "A test"\nduration = 1.5\n'

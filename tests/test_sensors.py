@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmu_instance import OK, Instance, unpacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+from fmu_instance import OK, Instance, unpacked
 from panda_cosim.controller.sensor_errors import SensorErrors
 from panda_cosim.controller.sensors import TRUTH, Sensors
 from panda_cosim.plant.plant import Plant

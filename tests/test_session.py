@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from bounded import line_of
 from fmu_support import in_process
 from forked import command
@@ -28,7 +29,7 @@ from panda_cosim import (
     run_scenario,
 )
 from panda_cosim.fmus.interface.plant import FORCES
-from panda_cosim.scenarios.run.journal import Journal
+from panda_cosim.run.journal import Journal
 from parts_jobs import session_of_other_parts
 from toy_fmu import toy_fmu
 

@@ -9,14 +9,15 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from panda_cosim.cli.options import values_of
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.cli.options import values_of
-from panda_cosim.scenarios.compare.regress import with_values
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.run.session import Session
-from panda_cosim.scenarios.run.start import start_values
-from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
+from panda_cosim.run.options import Options
+from panda_cosim.run.prepare import prepare
+from panda_cosim.run.session import Session
+from panda_cosim.run.start import start_values
+from panda_cosim.study.compare.regress import with_values
+from panda_cosim.task.scenario import Scenario, load_scenario
 
 ROTATED = load_scenario("rotated_block")
 PUSHED = load_scenario("push")

@@ -9,9 +9,10 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from fmu_support import compiler
 from forked import command
-from numpy.typing import NDArray
 from panda_cosim import Recording
 from toy_fmu import UNITS, library, toy_fmu
 

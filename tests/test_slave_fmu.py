@@ -10,13 +10,14 @@ from types import ModuleType
 import fmpy
 import pytest
 from fmpy.validation import validate_fmu
+from typer.testing import CliRunner
+
 from fmu_instance import ERROR, OK, Instance, Unpacked, unpacked_fmu
+from panda_cosim.cli.app import app
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.python_fmu import slave_fmu
 from panda_cosim.fmus.sources.targets import Target, build_fmu
-from panda_cosim.scenarios.cli.app import app
-from typer.testing import CliRunner
 
 SLAVES = Path(__file__).parent / "slaves"
 own_process = pytest.mark.own_process

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lxml import etree
+
 from fmu_support import REFERENCE_FMUS, needs_reference_fmus
 from forked import command
-from lxml import etree
 from panda_cosim import Recording
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import Connection

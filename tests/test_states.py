@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from fmu_instance import MODELS, OK, Instance, Unpacked, unpacked
-from fmu_support import in_process
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from fmu_instance import MODELS, OK, Instance, Unpacked, unpacked
+from fmu_support import in_process
 from panda_cosim.fmus.sources.targets import Kind
 
 pytestmark = pytest.mark.fmu

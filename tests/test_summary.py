@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.cli.outcome import outcome_lines
-from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.run.summary import summarize
-from panda_cosim.scenarios.scenario.criteria import Success
-from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.run.summary import summarize
+from panda_cosim.task.criteria import Success
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.table import TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]
 TICKS = 2000

@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import kstest, norm
+
 from panda_cosim import InputError, load_scenario
-from panda_cosim.scenarios.sweep.definition import (
+from panda_cosim.study.sweep.definition import (
     Sweep,
     load_sweep,
     read_distribution,
     shipped_sweeps,
     sweep_of,
 )
-from panda_cosim.scenarios.sweep.design import keys_without_effect, make_design
-from panda_cosim.scenarios.sweep.engine import check_sweep
-from panda_cosim.scenarios.sweep.row import load_scenarios
-from scipy.stats import kstest, norm
+from panda_cosim.study.sweep.design import keys_without_effect, make_design
+from panda_cosim.study.sweep.engine import check_sweep
+from panda_cosim.study.sweep.row import load_scenarios
 from sweep_support import TABLE, short_scenario
 
 MASS = "plant.block_mass"

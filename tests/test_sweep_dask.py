@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from fmu_support import in_process
-from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.study.sweep.engine import sweep
 from sweep_support import rows_of, short_sweep
 
 distributed = pytest.importorskip("distributed")

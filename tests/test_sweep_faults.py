@@ -7,12 +7,13 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+
 from forked import command
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.sweep import backend
-from panda_cosim.scenarios.sweep.definition import Sweep
-from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.report import promote_row, show_row
+from panda_cosim.study.sweep import backend
+from panda_cosim.study.sweep.definition import Sweep
+from panda_cosim.study.sweep.engine import sweep
+from panda_cosim.study.sweep.report import promote_row, show_row
 from sweep_support import TABLE, rows_of
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from browser import Page
 from numpy.typing import NDArray
-from panda_cosim.scenarios.sweep.definition import Sweep
-from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.results import influences
 from scipy.stats import beta, rankdata, spearmanr
+
+from browser import Page
+from panda_cosim.study.sweep.definition import Sweep
+from panda_cosim.study.sweep.report import write_report
+from panda_cosim.study.sweep.results import influences
 from sweep_support import FORCE, MASS, Outcome, pretended
 
 PRESET, SWITCH = "mismatch.preset", "align"

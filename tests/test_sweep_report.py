@@ -12,13 +12,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+
 from browser import Page
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.sweep.definition import Sweep
-from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.results import share_bounds
-from panda_cosim.scenarios.sweep.store import Store
+from panda_cosim.study.sweep.definition import Sweep
+from panda_cosim.study.sweep.engine import sweep
+from panda_cosim.study.sweep.report import write_report
+from panda_cosim.study.sweep.results import share_bounds
+from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, HEAVY, MASS, NAME, made_up, pretended, short_sweep
 
 

@@ -17,19 +17,20 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
+from scipy.stats import beta
+
 from forked import command
 from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.sweep.backend import Local
-from panda_cosim.scenarios.sweep.definition import load_sweep
-from panda_cosim.scenarios.sweep.design import make_design
-from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.report import promote_row, show_row, write_report
-from panda_cosim.scenarios.sweep.row import Task
-from panda_cosim.scenarios.sweep.store import Store
-from scipy.stats import beta
+from panda_cosim.result.recording import Recording
+from panda_cosim.study.sweep.backend import Local
+from panda_cosim.study.sweep.definition import load_sweep
+from panda_cosim.study.sweep.design import make_design
+from panda_cosim.study.sweep.engine import sweep
+from panda_cosim.study.sweep.report import promote_row, show_row, write_report
+from panda_cosim.study.sweep.row import Task
+from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]

@@ -6,10 +6,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
 from fmu_support import REFERENCE_FMUS, needs_reference_fmus
 from forked import command as program
 from panda_cosim import Recording
-from panda_cosim.scenarios.scenario.writer import make_scenario
+from panda_cosim.task.writer import make_scenario
 from parts_jobs import write_arm
 
 TOML = 'duration = 0.05\nscene = "tutorial"\ngains = "tutorial"\ninterpolation = "linear"\n'

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.scenario.table import COLUMNS, InputTable, TableRow, TrajectoryTable
+from panda_cosim.task.table import COLUMNS, InputTable, TableRow, TrajectoryTable
 
 HEAD = "time,frame,x,y,z,qw,qx,qy,qz,grip\n"
 SHORT = "time,frame,x,y,z,grip\n"

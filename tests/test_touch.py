@@ -8,16 +8,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from control_support import hold, started
 from numpy.typing import NDArray
+
+from control_support import hold, started
 from panda_cosim import Session, load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
-from panda_cosim.scenarios.judging.holds import COLLISION
-from panda_cosim.scenarios.judging.limits import outcome
-from panda_cosim.scenarios.pictures.motion import key_moments
-from panda_cosim.scenarios.scenario.criteria import SignalCriterion, Success
-from panda_cosim.scenarios.scenario.scenario import Push, Scenario
+from panda_cosim.result.judging.holds import COLLISION
+from panda_cosim.result.judging.limits import outcome
+from panda_cosim.show.pictures.motion import key_moments
+from panda_cosim.task.criteria import SignalCriterion, Success
+from panda_cosim.task.scenario import Push, Scenario
 from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]

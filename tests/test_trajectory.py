@@ -5,12 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
 from panda_cosim import load_scenario
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.scenario.trajectory import COMMANDS, StartPose, Trajectory
-from panda_cosim.scenarios.scenario.writer import write_input_csv
+from panda_cosim.task import rotations
+from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.trajectory import COMMANDS, StartPose, Trajectory
+from panda_cosim.task.writer import write_input_csv
 
 Array = NDArray[np.float64]
 

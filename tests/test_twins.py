@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from fmu_instance import OK, STEP, Instance, unpacked
 from panda_cosim.fmus import twins
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forked import command
 from numpy.typing import NDArray
+
+from forked import command
 from panda_cosim import InputError, Recording, Scenario, Session, load_scenario, run_scenario
 from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.fmus.interface.controller import COMMANDS, POSTURE_COMMANDS
-from panda_cosim.scenarios.cli.outcome import outcome_lines
-from panda_cosim.scenarios.run.prepare import prepare
-from panda_cosim.scenarios.scenario.scenario import Push
-from panda_cosim.scenarios.scenario.table import InputTable, TableRow, TrajectoryTable
+from panda_cosim.run.prepare import prepare
+from panda_cosim.task.scenario import Push
+from panda_cosim.task.table import InputTable, TableRow, TrajectoryTable
 from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]

@@ -16,19 +16,20 @@ import pytest
 import typer
 from hypothesis import given
 from hypothesis import strategies as st
+
+from panda_cosim.cli import outcome as door
 from panda_cosim.fmus.errors import InputError, SimulationError
-from panda_cosim.scenarios.cli import outcome as door
-from panda_cosim.scenarios.compare import regress
-from panda_cosim.scenarios.compare.between_runs import compare
-from panda_cosim.scenarios.compare.junit import write_junit
-from panda_cosim.scenarios.compare.pytest_plugin import TestedRun
-from panda_cosim.scenarios.compare.reference import Reference
-from panda_cosim.scenarios.judging.verdict import INCOMPLETE, SUMMARY_FILE, VERDICTS, Summary
-from panda_cosim.scenarios.run.result import Run
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.scenario.tolerances import Tolerances
-from panda_cosim.scenarios.sweep.row import STATUSES, measured
-from panda_cosim.scenarios.view.run import Shown, criteria_of, describe, limits_of, refusals_of
+from panda_cosim.result.judging.verdict import INCOMPLETE, SUMMARY_FILE, VERDICTS, Summary
+from panda_cosim.run.result import Run
+from panda_cosim.show.view.run import Shown, criteria_of, describe, limits_of, refusals_of
+from panda_cosim.study.compare import regress
+from panda_cosim.study.compare.between_runs import compare
+from panda_cosim.study.compare.junit import write_junit
+from panda_cosim.study.compare.pytest_plugin import TestedRun
+from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.sweep.row import STATUSES, measured
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.tolerances import Tolerances
 from regress_support import columns, record
 
 SIGTERM = 15

@@ -14,15 +14,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.judging.criterion import Criterion
-from panda_cosim.scenarios.judging.definitions import DEFINITIONS
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.view import columns, run
-from panda_cosim.scenarios.view.columns import Thinning, encode
-from panda_cosim.scenarios.view.model import describe as describe_model
-from panda_cosim.scenarios.view.page import Inline, script_sources, view_page
-from panda_cosim.scenarios.view.run import Shown, describe
+from panda_cosim.result.judging.criterion import Criterion
+from panda_cosim.result.judging.definitions import DEFINITIONS
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.show.view import columns, run
+from panda_cosim.show.view.columns import Thinning, encode
+from panda_cosim.show.view.model import describe as describe_model
+from panda_cosim.show.view.page import Inline, script_sources, view_page
+from panda_cosim.show.view.run import Shown, describe
 from view_support import MODEL, MadeUp, as_columns, decoded
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([np.nan, np.inf, -np.inf, 0.0])

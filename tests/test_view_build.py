@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-VIEW = Path(__file__).parent.parent / "scenarios" / "view"
+VIEW = Path(__file__).parent.parent / "src" / "panda_cosim" / "show" / "view"
 BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
 
 

@@ -8,9 +8,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from forked import command
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
+from panda_cosim.result.recording import Recording
+from panda_cosim.task.scenario import shipped_scenarios
 from regress_support import columns, record
 from view_support import run_scenario_outside
 

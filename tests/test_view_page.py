@@ -11,19 +11,20 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+
 from browser import Page, find_browser
 from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
-from panda_cosim.scenarios.judging.definitions import DEFINITIONS
-from panda_cosim.scenarios.judging.verdict import Summary
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.run import Run
-from panda_cosim.scenarios.run.summary import summarize
-from panda_cosim.scenarios.scenario.scenario import load_scenario
-from panda_cosim.scenarios.view.model import describe as describe_model
-from panda_cosim.scenarios.view.page import shown_run, write_view
-from panda_cosim.scenarios.view.run import Shown
+from panda_cosim.result.judging.definitions import DEFINITIONS
+from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.recording import Recording
+from panda_cosim.run.run import Run
+from panda_cosim.run.summary import summarize
+from panda_cosim.show.view.model import describe as describe_model
+from panda_cosim.show.view.page import shown_run, write_view
+from panda_cosim.show.view.run import Shown
+from panda_cosim.task.scenario import load_scenario
 from view_support import MODEL, MadeUp, as_columns, run_scenario_outside
 
 PLACE_TOLERANCE = 5e-6  # [m] of a body in the page

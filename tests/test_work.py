@@ -11,8 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 import work_jobs
-from panda_cosim.scenarios.work import Workers
+from panda_cosim.study.work import Workers
 
 TESTS = Path(__file__).parent
 
@@ -106,7 +107,7 @@ CALLER = """
 import sys
 from pathlib import Path
 import work_jobs
-from panda_cosim.scenarios.work import Workers
+from panda_cosim.study.work import Workers
 with Workers(1) as workers:
     workers.submit(work_jobs.sleep, Path(sys.argv[1]), died=str, late=str).result()
 """

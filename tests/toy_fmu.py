@@ -13,6 +13,7 @@ from tempfile import mkdtemp
 import fmpy
 import fmpy.fmi2
 import fmpy.fmi3
+
 from fmu_support import compiler
 
 SOURCE = Path(__file__).parent / "c_fmu" / "toy.c"

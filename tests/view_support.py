@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from forked import command
 from numpy.typing import NDArray
+
+from forked import command
 
 Array = NDArray[np.float64]
 

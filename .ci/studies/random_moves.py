@@ -25,6 +25,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import (
     HOME_Q,
@@ -40,10 +41,10 @@ from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.touch import COLLISION
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
-from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.scenario.limits import shares, torque_rates
-from panda_cosim.scenarios.scenario.trajectory import Trajectory
-from panda_cosim.scenarios.timing.optimal import stretched
+from panda_cosim.task import rotations
+from panda_cosim.task.limits import shares, torque_rates
+from panda_cosim.task.timing.optimal import stretched
+from panda_cosim.task.trajectory import Trajectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 from law_support import LawInC, compile_law

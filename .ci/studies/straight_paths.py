@@ -14,11 +14,12 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
-from panda_cosim.assets.franka import Q_MAX, Q_MIN
-from panda_cosim.controller.model import load_arm
 from random_moves import Start, random_starts
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+
+from panda_cosim.assets.franka import Q_MAX, Q_MIN
+from panda_cosim.controller.model import load_arm
 
 Array = NDArray[np.float64]
 

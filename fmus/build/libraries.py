@@ -173,7 +173,7 @@ PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
 # The package that holds MuJoCo's library and headers.
 MUJOCO: Final = "mujoco-core" if int(package_version("mujoco").split(".")[0]) >= 4 else "mujoco"
 # What no FMU depends on, as the contracts on imports have it above: all else is hashed.
-ABOVE: Final = ("scenarios", "fmus/master")
+ABOVE: Final = ("cli", "study", "run", "show", "result", "task", "fmus/master")
 _MADE: Final = (".pyc", ".bin")  # made from what is hashed
 
 
@@ -283,7 +283,7 @@ def _download(platform: str) -> bytes:
 def own_licences() -> dict[str, bytes]:
     """The project's licence and notice, by their names in an FMU."""
     names = {"license.txt": "LICENSE", "NOTICE.txt": "NOTICE"}
-    checkout = SOURCES.parents[1]
+    checkout = SOURCES.resolve().parents[1]  # behind the link of a clone
     if (checkout / "LICENSE").is_file():
         return {member: (checkout / name).read_bytes() for member, name in names.items()}
     return {member: licence("panda-cosim", name) for member, name in names.items()}

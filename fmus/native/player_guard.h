@@ -1,4 +1,4 @@
-/* Rows of a player's table that end early; scenarios/run/guarded.py explains them. */
+/* Rows of a player's table that end early; src/panda_cosim/run/guarded.py explains them. */
 #ifndef PLAYER_GUARD_H
 #define PLAYER_GUARD_H
 

@@ -14,8 +14,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from panda_cosim import Recording
 from scipy.spatial.transform import Rotation
+
+from panda_cosim import Recording
 
 POSES = ("P1", "P2", "P3", "P4", "P5")
 CYCLES, PATH_CYCLES, STABLE_CYCLES = 30, 10, 3

@@ -1,1 +1,0 @@
-../../../scenarios/api/__init__.py

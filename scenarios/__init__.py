@@ -1,1 +1,0 @@
-"""Scenarios: tables, runs, recordings and what is made of them."""

@@ -1,1 +1,0 @@
-"""One run: settings, start values, steps, recording, summary."""

@@ -1,1 +1,0 @@
-"""A scenario's table and settings: read, checked and written."""

@@ -1,0 +1,101 @@
+"""FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
+
+```python
+from panda_cosim import run_scenario
+
+run = run_scenario("pick_and_place")
+print(run.summary.success, run.summary.tracking["rms_mm"])
+```
+
+The public names are imported when first used, so that `import panda_cosim` costs nothing.
+"""
+
+# `python -m panda_cosim` runs this while the working directory is still on sys.path (see __main__),
+# so only modules that Python has already imported may be imported here.
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
+    from panda_cosim.result.recording.reader import Recording
+    from panda_cosim.run.options import Options
+    from panda_cosim.run.replay import replay
+    from panda_cosim.run.result import Run
+    from panda_cosim.run.run import run_scenario
+    from panda_cosim.run.session import Session
+    from panda_cosim.study.analysis.analysis import Analysis, analyze
+    from panda_cosim.study.compare.between_runs import RunComparison, compare
+    from panda_cosim.study.sweep.definition import Sweep
+    from panda_cosim.study.sweep.engine import sweep
+    from panda_cosim.task.criteria import SignalCriterion, Success
+    from panda_cosim.task.scenario import (
+        Push,
+        Scenario,
+        load_scenario,
+        shipped_scenarios,
+    )
+    from panda_cosim.task.table import TableRow, TrajectoryTable
+    from panda_cosim.task.trajectory import Trajectory
+
+__all__ = [
+    "Analysis",
+    "CosimError",
+    "InputError",
+    "Options",
+    "Push",
+    "Recording",
+    "Run",
+    "RunComparison",
+    "Scenario",
+    "Session",
+    "SignalCriterion",
+    "SimulationError",
+    "Success",
+    "Sweep",
+    "TableRow",
+    "Trajectory",
+    "TrajectoryTable",
+    "__version__",
+    "analyze",
+    "compare",
+    "load_scenario",
+    "replay",
+    "run_scenario",
+    "shipped_scenarios",
+    "sweep",
+]
+
+_NAMES = {
+    "fmus.errors": "CosimError InputError SimulationError",
+    "study.analysis.analysis": "Analysis analyze",
+    "study.compare.between_runs": "RunComparison compare",
+    "result.recording.reader": "Recording",
+    "run.options": "Options",
+    "run.replay": "replay",
+    "run.result": "Run",
+    "run.run": "run_scenario",
+    "run.session": "Session",
+    "task.criteria": "SignalCriterion Success",
+    "task.scenario": "Push Scenario load_scenario shipped_scenarios",
+    "task.table": "TableRow TrajectoryTable",
+    "task.trajectory": "Trajectory",
+    "study.sweep.definition": "Sweep",
+    "study.sweep.engine": "sweep",
+}
+_MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name's module when the name is first used."""
+    from importlib import import_module  # noqa: PLC0415 - see the comment above
+
+    if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - see the comment above
+
+        return version("panda-cosim")
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return sorted(__all__)

@@ -1,0 +1,213 @@
+"""The program around the commands: its options, exit codes and messages."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
+
+from ..fmus.errors import CosimError, InputError, did_you_mean, excerpt
+from ..fmus.twins import notice
+from ..show.pictures.gl import load_no_backend
+from . import INTERRUPTS, ending, exit_code, startup
+from .commands import COMMANDS, ELSEWHERE
+from .console import complain, show
+
+MIN_COLUMNS = 20  # of a terminal
+HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
+# Errors of the operating system that are due to a limit of the machine or the user.
+AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM,
+            errno.EAGAIN}  # fmt: skip
+
+HELP = """
+FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
+
+Start with `panda-cosim run`: it builds the two FMUs, couples them, prints the verdict and writes
+the results to a new folder in runs/. Open view.html in that folder to see the run.
+"""
+
+EPILOG = (
+    "Exit codes: 0 done; 1 the simulation failed, or `regress` found a difference; 2 bad input; "
+    "3 it ran, but missed a success criterion; 130 and 143 stopped by Ctrl-C or "
+    "SIGTERM."
+)
+
+
+class PlainFlags:
+    """A command whose help shows flags as flags, without a type."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the arguments and options, `--help` included."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        return params
+
+
+class Command(PlainFlags, TyperCommand):
+    """One command."""
+
+
+class LazyCommand(TyperCommand):
+    """Stands for a command in the program's help, and imports it when it is called."""
+
+    def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
+        """Import the command and let it read its arguments."""
+        name, args = _current(str(self.name), args)
+        command = load(name)
+        startup.imported()
+        return command.make_context(name, args, *more, **extra)
+
+
+def _current(name: str, args: list[str]) -> tuple[str, list[str]]:
+    """Return a command's full name, such as `sweep report`; `run --session RUN` is `replay RUN`."""
+    if args and f"{name} {args[0]}" in ELSEWHERE:
+        return f"{name} {args[0]}", args[1:]
+    if name == "run" and any(re.match("--session(=|$)", arg) for arg in args):
+        rest = (re.sub("^--session=?", "", arg) for arg in args)
+        return "replay", [arg for arg in rest if arg]
+    return name, args
+
+
+def load(name: str) -> TyperCommand:
+    """Import a command's module and return the command."""
+    module, function = ELSEWHERE.get(name, f"{name}:command").split(":")
+    alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+    alone.command(name, cls=Command)(
+        getattr(import_module(f"{__package__}.commands.{module}"), function)
+    )
+    command: TyperCommand = get_command(alone)  # type: ignore[assignment]
+    return command
+
+
+class Program(PlainFlags, TyperGroup):
+    """The group of all commands, which reports errors in one line and sets the exit code."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        for name, (panel, summary) in COMMANDS.items():
+            self.add_command(LazyCommand(name, help=summary, rich_help_panel=panel))
+
+    def main(self, args: Sequence[str] | None = None, **extra: Any) -> NoReturn:  # type: ignore[override]
+        """Run a command and exit."""
+        words = list(sys.argv[1:] if args is None else args)
+        # Accepted anywhere, so that users can append it to a failed command.
+        debug = "--debug" in words
+        extra["standalone_mode"] = False
+        try:
+            code = super().main([word for word in words if word != "--debug"], **extra) or 0
+            ending.settle()
+        except BaseException as error:  # also KeyboardInterrupt and SystemExit
+            ending.settle()
+            if debug:
+                traceback.print_exc()
+            # An import that a signal breaks off may fail with an error of its own.
+            code = ending.code or report(error)
+        startup.end()
+        sys.exit(code)
+
+
+def report(error: BaseException) -> int:
+    """Print an error in one line and return its exit code."""
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 1
+    if isinstance(error, INTERRUPTS):
+        return exit_code(error)
+    code, message = _explain(error)
+    complain(message)
+    return code
+
+
+def _explain(error: BaseException) -> tuple[int, str]:
+    """Return the exit code and the line for an error."""
+    if isinstance(error, CosimError):
+        return error.exit_code, str(error)
+    if hasattr(error, "format_message"):  # raised by typer or click
+        return InputError.exit_code, _usage_message(error)
+    if isinstance(error, ModuleNotFoundError):
+        return 1, f"{error}; `panda-cosim doctor` shows what is missing and how to get it"
+    if isinstance(error, OSError) and error.filename is not None:
+        return InputError.exit_code, f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError) or getattr(error, "errno", None) in AT_LIMIT:
+        reason = getattr(error, "strerror", None) or "out of memory"
+        return 1, f"a limit of this machine or user ends the command: {reason}"
+    return 1, (
+        f"unexpected {type(error).__name__}: {error}; append --debug to the command to get the "
+        f"traceback; {notice() or 'please report it'}"
+    )
+
+
+def _usage_message(error: Any) -> str:
+    """Return typer's message, with the nearest valid choice and a pointer to the help."""
+    message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
+    # pydantic's messages about numbers leave out the refused value.
+    errors: list[Any] = getattr(error.__cause__, "errors", list)()
+    if errors:
+        rule = message.partition(", unable to parse")[0]
+        value = excerpt(errors[0]["input"])
+        message = rule.replace("Input should be", f"{value}; must be", 1)
+    choice = re.search(r"'([^']*)' is not one of (.*)", message)
+    if choice:
+        message += did_you_mean(choice[1], re.findall("'(.*?)'", choice[2]))
+    path = getattr(getattr(error, "ctx", None), "command_path", "panda-cosim")
+    return f"{message} (see `{path} --help`)"
+
+
+app = typer.Typer(
+    name="panda-cosim",
+    cls=Program,
+    help=HELP,
+    epilog=EPILOG,
+    invoke_without_command=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback()
+def program(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
+    debug: Annotated[
+        bool,
+        typer.Option(
+            "--debug", help="Show the traceback of an error. Can stand anywhere in a command."
+        ),
+    ] = False,
+) -> None:
+    """Show the version, or the help if no command is given; `Program.main` takes `--debug`."""
+    del debug
+    if version:
+        from importlib.metadata import version as installed_version  # noqa: PLC0415 - slow
+
+        show(f"panda-cosim {installed_version('panda-cosim')}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def run_program() -> None:
+    """Run the program and exit."""
+    startup.environment()
+    load_no_backend()
+    for stream in (sys.stdout, sys.stderr):
+        # A character that the terminal cannot encode must not end the program.
+        getattr(stream, "reconfigure", dict)(errors="replace")
+    columns = os.environ.get("COLUMNS", "80")
+    if not (columns.isdecimal() and int(columns) >= MIN_COLUMNS):  # with 0, rich prints nothing
+        del os.environ["COLUMNS"]
+    if shutil.get_terminal_size().columns < HELP_COLUMNS:
+        os.environ.setdefault("TERMINAL_WIDTH", str(HELP_COLUMNS))  # as typer calls it
+    app(prog_name="panda-cosim")

@@ -1,0 +1,275 @@
+"""`panda-cosim build` and `panda-cosim mjcf2fmu`."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import typer
+
+from ...fmus.atomic import check_replaceable, replacing
+from ...fmus.build.libraries import check_engine
+from ...fmus.build.native import NativeFmu
+from ...fmus.build.ssp import CONTAINER_FILE, write_ssp
+from ...fmus.errors import CosimError, InputError
+from ...fmus.sources.model_fmu import ModelOptions, describe, model_fmu
+from ...fmus.sources.python_fmu import slave_fmu
+from ...fmus.sources.targets import Kind, Target
+from ...fmus.twins import FMUS
+from ...run.written import written_system
+from ...study.check.experiments import (
+    Experiment,
+    add_experiment,
+    experiments_of,
+    write_compatibility,
+)
+from ...task.scenario import Scenario
+from ..console import show_file, warn
+from ..options import (
+    DEFAULT_SCENARIO,
+    FMI,
+    KIND,
+    MUJOCO,
+    NAMES,
+    OVERWRITE,
+    PLATFORM,
+    SCALARS,
+    FmiVersion,
+    Names,
+    announce_build,
+    announce_python,
+    argument,
+    find_scenario,
+    option,
+    target_of,
+)
+
+SYSTEM_FILE: Final = "Panda.ssp"
+
+
+def command(  # noqa: PLR0913 - one for each option
+    out: Path = option("--out -o DIR", "Folder to write the files to.", Path()),
+    scenario: str = option(
+        "--scenario SCENARIO",
+        "Scenario to build: its FMUs, and Panda.ssp with its connections and parameters.",
+        DEFAULT_SCENARIO,
+    ),
+    container: bool = option(
+        "--container",
+        "Build only Panda.fmu, which contains the whole system. Needs the extra `container`.",
+        False,
+    ),
+    kind: Kind = KIND,
+    fmi: FmiVersion = FMI,
+    platform: str = PLATFORM,
+    scalars: bool = SCALARS,
+    names: Names = NAMES,
+    mujoco: str = MUJOCO,
+    slave: str = option(
+        "--slave FILE.py[:CLASS]",
+        "Build only this: a slave class of your own, written for PythonFMU.",
+        "",
+    ),
+    compatibility: bool = option(
+        "--compatibility",
+        "Add a folder for each FMU, with the files that the FMI cross-check asks for.",
+        False,
+    ),
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Build the FMUs of a scenario, and Panda.ssp that connects them.
+
+    PandaTrajectory.fmu plays the commands of the scenario. Panda.ssp contains all FMUs, their
+    connections and the scenario's parameters; with --fmi 3 it is an SSP 2.0. The scenario may have
+    FMUs of its own. Each FMU holds a reference experiment (FMI-LS-REF), driven as in the scenario,
+    which `check` runs. `run` needs no `build`: it builds its FMUs itself and keeps them in a cache.
+    With --slave, a class written for PythonFMU becomes CLASS.fmu; a machine that runs it needs the
+    packages that the class imports.
+
+    ```
+    panda-cosim build --out fmus-for-my-tool
+    panda-cosim build --scenario calibrated --out with-sensors
+    panda-cosim build --fmi 3 --platform linux64,win64 --out fmus-for-all
+    panda-cosim run fmus-for-my-tool/Panda.ssp
+    panda-cosim build --scenario ./mine --container
+    panda-cosim build --slave my_sensor.py:Sensor --fmi 3
+    ```
+    """
+    target = target_of(kind, fmi, platform, scalars=scalars, names=names)
+    if slave:
+        others = {"--scenario": scenario != DEFAULT_SCENARIO, "--kind": kind != "auto",
+                  "--container": container, "--mujoco": mujoco != ""}  # fmt: skip
+        for name in (name for name, is_used in others.items() if is_used):
+            raise InputError(f"{name}: cannot be combined with --slave")
+        fmu = _slave(slave)
+        path = out / f"{fmu.model}.fmu"
+        check_replaceable(path, overwrite=overwrite)
+        write_files({path: _made(fmu, target)}, {}, compatibility=compatibility)
+    else:
+        chosen = find_scenario(scenario)
+        if mujoco:
+            chosen = chosen.changed({"mujoco": mujoco})
+        if not chosen.is_system:
+            announce_build(target)
+            announce_python(kind, [name for name in FMUS if name not in chosen.fmus])
+        build = _build_container if container else build_all
+        build(chosen, out, target, compatibility=compatibility, overwrite=overwrite)
+
+
+Make = Callable[[Path], object]  # writes a file
+
+
+def write_files(
+    files: Mapping[Path, Make],
+    experiments: Mapping[Path, Experiment],
+    *,
+    compatibility: bool = False,
+) -> None:
+    """Write files, FMUs with an experiment each; they replace older ones when all are whole."""
+    whole: dict[Path, Experiment] = {}
+    with ExitStack() as stack:
+        for path, make in files.items():
+            make(new := stack.enter_context(replacing(path)))
+            if path.suffix == ".fmu":
+                try:
+                    whole[path] = add_experiment(new, experiments.get(path))
+                except CosimError as error:
+                    reason = str(error).replace(str(new), str(path))
+                    warn(f"{path}: holds no reference experiment, as it cannot be run here: "
+                         f"{reason}")  # fmt: skip
+    for path in files:
+        if compatibility and path in whole:
+            write_compatibility(path, whole[path])
+        show_file(path)
+
+
+def _made(fmu: NativeFmu, target: Target) -> Make:
+    return lambda path: path.write_bytes(target.make(fmu))
+
+
+def _slave(slave: str) -> NativeFmu:
+    """Describe the FMU of a class for PythonFMU, FILE.py or FILE.py:CLASS."""
+    file, suffix, name = slave.rpartition(".py")  # a folder may be .pyenv
+    if not suffix or (name and not name.startswith(":")):
+        raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
+    return slave_fmu(Path(f"{file}.py"), name[1:])
+
+
+def build_all(
+    scenario: Scenario,
+    out: Path,
+    target: Target | None = None,
+    *,
+    compatibility: bool = False,
+    overwrite: bool = True,
+) -> None:
+    """Build a scenario as FMUs, one of which plays its inputs, and Panda.ssp."""
+    system = written_system(scenario, target or Target())
+    paths = {out / each.file_name: name for name, each in system.components.items()}
+    check_replaceable(*paths, out / SYSTEM_FILE, overwrite=overwrite)
+    files: dict[Path, Make] = {
+        path: partial(shutil.copyfile, system.components[name].file) for path, name in paths.items()
+    }
+    files[out / SYSTEM_FILE] = lambda path: write_ssp(path, system)
+    found = experiments_of(scenario)
+    experiments = {path: found[name] for path, name in paths.items() if name in found}
+    write_files(files, experiments, compatibility=compatibility)
+
+
+def _build_container(
+    scenario: Scenario, out: Path, target: Target, *, compatibility: bool, overwrite: bool
+) -> None:
+    """Build a scenario as one FMU."""
+    from ...fmus.build.ssp import write_container  # noqa: PLC0415 - an extra
+
+    check_replaceable(out / CONTAINER_FILE, overwrite=overwrite)
+    system = written_system(scenario, replace(target, fmi=2))
+    make = partial(write_container, system=system, fmi=target.fmi)
+    write_files({out / CONTAINER_FILE: make}, {}, compatibility=compatibility)
+
+
+def mjcf2fmu(  # noqa: PLR0913 - one for each option
+    models: list[Path] = argument("MODEL.xml...", "MJCF, MJB or URDF files."),
+    out: Path | None = option(
+        "--out -o PATH",
+        "File NAME.fmu to write, or a folder. Default: MODEL.fmu in this folder.",
+    ),
+    fmi: FmiVersion = FMI,
+    platform: str = PLATFORM,
+    scalars: bool = SCALARS,
+    names: Names = NAMES,
+    mujoco: str = MUJOCO,
+    step: float = option("--step SECONDS", "Internal step. Default: the model's own.", 0.0),
+    key: str = option("--key NAME", "Keyframe to start from. Default: qpos0.", ""),
+    inputs: list[str] | None = option(
+        "--input SOURCE", 'Further input, such as "body hand force"; may be repeated.'
+    ),
+    outputs: list[str] | None = option(
+        "--output SOURCE",
+        'Further output, such as "body hand xpos" or "site tip jacobian"; may be repeated.',
+    ),
+    parameters: list[str] | None = option(
+        "--parameter SOURCE",
+        'Further parameter, such as "body hand mass", "qpos" or "geom box friction"; may be '
+        "repeated.",
+    ),
+    interface: Path | None = option(
+        "--interface FILE.toml", "Interface file, as written by --print-interface."
+    ),
+    print_interface: bool = option(
+        "--print-interface", "Print the interface as TOML and stop.", False
+    ),
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Build an FMU from any MuJoCo model, without run-time dependencies.
+
+    Inputs are the controls; outputs are the positions, velocities, forces and sensors. Meshes and
+    textures are included. Add variables with --input, --output and --parameter, or choose and name
+    all of them in the TOML file that --print-interface writes. A SOURCE is one of:
+
+    - input: body NAME force | torque | mocap_pos | mocap_quat; actuator NAME ctrl; qfrc_applied
+    - output: body NAME xpos | xquat | xmat | subtree_com | jacobian [JOINT ...]; geom or site NAME
+      xpos | xmat | jacobian; joint NAME qpos | qvel; actuator NAME force; sensor NAME;
+      mass_matrix [JOINT ...]; contact_bodies BODY BODY ...; any field of mjData, such as qacc
+    - parameter: body NAME mass | added_mass | free_xy | free_yaw; geom NAME friction; joint NAME
+      qpos | qvel | damping | armature | frictionloss; actuator NAME gain | bias; equality NAME
+      solref | solimp | data; qpos; qvel; gravity; wind; keyframe
+
+    ```
+    panda-cosim mjcf2fmu humanoid.xml --output "body torso xpos" --parameter "body torso mass"
+    panda-cosim mjcf2fmu humanoid.xml --print-interface > humanoid.toml
+    panda-cosim mjcf2fmu humanoid.xml --interface humanoid.toml --fmi 3 --out Humanoid.fmu
+    panda-cosim mjcf2fmu humanoid.xml ant.xml --step 0.001 --names flat
+    panda-cosim mjcf2fmu humanoid.xml --mujoco 3.11.0
+    ```
+    """
+    given = (tuple(inputs or ()), tuple(outputs or ()), tuple(parameters or ()))
+    options = ModelOptions(key, *given, interface, step)
+    if print_interface:
+        for model in models:
+            typer.echo(describe(model, options, warn), nl=False)
+        return
+    target = target_of("native", fmi, platform, scalars=scalars, names=names)
+    target = replace(target, mujoco=check_engine(mujoco))
+    paths = _paths(models, out)
+    check_replaceable(*paths.values(), overwrite=overwrite)
+    fmus = {path: model_fmu(model, options, path.stem, warn) for model, path in paths.items()}
+    write_files({path: _made(fmu, target) for path, fmu in fmus.items()}, {})
+
+
+def _paths(models: Sequence[Path], out: Path | None) -> dict[Path, Path]:
+    """Where the FMU of each model is written."""
+    folder = out or Path()
+    if folder.suffix == ".fmu" and len(models) == 1:
+        return {models[0]: folder}
+    paths = {model: folder / f"{model.stem}.fmu" for model in models}
+    if len(set(paths.values())) < len(models) or folder.suffix == ".fmu":
+        raise InputError(
+            f"{len(models)} models: --out must be a folder, and their file names must differ"
+        )
+    return paths

@@ -1,0 +1,101 @@
+"""`panda-cosim check`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import typer
+
+from ...fmus.errors import InputError
+from ...result.judging.verdict import MISSED
+from ...study.check.check import check_folder
+from ...study.check.experiments import check_experiments
+from ...task.scenario import shipped_scenarios
+from ..console import show, show_json
+from ..options import (
+    CONTROLLER,
+    JSON,
+    PLANT,
+    ROBOT,
+    SETTINGS,
+    Robot,
+    scenario_argument,
+    values_of,
+)
+from ..outcome import STYLES
+
+
+def command(  # noqa: PLR0913 - one for each option
+    folder: Path = scenario_argument(
+        "Name of a shipped scenario, a scenario's folder, or an .fmu or .ssp file."
+    ),
+    assignments: list[str] | None = SETTINGS,
+    controller: str | None = CONTROLLER,
+    plant: str | None = PLANT,
+    robot: Robot | None = ROBOT,
+    json: bool = JSON,
+) -> None:
+    """Explain what is wrong with a scenario, before it is run.
+
+    The trajectory is compared with the robot's limits of velocity, acceleration, jerk, torque and
+    torque rate. Then the scenario is run in memory, which shows unwanted contacts, saturated
+    servos, a high torque rate, a weak grip, a hand that moves on before the block is free, and
+    missed criteria. A scenario with FMUs of its own is only read: none of their code runs.
+
+    With `--robot fer` (Panda) or `--robot fr3`, it also says what the control interface of that
+    robot would refuse: libfranka's name of the error, the first time, value, limit, and what to
+    change.
+
+    Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
+    criterion or the robot's conditions could not be measured. Exit code 3: the robot would refuse
+    it.
+
+    Of an .fmu, the reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
+    and the largest difference is printed, with the number of values that were compared, and of
+    those that are at no instant of the run. Exit code 3: it is beyond the tolerance. Exit code 2:
+    an experiment has nothing that could be compared.
+
+    ```
+    panda-cosim check my-scenarios/lift
+    panda-cosim check pick_and_place --robot fr3
+    panda-cosim check my-scenarios/lift --set plant.block_mass=2 --set mismatch.preset=worn
+    panda-cosim check Feedthrough.fmu
+    panda-cosim check Panda.ssp
+    ```
+    """
+    if not folder.exists():
+        folder = shipped_scenarios().get(str(folder), folder)
+    if folder.suffix == ".fmu":
+        if assignments or robot:
+            option = "--set" if assignments else "--robot"
+            raise InputError(f"{option}: not for an .fmu, whose experiments set their own values")
+        _check_fmu(folder, as_json=json)
+        return
+    values = values_of(assignments, controller, plant)
+    diagnostics = check_folder(folder, values, robot or "")
+    wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
+    if json:
+        show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})
+    else:
+        for diagnostic in diagnostics:
+            show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
+    if wrong:
+        raise typer.Exit(InputError.exit_code)
+    if any(diagnostic.level == "refused" for diagnostic in diagnostics):
+        raise typer.Exit(MISSED.exit_code)
+
+
+def _check_fmu(path: Path, *, as_json: bool) -> None:
+    """Run the experiments in an FMU, and print how far it is from their references."""
+    outcomes = check_experiments(path)
+    if as_json:
+        found = [{**asdict(each), "ok": each.ok} for each in outcomes]
+        show_json({"fmu": path, "ok": all(each.ok for each in outcomes), "experiments": found})
+    for each in () if as_json else outcomes:
+        show(f"{each.level:<6} {each}", STYLES[each.level])
+    if not all(each.values for each in outcomes) or not outcomes:
+        what = "an experiment has no references at its instants" if outcomes else "no experiments"
+        raise InputError(f"{path}: {what}, so that nothing was compared")
+    if not all(each.ok for each in outcomes):
+        raise typer.Exit(MISSED.exit_code)

@@ -1,0 +1,179 @@
+"""`panda-cosim doctor`."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib.metadata import requires, version
+from typing import Annotated, Literal, NamedTuple
+
+import typer
+
+from ...fmus.atomic import cache_folder
+from ...fmus.build.libraries import BACKENDS, can_compile, is_prebuilt, this_platform
+from ...fmus.errors import CosimError
+from ...fmus.twins import LONGER, changed, notice
+from ..console import as_cell, show, show_json, table, tell
+
+State = Literal["ok", "optional", "needed"]
+
+# Not `options.Json`: this command must start without numpy, which `options` imports.
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
+STATES = {
+    "ok": "[green]ok[/green]",
+    "optional": "[yellow]--[/yellow]",
+    "needed": "[bold red]MISSING[/bold red]",
+}
+OPTIONAL = {  # packages that not all commands need
+    **dict.fromkeys(("imageio-ffmpeg", "matplotlib", "mediapy", "pillow"), "pictures"),
+    **dict.fromkeys(("control", "scipy"), "analyze"),
+}
+
+
+class Finding(NamedTuple):
+    """The state of one prerequisite."""
+
+    what: str
+    state: State  # "ok", or missing and "optional" or "needed" to run scenarios
+    detail: str
+    remedy: str = ""  # how to get it
+
+
+def command(json: Json = False) -> None:
+    """Show what is installed, what is missing, and how to get it.
+
+    Exit code 0: scenarios can be run and recorded, even if something for pictures or other tools is
+    missing. Exit code 1: they cannot.
+
+    ```
+    panda-cosim doctor
+    ```
+    """
+    tell("Examining this machine ...")
+    findings = examine()
+    missing = [finding.what for finding in findings if finding.state == "needed"]
+    optional = [finding.what for finding in findings if finding.state == "optional"]
+    if json:
+        listed = [finding._asdict() for finding in findings]
+        show_json({"ready": not missing, "findings": listed})
+    else:
+        rows = [
+            (
+                STATES[state],
+                what,
+                as_cell(detail) + (f"\n[bold]{as_cell(remedy)}" if remedy else ""),
+            )
+            for what, state, detail, remedy in findings
+        ]
+        show(table(("", "what*", "found*"), rows))
+    if missing:
+        raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}")
+    if not json:
+        rest = f" Not found: {', '.join(optional)}." if optional else ""
+        show(f"Scenarios can be run and recorded.{rest}", "bold green")
+
+
+def examine() -> list[Finding]:
+    """Examine all prerequisites; a missing one raises no error."""
+    python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    checks = (_checked(*check) for check in CHECKS)
+    return list(dict.fromkeys((Finding("Python", "ok", python), *_packages(), *checks)))
+
+
+def _packages() -> Iterator[Finding]:
+    """Find the package itself, and what it requires without extras."""
+    for requirement in ("panda-cosim", *(requires("panda-cosim") or ())):
+        if "extra ==" in requirement:
+            continue
+        name = re.split(r"[^\w.-]", requirement)[0]
+        use = OPTIONAL.get(name)
+        what = f"{name} (for {use})" if use else name
+        try:
+            yield Finding(what, "ok", version(name))
+        except ModuleNotFoundError:
+            state: State = "optional" if use else "needed"
+            yield Finding(what, state, "not installed", f"pip install '{requirement}'")
+
+
+def _checked(what: str, state: State, check: Callable[[], str], remedy: str = "") -> Finding:
+    """Return what a check says, or, of its error, the fault and the remedy."""
+    try:
+        return Finding(what, "ok", check())
+    except ModuleNotFoundError as error:
+        name = error.name or str(error)
+        state = "optional" if name in OPTIONAL else "needed"
+        return Finding(name, state, "cannot be imported", f"pip install {name}")
+    except CosimError as error:
+        fault, *rest = re.split(r"; " if remedy else r"[:;] ", str(error), maxsplit=1)
+        return Finding(what, state, fault, remedy or "".join(rest))
+
+
+def _fmu_libraries() -> str:
+    """Part of the package, or compiled when FMUs are built."""
+    here = this_platform()
+    missing = [backend for backend in BACKENDS if not is_prebuilt(backend, here)]
+    if missing and not can_compile(here):
+        raise CosimError(
+            f"no library of {', '.join(missing)}, and no compiler; pip install "
+            "'panda-cosim[cross]', or a compiler named cc, gcc or clang"
+        )
+    return f"{here}, compiled {'when they are needed' if missing else 'with the package'}"
+
+
+def _stepper() -> str:
+    from ...fmus.master.kernel import load_stepper  # noqa: PLC0415 - numpy may be missing
+
+    is_outdated = changed("kernel")
+    if load_stepper() is None and not is_outdated:
+        raise CosimError("its library cannot be loaded, so steps are taken in Python")
+    return "in Python" if is_outdated else "in C"
+
+
+def _twins() -> str:
+    """What is in C as well as in Python."""
+    equal = f"{', '.join(LONGER)}: run, as they are proven equal to the Python code"
+    return f"{notice(LONGER) or equal}; the sensors have none"
+
+
+def _cache() -> str:
+    folder = cache_folder()
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise CosimError(f"{folder}: cannot be written to: {error.strerror}") from error
+    if sys.platform == "linux" and os.statvfs(folder).f_flag & os.ST_NOEXEC:
+        raise CosimError(f"{folder}: mounted noexec, so that no library can be loaded from it")
+    from ...fmus.sources.targets import outdated  # noqa: PLC0415 - numpy may be missing
+
+    return f"{folder}: {'the next run builds the FMUs' if outdated() else 'the FMUs are built'}"
+
+
+def _opengl() -> str:
+    from ...show.pictures.offscreen import describe_gl  # noqa: PLC0415 - numpy may be missing
+
+    backend, detail = describe_gl()
+    if backend is None:
+        raise CosimError(detail)
+    return f"{backend}: {detail}"
+
+
+def _ffmpeg() -> str:
+    from ...show.pictures.video import find_ffmpeg  # noqa: PLC0415 - numpy may be missing
+
+    return find_ffmpeg()
+
+
+# What, whether scenarios can be run without, the check, and the remedy if the error names none.
+CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
+    ("libraries of the FMUs", "needed", _fmu_libraries, ""),
+    ("twins in C", "optional", _twins, ""),
+    ("the master's step", "optional", _stepper, "install the package again"),
+    ("FMU cache", "needed", _cache, "set PANDA_COSIM_CACHE to a folder that is yours alone"),
+    ("OpenGL (for pictures)", "optional", _opengl, ""),
+    ("ffmpeg (for the video)", "optional", _ffmpeg, ""),
+)  # fmt: skip

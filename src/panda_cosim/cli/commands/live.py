@@ -1,0 +1,94 @@
+"""`panda-cosim live`."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import nullcontext
+from pathlib import Path
+from shlex import quote
+
+from ...fmus.errors import InputError, SimulationError
+from ...fmus.sources.targets import Kind, Target
+from ...run.options import Options
+from ...run.session import Session
+from ...study.live.page import page_of
+from ...study.live.server import LOCAL, LiveServer, opened
+from ...study.live.simulation import Simulation
+from .. import ending
+from ..console import show, warn
+from ..options import (
+    KIND,
+    OPEN_PAGE,
+    OUT_RUN,
+    SCENARIO_OR_DEFAULT,
+    SETTINGS,
+    announce_build,
+    find_scenario,
+    option,
+    values_of,
+)
+
+
+def command(  # noqa: PLR0913 - one for each option
+    scenario: str = SCENARIO_OR_DEFAULT,
+    out: Path | None = OUT_RUN,
+    assignments: list[str] | None = SETTINGS,
+    speed: float = option("--speed", "Speed, relative to real time.", 1.0, min=0.01, max=10.0),
+    port: int = option("--port", "Port to listen on; 0: any free one.", 0, min=0, max=65535),
+    host: str = option(
+        "--host",
+        "Address to listen on. With any but the default, everyone who has the page's address "
+        "can watch and control the run; nothing is encrypted.",
+        LOCAL,
+    ),
+    kind: Kind = KIND,
+    paused: bool = option("--paused", "Start paused, at t = 0 s.", False),
+    open_page: bool = OPEN_PAGE,
+) -> None:
+    """Run a scenario in real time, and interact with it in the browser.
+
+    On the page you can pause, step, restart and change the speed; drag the hand or the block to
+    push it, or a waypoint to move it; and change gains, other tunable parameters and the coupling.
+    All actions go into a journal in the run's folder, so that `panda-cosim replay` can repeat
+    the run bit for bit. Ctrl-C ends it.
+
+    ```
+    panda-cosim live --paused --open
+    panda-cosim live push --speed 0.25 --port 8000
+    ```
+    """
+    chosen = find_scenario(scenario)
+    values = values_of(assignments)
+    if not chosen.is_system:
+        announce_build(Target(kind))
+    if host != LOCAL:
+        warn(
+            f"--host {host}: everyone who can reach this address and has the page's token can "
+            "watch and control the run; nothing is encrypted"
+        )
+    with Session(chosen, out, Options(kind=kind), values=values) as session:
+        for text in session.warnings:
+            warn(text)
+        try:
+            simulation = Simulation(session, speed, playing=not paused)
+            server = LiveServer(simulation, page_of(session), host, port)
+            _serve(server, session.folder, simulation, open_page=open_page)
+        except InputError:
+            if session.is_open and session.tick == 0:  # refused before anything was simulated
+                session.close()
+                shutil.rmtree(session.folder)
+            raise
+    if session.failure:
+        raise SimulationError(f"{session.failure}; the recording up to then is in {session.folder}")
+    show(f"{session.folder}\npanda-cosim replay {quote(str(session.folder))}  repeats it.")
+
+
+def _serve(server: LiveServer, folder: Path, simulation: Simulation, *, open_page: bool) -> None:
+    """Serve and simulate until Ctrl-C, which is the end that is meant."""
+    with server.serving():
+        try:
+            show(f"{server.address}\nCtrl-C ends it. The run is recorded in {folder}")
+            with opened(server.address, folder) if open_page else nullcontext():
+                simulation.run(server)
+        except KeyboardInterrupt:
+            ending.is_meant()

@@ -1,0 +1,286 @@
+"""`panda-cosim regress`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import typer
+
+from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder
+from ...fmus.errors import CosimError, InputError
+from ...fmus.sources.targets import Kind
+from ...result.recording import Recording
+from ...run.folder import default_folder
+from ...study.compare.differences import multiple
+from ...study.compare.junit import write_junit
+from ...study.compare.regress import (
+    Outcome,
+    Suite,
+    Unusable,
+    candidate,
+    changes,
+    engine_rows,
+    exit_code,
+    find_scenarios,
+    headline,
+    run_suite,
+    variants,
+    with_values,
+)
+from ...study.compare.report import check_kept_runs, replace_kept_runs, write_report
+from ...study.sweep.engine import SuiteSweep, find_sweeps, stray_sweeps
+from ...study.work import cores
+from ...task.scenario import Scenario
+from ..console import as_cell, progress, show, show_file, show_json, table, warn
+from ..options import (
+    ENGINES,
+    JSON,
+    KIND,
+    OVERWRITE,
+    SETTINGS,
+    announce_python,
+    argument,
+    option,
+    values_of,
+)
+
+REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
+STYLES, BAD = {"same": "green", "holds": "green", "no reference": "yellow"}, "bold red"
+
+
+def command(  # noqa: PLR0913 - one for each option
+    scenarios: list[str] | None = argument(
+        "[SCENARIO]...",
+        "Names of shipped scenarios, or folders. Default: all shipped scenarios.",
+        None,
+        show_default=False,
+    ),
+    jobs: int | None = option(
+        "--jobs -j", "Number of runs at a time. Default: one per core.", min=1
+    ),
+    report: Path | None = option(
+        "--report DIR", "Write report.html and junit.xml there, and keep the runs that differ."
+    ),
+    update: bool = option(
+        "--update",
+        "Record the results as new references. Lists the changes, also in a page, and asks first.",
+        False,
+    ),
+    assignments: list[str] | None = SETTINGS,
+    exact: bool = option(
+        "--exact",
+        "Require the same bits. Use it only on the same machine, with the same versions.",
+        False,
+    ),
+    folder: Path | None = option(
+        "--scenarios DIR",
+        "Folder with scenarios of your own, at any depth, instead of the shipped.",
+    ),
+    sweeps: bool = option(
+        "--sweeps/--no-sweeps",
+        "Run the sweeps of the scenarios, too: sweep.toml beside them.",
+        True,
+    ),
+    overwrite: bool = OVERWRITE,
+    kind: Kind = KIND,
+    mujoco: str = ENGINES,
+    yes: bool = option("--yes -y", "With --update: do not ask.", False),
+    json: bool = JSON,
+) -> None:
+    """Run scenarios and compare each with its reference.
+
+    Each scenario runs in a process of its own. Its reference is reference.parquet in its folder;
+    the section [regression] of its scenario.toml sets the tolerances. A scenario without a
+    reference is judged by its criteria. With `--set`, you see whether a change is detected.
+
+    Exit code 0: every run matches its reference, or without one has the expected verdict. 1: a run
+    differs, fails or misses its criteria. 2: bad input, or a scenario has neither reference nor
+    criteria.
+
+    A sweep.toml in a scenario's folder is judged by the success rate that it requires.
+
+    With `--kind`, scenarios run with FMUs of that kind, and without sweeps.
+
+    With `--mujoco`, scenarios also run with other versions of MuJoCo, and without sweeps. A table
+    says of each whether it is equal to the installed one, differs by rounding, or has changed, from
+    which tick on, and which signal leaves its tube first.
+
+    ```
+    panda-cosim regress
+    panda-cosim regress push jacobi --set controller.kp=7.6 --report report
+    panda-cosim regress --scenarios my-scenarios --update
+    panda-cosim regress --kind pythonfmu
+    panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
+    ```
+    """
+    if update and (assignments or exact or json):
+        raise InputError(
+            "--update: cannot be combined with --set, --exact or --json; references are made of "
+            "unchanged scenarios"
+        )
+    engines = list(dict.fromkeys(mujoco.split(","))) if mujoco else []
+    if engines and (update or exact or kind != "auto"):
+        raise InputError("--mujoco: cannot be combined with --update, --exact or --kind")
+    if yes and not update:
+        raise InputError("--yes: needs --update")
+    if overwrite and report is None:
+        raise InputError("--overwrite: needs --report")
+    chosen = find_scenarios(scenarios or (), folder)
+    runs_of = [v for s in chosen for v in (variants(s, engines) if engines else [s])]
+    values = values_of(assignments)
+    suite = Suite(list(with_values(runs_of, values)), exact, jobs or cores(), kind)
+    # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
+    alone = update or engines or kind != "auto"
+    swept = _swept(chosen, folder) if sweeps and not alone else []
+    if swept and assignments:
+        raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
+    if report is not None:
+        check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
+        check_kept_runs(report / "runs", (each.name for each in (*runs_of, *swept)))
+    with ExitStack() as stack:
+        # Beside the report's, so that runs can be moved there.
+        parent = report or cache_folder()
+        try:
+            runs = stack.enter_context(temporary_folder(parent))
+        except OSError as error:
+            raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
+        announce_python(kind)
+        outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
+        rows = engine_rows(chosen, len(engines), outcomes) if engines else []
+        outcomes = [outcome for row in rows for outcome in row] or outcomes
+        if report is not None:
+            write_report(outcomes, report / REPORT_FILE, values)
+            write_junit(outcomes, report / JUNIT_FILE)
+            if not json:
+                show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
+            wrong = [outcome.run for outcome in outcomes if not outcome.ok]
+            stack.callback(replace_kept_runs, report / "runs", wrong)
+        if update:
+            return _update(outcomes, yes=yes)
+    if json:
+        show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
+    else:
+        _show_result(outcomes)
+        _show_engines(engines, rows)
+    raise typer.Exit(exit_code(outcomes))
+
+
+def _run(suite: Suite, folder: Path) -> list[Outcome]:
+    """Run, with a line per scenario and a progress bar for all."""
+    ticks = dict.fromkeys((s.name for s in suite.scenarios), 0)
+    ticks |= {s.name: s.ticks for s in suite.scenarios if isinstance(s, Scenario)}
+    done, total = 0, sum(ticks.values())
+    with progress(f"Running {len(ticks)} scenario{'s' if len(ticks) > 1 else ''}") as advance:
+
+        def on_outcome(outcome: Outcome) -> None:
+            nonlocal done
+            done += ticks[outcome.name]
+            advance.say(_line(outcome), STYLES.get(outcome.verdict, BAD))
+            advance(done, total)
+
+        advance(0, total)
+        return run_suite(suite, folder, on_outcome)
+
+
+def _swept(chosen: Sequence[Scenario | Unusable], folder: Path | None) -> list[SuiteSweep]:
+    """Return the sweeps of the scenarios, and name those in the folder that are of none."""
+    for text in stray_sweeps(folder) if folder is not None else ():
+        warn(text)
+    return find_sweeps(chosen)
+
+
+def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
+    """Run a sweep of the suite, with a progress bar of its own."""
+    with progress(f"Running {swept.file}") as advance:
+        outcome = swept.judge(folder / swept.name, jobs, lambda now: advance(now.done, now.total))
+        advance.say(_line(outcome), STYLES.get(outcome.verdict, BAD))
+    return outcome
+
+
+def _line(outcome: Outcome) -> str:
+    worst = outcome.comparison.worst if outcome.comparison else None
+    share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
+    if outcome.comparison is not None:
+        share += f", {outcome.comparison.count}"
+    return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
+
+
+def _described(outcome: Outcome) -> dict[str, object]:
+    """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
+    names = ("name", "verdict", "reason", "seconds", "criteria", "difference")
+    of_comparison = ("worst", "first", "compared", "uncompared", "constant_fits")
+    return {name: getattr(outcome, name) for name in names} | {
+        name: getattr(outcome.comparison, name, None) for name in of_comparison
+    }
+
+
+def _show_result(outcomes: list[Outcome]) -> None:
+    """Print what differs, and how many match."""
+    wrong = [outcome for outcome in outcomes if not outcome.ok]
+    if wrong:
+        rows = [
+            (as_cell(o.name), f"[{STYLES.get(o.verdict, BAD)}]{o.verdict}", as_cell(o.reason))
+            for o in wrong
+        ]
+        show(table(("Scenario", "Verdict", "Why*"), rows))
+    runs = [outcome for outcome in outcomes if not isinstance(outcome.scenario, SuiteSweep)]
+    judged = [outcome.name for outcome in runs if outcome.verdict in ("holds", "missed")]
+    show(headline(outcomes), "bold red" if wrong else "bold green")
+    pairs = [outcome.comparison.engines for outcome in outcomes if outcome.comparison]
+    if pairs:
+        used, made = (", ".join(sorted(set(each))) for each in zip(*pairs, strict=True))
+        show(f"MuJoCo of the runs: {used}; of the references: {made}")
+    if judged:
+        show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
+
+
+def _show_engines(engines: list[str], rows: list[list[Outcome]]) -> None:
+    """Print what each MuJoCo changes, and the signal that leaves its tube first."""
+    cells = []
+    for row in rows:
+        cells.append([as_cell(row[0].name)])
+        for outcome in row:
+            first = outcome.comparison.first if outcome.comparison else None
+            left = f"; {first.name} leaves its tube at {first.first:.3f} s" if first else ""
+            cells[-1].append(as_cell(f"{outcome.difference or outcome.verdict}{left}"))
+    if cells:
+        show(table(("Scenario", "own", *engines), cells))
+
+
+def _update(outcomes: list[Outcome], *, yes: bool) -> None:
+    """Show what changes, and overwrite the references."""
+    changed, refused = [], 0
+    for outcome in outcomes:
+        try:
+            reference = candidate(outcome)
+        except InputError as error:
+            warn(f"{outcome.name}: {error}")
+            refused += 1
+            continue
+        lines = changes(outcome, reference)
+        for line in lines or ["is unchanged"]:
+            show(f"{outcome.name}: {line}", None if lines else "dim")
+        if lines:
+            changed.append((outcome, reference))
+    replaced = sum(outcome.reference_path.exists() for outcome, _ in changed)
+    if replaced and not yes:
+        question = f"Overwrite {replaced} of {len(outcomes)} references?"
+        if sys.stdin is None or not sys.stdin.isatty():
+            raise InputError(
+                f"--update: nothing was overwritten: {question} Answer with --yes, as standard "
+                "input is not a terminal"
+            )
+        page = default_folder("update") / REPORT_FILE
+        write_report([outcome for outcome, _ in changed], page, {})
+        show_file(page)  # with the differences from the references, before they are gone
+        if not typer.confirm(question):
+            warn("nothing was overwritten")
+            raise typer.Exit(1)
+    for outcome, reference in changed:
+        reference.write(outcome.reference_path, Recording.open(outcome.run))
+        show_file(outcome.reference_path)
+    if refused:
+        raise typer.Exit(CosimError.exit_code)

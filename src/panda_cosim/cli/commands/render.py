@@ -1,0 +1,226 @@
+"""`panda-cosim render`, `plot`, `view`, `compare` and `export`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...fmus.atomic import check_replaceable, replacing
+from ...fmus.errors import InputError
+from ...result.judging.verdict import Summary
+from ...result.recording import Recording
+from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
+from ...show.pictures.motion import position_columns
+from ...show.pictures.plot import plot_recording
+from ...show.pictures.video import check_video, contact_sheet
+from ...show.view.page import VIEW_FILE, shown_run, write_view
+from ...show.view.run import Shown
+from ...study.compare.between_runs import (
+    SIGNAL_HEAD,
+    RunComparison,
+    compare,
+    extent_rows,
+    judged_text,
+    signal_cells,
+)
+from ...study.compare.differences import numbers, signal_names
+from ...study.compare.reference import REFERENCE_FILE
+from ...study.compare.views import reference_of, shown_reference
+from ..console import as_cell, show, show_file, show_json, table, tell
+from ..options import CSV_FILE, JSON, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, argument, option
+from ..outcome import PLOTTING, TILING, draw_video
+
+
+def command(  # noqa: PLR0913 - one for each option
+    run: Path = RUN,
+    out: Path | None = option(
+        "--out -o DIR", "Folder for the pictures. Default: the folder of the run."
+    ),
+    camera: str = option(
+        "--camera NAME",
+        "Camera: overview, closeup, front, or another one of the plant's model.",
+        "overview",
+    ),
+    size: str = option("--size WxH", "Size of the video [px]; even numbers.", "640x480"),
+    fps: float = option("--fps HZ", "Frames per second.", 30.0),
+    meshes: Meshes = MESHES,
+    video: bool = option("--video/--no-video", "Draw the video as well.", True),
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Redraw a run's video and contact sheet.
+
+    The files video.mp4 and contact_sheet.png are drawn from the recording, without a simulation.
+
+    ```
+    panda-cosim render runs/first --size 1280x720 --camera closeup
+    ```
+    """
+    recording = Recording.open(run, in_order=True)
+    folder = out if out is not None else recording.path.parent
+    if folder.suffix.lower() in (".mp4", ".png") and not folder.is_dir():
+        raise InputError(f"--out {folder}: must be a folder; the files in it have fixed names")
+    files = (VIDEO_FILE, SHEET_FILE) if video else (SHEET_FILE,)
+    check_replaceable(*(folder / name for name in files), overwrite=overwrite)
+    position_columns(recording)  # refuses one that lacks signals, before anything is drawn
+    if not (match := re.fullmatch(r"(\d{1,5})x(\d{1,5})", size.strip(), re.A)):
+        raise InputError(f"--size {size!r}: must be WIDTHxHEIGHT in pixels, such as 640x480")
+    width, height = map(int, match.groups())
+    check_video(folder / VIDEO_FILE, fps, width, height)
+    tell(TILING)
+    show(str(contact_sheet(recording, folder / SHEET_FILE, camera=camera, meshes=meshes)))
+    if video:
+        look = {"fps": fps, "width": width, "height": height, "camera": camera, "meshes": meshes}
+        show(str(draw_video(recording, folder, **look)))
+
+
+def plot(
+    run: Path = RUN,
+    out: Path | None = option(
+        "--out -o FILE.png|DIR",
+        f"File to write, or the folder for {PLOT_FILE}. Default: the run's folder.",
+    ),
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Plot a run's signals on one page.
+
+    The page is plot.png, drawn from the recording.
+
+    ```
+    panda-cosim plot runs/first
+    ```
+    """
+    recording = Recording.open(run, in_order=True)
+    path = out if out is not None else recording.path.parent
+    if path.suffix.lower() != ".png" or path.is_dir():
+        path /= PLOT_FILE
+    check_replaceable(path, overwrite=overwrite)
+    tell(PLOTTING)
+    show(str(plot_recording(recording, path, Summary.of(recording))))
+
+
+def view(  # noqa: PLR0913 - one for each option
+    run: Path = RUN,
+    against: str | None = option(
+        "--against RUN",
+        "Show another run as a ghost: a run's folder, a scenario's folder, a "
+        "reference.parquet, or the word reference for that of the run's own scenario.",
+    ),
+    out: Path | None = option("--out -o FILE.html", "Page to write. Default: in the run's folder."),
+    meshes: Meshes = MESHES,
+    open_page: bool = OPEN_PAGE,
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Show a run in 3D in the browser: one page that needs no network.
+
+    The page shows the recording: turn the camera, scrub, follow the hand, add any signal as a
+    curve. Add #t=2.3&cam=front to its address to link to an instant and a camera.
+
+    ```
+    panda-cosim view runs/first --open
+    panda-cosim view runs/second --against runs/first --out compared.html
+    panda-cosim view runs/first --against reference
+    ```
+    """
+    path = out if out is not None else (run if run.is_dir() else run.parent) / VIEW_FILE
+    check_replaceable(path, overwrite=overwrite)
+    first = shown_run(run, meshes=meshes)
+    write_view([first] if against is None else [first, _other(first, against)], path)
+    show_file(path, open_page=open_page)
+
+
+def _other(first: Shown, against: str) -> Shown:
+    """Return the run given by `--against`."""
+    if against == "reference":
+        return shown_reference(reference_of(first.source))
+    path = Path(against)
+    reference = path if path.name == REFERENCE_FILE else path / REFERENCE_FILE
+    if reference.is_file():
+        return shown_reference(reference)
+    name = path.resolve().name
+    return shown_run(path, name=against if name == first.name else name)
+
+
+SHOWN = 8  # rows of a table
+PAGE = "compare.html"
+
+
+def compare_runs(
+    runs: list[Path] = argument(
+        "RUN RUN [RUN]...", "Folders of runs; the others are compared with the first."
+    ),
+    out: Path | None = option("--out -o DIR", f"Write {PAGE} there, with all details."),
+    json: bool = JSON,
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Compare runs: parameters, verdicts, metrics and signals.
+
+    Shows how the parameters, verdicts and signals of each run differ from the first run's. Signals
+    are ranked by the largest deviation as a multiple of the default tolerance of `regress`; it is
+    also shown as a share of the element's range. The page overlays the curves of all runs. Runs of
+    different lengths are compared where they overlap, and are never identical. Exit code 2: the
+    runs have nothing in common.
+
+    ```
+    panda-cosim run push --out runs/a
+    panda-cosim run push --set controller.kp=6 --out runs/b
+    panda-cosim compare runs/a runs/b --out report
+    ```
+    """
+    if len(runs) < 2:
+        raise InputError("RUN: only one; must be at least two runs")
+    comparison = compare(runs[0], *runs[1:])
+    if out is not None:
+        check_replaceable(out / PAGE, overwrite=overwrite)
+        with replacing(out / PAGE) as temporary:
+            temporary.write_text(comparison.to_html(), encoding="utf-8")
+    if json:
+        show_json(comparison.to_dict())
+        return
+    _show(comparison)
+    if out is not None:
+        show(str(out / PAGE))
+
+
+def _show(comparison: RunComparison) -> None:
+    equal = comparison.identical and not comparison.unmet
+    names, others = comparison.names, comparison.names[1:]
+    show(comparison.verdict, "bold green" if equal else "bold")
+    _show_rows(("Recorded", *names), list(extent_rows(comparison)))
+    _show_names("Only some runs have", comparison.missing)
+    _show_names("Not compared, as their units or types differ:", comparison.other_units)
+    parameters = [(row.name, *numbers(row.values)) for row in comparison.parameters]
+    _show_rows(("Parameter*", *names), parameters, SHOWN)
+    criteria = [(row.name, *map(judged_text, row.judged)) for row in comparison.criteria]
+    _show_rows(("Criterion*", *names), criteria)
+    metrics = [(row.name, *numbers(row.values)) for row in comparison.metrics]
+    _show_rows(("Metric*", *names), metrics, SHOWN)
+    signals = [signal_cells(row) for row in comparison.signals]
+    _show_rows((*SIGNAL_HEAD, *others), signals, SHOWN)
+
+
+def _show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], most: int | None = None) -> None:
+    """Show a table, if it has rows, or its first ones."""
+    if rows:
+        show(table(head, (map(as_cell, cells) for cells in rows[:most]), right=head[1:]))
+    if most is not None and len(rows) > most:
+        show(f"and {len(rows) - most} more", "dim")
+
+
+def _show_names(what: str, columns: tuple[str, ...]) -> None:
+    if columns:
+        show(f"{what} {signal_names(columns, SHOWN)}")
+
+
+def export(run: Path = RUN, file: Path = CSV_FILE, overwrite: bool = OVERWRITE) -> None:
+    """Write a recording as CSV.
+
+    One column per signal and one row per tick, in full precision (RFC 4180).
+
+    ```
+    panda-cosim export runs/first first.csv
+    ```
+    """
+    recording = Recording.open(run, in_order=True)
+    recording.to_csv(file, overwrite=overwrite)
+    show(f"{file}: {recording.rows} rows, {len(recording.columns)} columns")

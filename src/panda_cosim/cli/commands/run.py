@@ -1,0 +1,183 @@
+"""`panda-cosim run` and `panda-cosim replay`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from ...fmus.errors import InputError
+from ...fmus.master.step import Coupling, Stepper
+from ...fmus.sources.targets import Kind
+from ...run.options import Options
+from ...run.prepare import prepare
+from ...run.result import Run
+from ...run.run import Execution
+from ...run.stopping import stopping_on_signals
+from ...task.scenario import Scenario
+from ..options import (
+    CONTROLLER,
+    DEFAULT_SCENARIO,
+    JSON,
+    KIND,
+    MUJOCO,
+    OUT_RUN,
+    PLANT,
+    SETTINGS,
+    argument,
+    find_scenario,
+    option,
+    scenario_argument,
+    values_of,
+)
+from ..outcome import Output, Progress, conclude, draw_view, simulate
+
+VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
+FPS = option("--fps HZ", "Frames per second of the video; 60 takes twice as long.", 30.0, min=1)
+PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
+VIEW = option("--view/--no-view", "Write the page that shows the run in 3D.", True)
+ISOLATE = option(
+    "--isolate",
+    "Run each FMU in a process of its own, so that a crash ends only that process.",
+    False,
+)
+STEP_TIMEOUT = option(
+    "--step-timeout SECONDS", "With --isolate: stop the run if an FMU takes longer for one step."
+)
+MASTER = option(
+    "--master NAME",
+    "What steps the FMUs: kernel, in C where it can, or fmpy, always by FMPy's methods. Both give "
+    "the same bits.",
+    "kernel",
+)
+JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
+
+
+def command(  # noqa: PLR0913 - one for each option
+    scenario: str | None = scenario_argument(
+        "Name of a shipped scenario, a scenario's folder, or an .ssp file. Default: "
+        f"{DEFAULT_SCENARIO}.",
+        None,
+    ),
+    out: Path | None = OUT_RUN,
+    assignments: list[str] | None = SETTINGS,
+    duration: float | None = option("--duration SECONDS", "Simulated time [s]."),
+    coupling: Coupling | None = option(
+        "--coupling NAME",
+        "Overrides the scenario's coupling: gauss-seidel, jacobi (the controller's output acts one "
+        "tick later) or iterated.",
+    ),
+    realtime: bool = option("--realtime", "Run in real time, paced by the wall clock.", False),
+    video: bool = VIDEO,
+    fps: float = FPS,
+    plot: bool | None = PLOT,
+    view: bool = VIEW,
+    controller: str | None = CONTROLLER,
+    plant: str | None = PLANT,
+    system: Path | None = option(
+        "--system FILE.ssp",
+        "Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as `run FILE.ssp`.",
+    ),
+    isolate: bool = ISOLATE,
+    step_timeout: float | None = STEP_TIMEOUT,
+    master: Stepper = MASTER,
+    kind: Kind = KIND,
+    mujoco: str = MUJOCO,
+    junit: Path | None = JUNIT,
+    json: bool = JSON,
+) -> None:
+    """Run a scenario, record it and judge it.
+
+    SCENARIO is the name of a shipped scenario (see `panda-cosim list`), a folder of your own, or an
+    .ssp file. FMUs are built when they are missing or out of date. The run's folder gets
+    recording.parquet, summary.json, view.html, plot.png, contact_sheet.png, video.mp4 and a copy of
+    the scenario. `panda-cosim replay` repeats a run of `live`.
+
+    ```
+    panda-cosim run
+    panda-cosim run tutorial --no-video
+    panda-cosim run --set 'plant.block_pos[1]=0.45' --set controller.kp=6
+    panda-cosim run ./my-scenario --no-video --junit result.xml
+    panda-cosim run tutorial --controller my_law.py:MyLaw --set controller.gain=3
+    panda-cosim run Panda.ssp --duration 2
+    ```
+    """
+    options = Options(
+        realtime=1.0 if realtime else 0.0,
+        isolate=isolate,
+        step_timeout=step_timeout,
+        kind=kind,
+        master=master,
+    )
+    chosen = _chosen(scenario, system, duration)
+    if chosen.system and kind != Options().kind:
+        raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
+    values = values_of(assignments, controller, plant, coupling=coupling, mujoco=mujoco or None)
+    prepared = prepare(chosen.changed(values), options)  # refuses bad input
+    output = Output(out, video, plot, view, junit, json, fps)
+
+    def run(folder: Path, update: Progress) -> Run:
+        with stopping_on_signals() as stop, Execution(prepared, folder) as execution:
+            execution.advance(execution.ticks, stop, update)
+            draw = partial(draw_view, output)
+            return execution.close(stop=stop, meanwhile=draw)
+
+    early, parameters = not realtime, prepared.values
+    done = simulate(prepared.scenario, kind, output, run, early=early, values=parameters)
+    conclude(done, output, ours=not prepared.scenario.has_own_parts, realtime=realtime)
+
+
+def replay(  # noqa: PLR0913 - one for each option
+    run: Path = argument(
+        "RUN", "Folder of the run, or the journal session.jsonl in it.", show_default=False
+    ),
+    out: Path | None = OUT_RUN,
+    video: bool = VIDEO,
+    plot: bool | None = PLOT,
+    view: bool = VIEW,
+    isolate: bool = ISOLATE,
+    step_timeout: float | None = STEP_TIMEOUT,
+    junit: Path | None = JUNIT,
+    json: bool = JSON,
+) -> None:
+    """Repeat a run of `live` or of a Session, bit for bit.
+
+    Scenario, FMUs and actions are those of the run's journal. The results are those of
+    `panda-cosim run`, which takes `--session RUN`, too.
+
+    ```
+    panda-cosim replay runs/my-session
+    ```
+    """
+    from ...run import replay as journal  # noqa: PLC0415 - `run` has no use for it
+
+    options = Options(isolate=isolate, step_timeout=step_timeout)
+    scenario, options = journal.read_session(run, options)
+    output = Output(out, video, plot, view, junit, json)
+
+    def repeat(folder: Path, update: Progress) -> Run:
+        return journal.replay(run, folder, options, progress=update)
+
+    done = simulate(scenario, options.kind, output, repeat)
+    conclude(done, output, ours=not scenario.has_own_parts)
+
+
+def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:
+    """Return a scenario, or what runs the system of an .ssp file, which a scenario may judge."""
+    if system is None and name is not None and Path(name).suffix == ".ssp":
+        system, name = Path(name), None
+    if system is None:
+        chosen = find_scenario(DEFAULT_SCENARIO if name is None else name)
+        return chosen if duration is None else chosen.changed({"duration": duration})
+    from ...run.system.assembly import system_scenario  # noqa: PLC0415 - rarely needed
+
+    alone = system_scenario(system, duration)
+    if name is None:
+        return alone
+    judging = find_scenario(name)
+    if not judging.system:
+        raise InputError(
+            f"SCENARIO {name!r}: cannot be combined with --system; must be one with a `system`"
+        )
+    length = judging.duration if duration is None else duration
+    return replace(judging, system=alone.system, folder=alone.folder, duration=length)

@@ -1,0 +1,221 @@
+"""`panda-cosim sweep`, with `report`, `show` and `promote`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from shlex import quote
+from typing import Literal
+
+import typer
+
+from ...fmus.atomic import check_replaceable
+from ...fmus.errors import CosimError, InputError
+from ...result.judging.criterion import line as criterion_line
+from ...result.judging.criterion import miss_text
+from ...result.judging.verdict import FAILED, MISSED, SUCCESS, Verdict
+from ...run.folder import default_folder
+from ...study.compare.junit import Case, write_cases
+from ...study.compare.reference import REFERENCE_FILE
+from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
+from ...study.sweep.engine import SweepResult, check_sweep
+from ...study.sweep.engine import sweep as run_sweep
+from ...study.sweep.report import REPORT_FILE, promote_row, show_row, write_report
+from ...study.sweep.results import missing, share_bounds
+from ...study.sweep.row import STATUSES, UNJUDGED
+from ...study.sweep.store import Store
+from ..console import progress, show, show_file, show_json, table, tell, warn
+from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
+
+SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
+ROW = argument(
+    "ROW",
+    "Number of a row, from 0: the column index of the results.",
+    min=0,
+    show_default=False,
+)
+
+
+def command(  # noqa: PLR0913 - one for each option
+    sweep: str = argument(
+        "SWEEP.toml",
+        "A sweep's TOML file, or the name of a shipped one: anywhere, behind_wall, calibrated, "
+        "iso9283 or random_box. With --vary, a scenario.",
+        show_default=False,
+    ),
+    out: Path | None = option(
+        "--out -o DIR",
+        "Folder for the results; a stopped sweep in it is resumed. Default: a new one in runs/.",
+    ),
+    vary: list[str] | None = option(
+        "--vary KEY=LOW:HIGH:STEPS",
+        "Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.",
+    ),
+    jobs: int | None = option("--jobs -j N", "Number of processes. Default: one per core."),
+    dask: str | None = option(
+        "--dask ADDRESS",
+        "Run on this Dask cluster, such as tcp://host:8786, or on one that is started on this "
+        "machine: local.",
+    ),
+    time_limit: float | None = option(
+        "--time-limit SECONDS", "Wall time after which a run is stopped."
+    ),
+    min_success: float | None = option(
+        "--min-success SHARE",
+        "Required success rate, such as 0.95: the share of successes in all rows or, with "
+        "--confidence, its lower bound. Exit code 3 if it is missed. In the file: min_success.",
+    ),
+    confidence: float | None = option(
+        "--confidence LEVEL",
+        "With --min-success, compare the one-sided lower bound by Clopper and Pearson at this "
+        "confidence, such as 0.95. For random rows. In the file: confidence.",
+    ),
+    mujoco: str = ENGINES,
+    junit: Path | None = option(
+        "--junit FILE", "With --min-success, write the verdict as JUnit XML, for CI."
+    ),
+    json: bool = JSON,
+) -> None:
+    """Run a scenario many times with varied values, on all cores or a cluster.
+
+    The results are a table, DIR/results/part-*.parquet, with one row per run; the row of a failed
+    run holds the reason. The same command, with `--out DIR`, resumes a stopped sweep, unless the
+    definition, the FMUs, the code or versions have changed. Further commands: `sweep report DIR`
+    writes a page about the results, `sweep show DIR ROW` shows a row's run in 3D beside the
+    unchanged scenario, and `sweep promote DIR ROW NEW` makes a scenario of a row.
+
+    ```
+    panda-cosim sweep random_box --out box
+    panda-cosim sweep pick_and_place --vary plant.block_mass=0.05:2:100
+    panda-cosim sweep report box
+    panda-cosim sweep random_box --min-success 0.99 --confidence 0.95
+    ```
+    """
+    if dask is not None and jobs is not None and dask != "local":
+        raise InputError(
+            "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
+        )
+    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    engines = {"mujoco": Distribution("values", values=tuple(mujoco.split(",")))} if mujoco else {}
+    definition = replace(definition, vary={**definition.vary, **engines})
+    if min_success is not None:
+        definition = replace(definition, min_success=min_success)
+    if confidence is not None:
+        definition = replace(definition, confidence=confidence)
+    if junit is not None:
+        if not definition.min_success:
+            raise InputError("--junit: needs --min-success, without which there is no verdict")
+        check_replaceable(junit)
+    check_sweep(definition, out)  # before anything is built
+    announce_build()
+    folder = out or default_folder("sweep")
+    name, began = Path(sweep).stem, time.perf_counter()
+    try:
+        with progress("Running the sweep") as update:
+            done = run_sweep(
+                definition, folder, jobs=jobs, dask=dask, time_limit=time_limit, remark=warn,
+                progress=lambda now: update(now.new, now.total - now.done + now.new),
+            )  # fmt: skip
+    except BaseException as error:  # also Ctrl-C and SIGTERM
+        if Store(folder).parts() and not isinstance(error, InputError):
+            more = "" if out else f" with --out {quote(str(folder))}"
+            tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
+        if isinstance(error, CosimError):
+            _write_junit(junit, name, began, FAILED, str(error))
+        raise
+    if json:
+        show_json({"folder": done.folder, "counts": done.counts, "min_success": done.gate})
+    else:
+        _show_counts(done, definition)
+    if done.gate is not None:
+        verdict = SUCCESS if done.gate.ok else MISSED
+        _write_junit(junit, name, began, verdict, miss_text(done.gate))
+        if verdict.exit_code:
+            raise typer.Exit(verdict.exit_code)
+
+
+def _write_junit(path: Path | None, name: str, began: float, verdict: Verdict, detail: str) -> None:
+    if path is not None:
+        case = Case.of(name, time.perf_counter() - began, verdict, detail)
+        write_cases("panda-cosim sweep", [case], path)
+
+
+def _show_counts(done: SweepResult, definition: Sweep) -> None:
+    total = sum(done.counts.values())
+    counts = [(status, done.counts[status]) for status in STATUSES if done.counts.get(status)]
+    rows = [(status, str(number), f"{number / total:.1%}") for status, number in counts]
+    show(table(("status", "rows", "share"), rows, right=("rows", "share")))
+    good = done.counts.get("success", 0)
+    if unjudged := sum(done.counts.get(status, 0) for status in UNJUDGED):
+        show(f"{unjudged} of {total} rows did not finish or were not judged, and count as failures")
+    if definition.design in SAMPLED:
+        low, high = share_bounds(good, total)
+        show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
+    if good and (beyond := Store(done.folder).beyond_limits()) is not None:
+        show(f"{beyond} of the {good} successes exceeded a limit of the robot")
+    if done.gate is not None:
+        show(criterion_line(done.gate), "bold green" if done.gate.ok else "bold red")
+    show(f"{done.folder}/results/  {total} rows")
+    tell(f"Next: panda-cosim sweep report {quote(str(done.folder))}")
+
+
+def report(
+    folder: Path = SWEEP,
+    out: Path | None = option("--out -o FILE.html", "Page to write. Default: in DIR."),
+    open_page: bool = OPEN_PAGE,
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Write an HTML page about the results of a sweep. The sweep may still be running.
+
+    It shows the success rate with its confidence bounds, margins by value, sensitivity, where runs
+    fail, and the worst rows with the commands that repeat them.
+    """
+    check_replaceable(out if out is not None else folder / REPORT_FILE, overwrite=overwrite)
+    _warn_if_changed(folder)
+    path = write_report(folder, out)
+    for line in missing(Store(folder)):
+        warn(line)
+    show_file(path, open_page=open_page)
+
+
+def show_one(folder: Path = SWEEP, index: int = ROW, open_page: bool = OPEN_PAGE) -> None:
+    """Run one row, and show it in 3D beside the unchanged scenario."""
+    _warn_if_changed(folder)
+    show_file(show_row(folder, index), open_page=open_page)
+
+
+def promote(
+    folder: Path = SWEEP,
+    index: int = ROW,
+    new: Path = argument("NEW", "Folder to create.", show_default=False),
+    expect: Literal["failure"] | None = option(
+        "--expect failure",
+        "The row misses a criterion, and that is a known limit: the scenario expects it. "
+        "Default: what the swept scenario expects.",
+    ),
+) -> None:
+    """Make a scenario of one row, for `panda-cosim regress`.
+
+    A row with success gets a reference. A row without is a red test: `regress` fails until its
+    criteria hold. With `--expect failure` it is a known limit, and `regress` passes while it fails.
+
+    ```
+    panda-cosim sweep promote box 17 my-scenarios/too-heavy --expect failure
+    ```
+    """
+    _warn_if_changed(folder)
+    paths = promote_row(folder, index, new, known_limit=expect is not None)
+    for path in paths:
+        show(str(path))
+    if expect is not None:
+        show("A known limit: regress passes as long as it fails as in the reference.")
+    elif any(path.name == REFERENCE_FILE for path in paths):
+        show("A regression test: regress passes as long as it is as in the reference.")
+    else:
+        show("A red test: regress fails until the criteria have the expected verdict.")
+
+
+def _warn_if_changed(folder: Path) -> None:
+    for remark in Store(folder).changed_scenarios():
+        warn(remark)

@@ -1,0 +1,153 @@
+"""Arguments and options shared by several commands, and how they are written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+import typer
+
+from ..fmus.build.libraries import PLATFORMS
+from ..fmus.errors import InputError, did_you_mean
+from ..fmus.interface.parameters import ParameterValue, literal
+from ..fmus.sources.targets import Kind, Target, outdated
+from ..fmus.twins import IN_RUNS, notice
+from ..result.judging.limits import ARMS
+from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
+from ..task.values import Values
+from .console import tell, warn
+
+DEFAULT_SCENARIO = "pick_and_place"
+FmiVersion = Literal["2", "3"]
+Names = Literal["structured", "flat"]
+Robot = Literal["fer", "fr3"]
+Meshes = Literal["never", "auto", "always"]
+
+
+def option(form: str, words: str, default: Any = None, **more: Any) -> Any:
+    """Return an option of this form, such as `--out -o DIR`, with its help."""
+    names = [name for name in form.split() if name.startswith("-")]
+    metavar = " ".join(word for word in form.split() if word not in names) or None
+    return typer.Option(default, *names, metavar=metavar, help=words, **more)
+
+
+def argument(metavar: str, words: str, default: Any = ..., **more: Any) -> Any:
+    """Return an argument with its help; without a default, it is required."""
+    return typer.Argument(default, metavar=metavar, help=words, **more)
+
+
+def scenario_argument(words: str, default: Any = ...) -> Any:
+    """Return an argument that takes a scenario; the shell completes the shipped ones."""
+    return argument("SCENARIO", words, default, autocompletion=lambda: list(shipped_scenarios()))
+
+
+_NAME_OR_FOLDER = "Name of a shipped scenario, or a scenario's folder."
+SCENARIO = scenario_argument(_NAME_OR_FOLDER)
+SCENARIO_OR_DEFAULT = scenario_argument(_NAME_OR_FOLDER, DEFAULT_SCENARIO)
+RUN = argument("RUN", "Folder of a run, or its recording.", show_default=False)
+CSV_FILE = argument("FILE.csv", "The file to write.")
+SETTINGS = option(
+    "--set -s KEY=VALUE",
+    "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
+    "joints), or a key of the scenario: duration=3, table.rows[3].x=0.4, mismatch.seed=4. "
+    "`panda-cosim info` lists the parameters. May be repeated.",
+)
+CONTROLLER = option(
+    "--controller FILE",
+    "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your permissions.",
+)
+PLANT = option(
+    "--plant FILE", "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file."
+)
+ROBOT = option("--robot", "Real robot whose limits count: the Panda is fer.")
+JSON = option("--json", "Print the result as JSON instead of tables.", False)
+OPEN_PAGE = option("--open", "Open the page in the browser.", False)
+OVERWRITE = option("--overwrite", "Also replace files that panda-cosim did not write.", False)
+MESHES = option(
+    "--meshes",
+    "Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are installed.",
+    "never",
+)
+OUT_RUN = option("--out -o DIR", "New folder for the run. Default: one in runs/.")
+KIND = option(
+    "--kind",
+    "Compiled FMUs, Python, or Python packed by PythonFMU; auto: compiled while proven equal.",
+    "auto",
+)
+FMI = option("--fmi", "FMI version: 2.0 or 3.0.", "2")
+PLATFORM = option(
+    "--platform LIST",
+    f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
+    "machine's. Others need the extra `cross`.",
+    "",
+)
+
+
+MUJOCO = option(
+    "--mujoco VERSION", "MuJoCo version, such as 3.11.0. Default: the installed one.", ""
+)
+ENGINES = option("--mujoco LIST", "Versions of MuJoCo to run with, such as 3.10.0,3.17.0.", "")
+SCALARS = option(
+    "--scalars", "FMI 3.0 without arrays, for importers that read only scalars.", False
+)
+NAMES = option("--names", "Names of elements: q[1,2], or q_1_2 for tools without brackets.",
+               "structured")  # fmt: skip
+
+
+def target_of(
+    kind: Kind = "native", fmi: str = "2", platforms: str = "", *, scalars: bool = False,
+    names: Names = "structured",
+) -> Target:  # fmt: skip
+    """Return what FMUs are built for."""
+    if scalars and fmi == "2":
+        raise InputError("--scalars: needs --fmi 3; FMI 2.0 has no arrays")
+    keys = tuple(name.strip() for name in platforms.split(",")) if platforms.strip() else ()
+    for name in keys:
+        if name not in PLATFORMS:
+            valid = ", ".join(PLATFORMS)
+            raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
+    return Target(kind, int(fmi), keys, scalars, names == "flat")
+
+
+def find_scenario(name: str) -> Scenario:
+    """Load a scenario by name or folder; warns if a folder has the name of a shipped one."""
+    scenario = load_scenario(name)
+    used, namesake = scenario.folder, Path(name)
+    if used and (namesake / SCENARIO_FILE).is_file() and not namesake.samefile(used):
+        warn(f"{name} is the shipped scenario; for the folder {name} here, write ./{name}")
+    return scenario
+
+
+def values_of(
+    assignments: Iterable[str] | None, controller: str | None = None, plant: str | None = None,
+    **options: ParameterValue | None,
+) -> Values:  # fmt: skip
+    """Return the values that `--set` and other options give, by key of `Scenario.changed`."""
+    values: dict[str, ParameterValue] = {}
+    for text in assignments or ():
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not (key and equals and value):
+            valid = "such as plant.block_pos[1]=0.45 or duration=3"
+            raise InputError(f"--set {text!r}: must be KEY=VALUE, {valid}")
+        values[key] = literal(value, f"--set {text!r}: ")
+    others = {"fmus.controller": controller, "fmus.plant": plant, **options}
+    return values | {key: value for key, value in others.items() if value is not None}
+
+
+def arm_of(robot: Robot | None) -> str | None:
+    """Return the scenario's word for an arm."""
+    return ARMS[robot] if robot else None
+
+
+def announce_python(kind: Kind = "auto", twins: Iterable[str] = IN_RUNS) -> None:
+    """Warn of FMUs, or a master's step, that run in Python as their twins in C are outdated."""
+    if kind == "auto" and (text := notice(twins)):
+        warn(text)
+
+
+def announce_build(target: Target | None = None) -> None:
+    """Print which FMUs are about to be built, if any."""
+    names = outdated(target=target)
+    if names:
+        tell(f"Building {' and '.join(names)}: the cache has none for this version of the code ...")

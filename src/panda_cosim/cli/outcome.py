@@ -1,0 +1,306 @@
+"""What `run` and `replay` do: simulate with a progress bar, show the outcome, draw it, and end."""
+
+from __future__ import annotations
+
+import signal
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib import import_module
+from itertools import chain
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..fmus.atomic import check_replaceable
+from ..fmus.errors import CosimError, InputError, SimulationError
+from ..fmus.sources.targets import Kind, Target
+from ..result.judging.contacts import Touch
+from ..result.judging.criterion import cells
+from ..result.judging.limits import exceeded, outcome, remedy_of
+from ..result.judging.verdict import FAILED, Summary, Verdict
+from ..result.recording import Recording
+from ..run.folder import claimed_folder
+from ..run.result import VIDEO_FILE, Run
+from ..show.pictures.gl import RenderError
+from ..show.pictures.motion import refuse_without_model
+from ..task.scenario import Scenario
+from . import INTERRUPTS
+from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
+from .options import announce_build, announce_python
+from .startup import meanwhile
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
+STYLES = {"wrong": "bold red", "refused": "bold red", "hint": "yellow", "good": "green"}
+LEVELS = {"bad": "bold red", "plain": "bold", "good": "bold green"}  # of a verdict
+SHOWN = 3  # unwanted contacts that are named
+Progress = Callable[[int, int], None]  # completed and total steps
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is made of a run."""
+
+    out: Path | None  # folder; None: a new one in runs/
+    video: bool
+    plot: bool | None  # None: as the video
+    view: bool
+    junit: Path | None
+    json: bool  # instead of tables
+    fps: float = 30.0  # of the video
+
+
+def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
+    scenario: Scenario,
+    kind: Kind,
+    output: Output,
+    run: Callable[[Path, Progress], Run],
+    *,
+    early: bool = True,
+    values: Mapping[str, Any] | None = None,
+) -> Run:
+    """Run in a new folder; an error names the place of the recording.
+
+    `early`: modules that are needed afterwards are imported while the FMUs step, and the scene of
+    these parameters, by FMU, is described.
+    """
+    if output.junit is not None:
+        check_replaceable(output.junit)
+    # No warning: an overflow leads to a value that is not finite, which is an error.
+    warnings.simplefilter("ignore", RuntimeWarning)
+    began = time.monotonic()
+    get_ready = cache(partial(_get_ready, output.view, values))
+    with claimed_folder(output.out, scenario.name) as folder:
+        if not scenario.is_system:
+            announce_build(Target(kind))
+        try:
+            with progress(f"Simulating {scenario.name}") as update:
+
+                def hear(done: int, total: int) -> None:
+                    update(done, total)
+                    if early:
+                        get_ready()
+
+                return run(folder, hear)
+        except SimulationError as error:
+            announce_python(kind)
+            seconds = time.monotonic() - began
+            _write_junit(output.junit, scenario.name, seconds, FAILED, str(error))
+            kept = any(folder.glob("recording.*"))
+            where = f"; the recording up to then is in {folder}" if kept else ""
+            raise CosimError(f"{error}{where}") from error
+
+
+def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
+    """Import what closes and draws a run, and describe the scene that it shows."""
+
+    def load() -> None:
+        import_module("rich.table")
+        import_module("pyarrow.parquet")
+        if view:
+            page = import_module("..show.view.page", __package__)
+            if values is not None:
+                page.plant_model({"parameters": values})
+
+    meanwhile(load)
+
+
+def conclude(done: Run, output: Output, *, ours: bool, realtime: bool = False) -> None:
+    """Show a finished run, draw its pictures, and exit with its exit code; `ours`: all FMUs are."""
+    for message in dict.fromkeys(done.warnings):
+        warn(message)
+    seconds = done.summary.timing.get("wall_s") or 0.0
+    _write_junit(output.junit, done.summary.scenario, seconds, done.verdict, done.summary.detail)
+    if done.signal:
+        name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
+        warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
+    else:
+        if not output.json:
+            if done.summary.criteria:
+                show(verdict_table(done.summary))
+            for text, style in outcome_lines(done.summary, realtime=realtime, ours=ours):
+                show(text, style)
+        draw_view(output, done)
+        for path in chain(_files(done), _draw(done, output)):
+            if not output.json:
+                show_file(path)
+    _end(done, output)
+
+
+def _files(done: Run) -> list[Path]:
+    return sorted(path for path in done.folder.iterdir() if path.is_file())
+
+
+def draw_view(output: Output, done: Run) -> None:
+    """Write the page of a run, unless it is there; that it cannot be drawn is a warning."""
+    if not output.view or done.signal or not _is_drawable(done):
+        return
+    from ..show.view.page import VIEW_FILE, write_view  # noqa: PLC0415 - slow to import
+
+    path = done.folder / VIEW_FILE
+    if not path.exists():
+        with _drawing(done):
+            try:
+                write_view([done.shown()], path)
+            except InputError as error:
+                warn(f"no view: {error}")
+
+
+def _is_drawable(done: Run) -> bool:
+    try:
+        refuse_without_model(done.recording)
+    except InputError:
+        return False
+    return "plant.qpos" in done.recording
+
+
+def _draw(done: Run, output: Output) -> Iterator[Path]:
+    """Draw the pictures, the slowest last, and yield each as soon as it is there."""
+    with _drawing(done):
+        if output.video if output.plot is None else output.plot:
+            tell(PLOTTING)
+            yield done.plot().path
+        if output.video and _is_drawable(done):
+            tell(TILING)
+            yield done.sheet().path
+            yield draw_video(done.recording, done.folder, fps=output.fps)
+        elif output.video:
+            warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
+
+
+@contextmanager
+def _drawing(done: Run) -> Iterator[None]:
+    """What cannot be drawn is a warning, since the run is good."""
+    try:
+        yield
+    except RenderError as error:
+        warn(f"{error}; later, `panda-cosim render {quote(str(done.folder))}` draws the pictures")
+    except INTERRUPTS:
+        warn(f"interrupted while drawing; recording and summary are in {done.folder}")
+        raise
+
+
+def _end(done: Run, output: Output) -> None:
+    """Print the results and exit with the exit code."""
+    if output.json:
+        show_json(
+            {
+                "folder": done.folder,
+                "files": [path.name for path in _files(done)],
+                "exit_code": done.exit_code,
+                "warnings": list(dict.fromkeys(done.warnings)),
+                "summary": done.summary.to_dict(),
+            }
+        )
+    if done.exit_code:
+        raise typer.Exit(done.exit_code)
+
+
+def _write_junit(
+    path: Path | None, name: str, seconds: float, verdict: Verdict, detail: str
+) -> None:
+    if path is not None:
+        from ..study.compare.junit import Case, write_cases  # noqa: PLC0415 - rarely asked for
+
+        write_cases("panda-cosim run", [Case.of(name, seconds, verdict, detail)], path)
+
+
+def verdict_table(summary: Summary) -> Table:
+    """Return a table with one row per criterion."""
+    right = ("measured", "required", "margin")
+    rows = []
+    for criterion in summary.criteria:
+        *texts, word = map(as_cell, cells(criterion))
+        rows.append((*texts, f"[{'green' if criterion.ok else 'bold red'}]{word}"))
+    return table(("criterion*", *right, "verdict"), rows, right=right)
+
+
+def outcome_lines(
+    summary: Summary, *, realtime: bool, ours: bool = True
+) -> Iterator[tuple[str, str]]:
+    """Yield the lines below the table, each with its style; `ours`: all FMUs are."""
+    yield summary.headline, LEVELS[summary.verdict.level]
+    yield _speed_line(summary), ""
+    for end in summary.row_ends:
+        name, at = f"Row {end['row']} ({end['until']})", end["ended_s"]
+        yield (
+            (f"{name} never ended early", "yellow")
+            if at is None
+            else (f"{name} ended early, at t = {at:.3f} s", "")
+        )
+    for level, text in outcome(summary.preflight, complete=summary.complete):
+        yield text, STYLES[level]
+    for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
+        yield line, "yellow"
+    if realtime:
+        timing = summary.timing
+        late = f"{timing['worst_lateness_s'] * 1e3:.1f} ms"
+        yield (
+            f"Real time: {timing['overruns']} of {timing['steps']} steps were late, the latest by "
+            f"{late}",
+            "",
+        )
+
+
+def _speed_line(summary: Summary) -> str:
+    timing, tracking = summary.timing, summary.tracking
+    factor = timing.get("real_time_factor")
+    speed = f" in {timing['wall_s']:.2f} s ({factor:.1f} x real time)" if factor else ""
+    simulated = f"{timing['simulated_s']:g} s simulated{speed}"
+    if not tracking:
+        return simulated
+    return f"{simulated}; tracking RMS {tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"
+
+
+def _contact_lines(summary: Summary) -> Iterator[str]:
+    """Name the unwanted contacts, which often cause all that follows."""
+    contacts = [str(Touch(**contact)) for contact in summary.contact.get("unwanted", [])]
+    if contacts:
+        more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
+        named = "; ".join(contacts[:SHOWN])
+        # A task whose criteria all hold with these contacts, such as a peg in its hole, needs them.
+        held = bool(summary.criteria) and summary.success
+        advice = "" if held else "; the path must avoid them"
+        yield f"Unwanted contacts: {named}{more}{advice}"
+    elif peak := summary.contact.get("unwanted_force_N"):
+        yield f"Unwanted contacts, with up to {peak:.3g} N"
+
+
+def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
+    """Yield the robot limits that were exceeded, and the first one that bound the controller."""
+    beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
+    if beyond:
+        yield f"Beyond the robot's limits: {', '.join(beyond)}"
+    first, collision = summary.first_limit, summary.events["collision"]
+    if first:
+        remedy = remedy_of(f"{first['kind']} limit", ours=ours)
+        if contacts and contacts[0]["time_s"] <= first["time_s"]:
+            remedy = "after the contact above"
+        elif collision is not None and collision <= first["time_s"]:
+            remedy = f"after the collision at t = {collision:.3f} s"
+        yield (
+            f"The {first['kind']} limit of joint {first['joint']} first limited the motion at "
+            f"t = {first['time_s']:.3f} s: {remedy}"
+        )
+    elif (
+        collision is None
+        and not contacts
+        and any(limit.startswith("torque rate") for limit in beyond)
+    ):
+        yield f"Torque rate: {remedy_of('torque rate', ours=ours)}"
+
+
+def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:
+    """Draw the video into a folder; for `look`, see `render_video`."""
+    from ..show.pictures.video import render_video  # noqa: PLC0415 - imports mediapy
+
+    with progress("Drawing the video (--no-video skips it)") as update:
+        return render_video(recording, folder / VIDEO_FILE, progress=update, **look)

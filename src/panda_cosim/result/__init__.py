@@ -1,0 +1,1 @@
+"""What came of it: recordings and verdicts."""

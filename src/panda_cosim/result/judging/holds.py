@@ -1,0 +1,286 @@
+"""Holds, the spans in which the fingers hold the block, the other events, and the block's metrics.
+
+The metrics, the events, the shading of the plot and the labels of the view are all made of the
+holds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...task import rotations
+from ...task.criteria import HELD_FORCE, LIFTED
+from ..recording import Recording, by_rows
+
+Array = NDArray[np.float64]
+Events = dict[str, float | None]
+
+FORCE: Final = "plant.contact_force"
+BLOCK: Final = ("plant.qpos[10]", "plant.qpos[11]", "plant.qpos[12]")  # its centre
+OPENING: Final = "controller.grip_cmd"
+SETTLING: Final = 0.5  # [s] from release to the measurement of the block's position
+RESTING: Final = 0.005  # [m/s] speed of the hand below which it rests
+COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
+HAND: Final = "plant.hand_xpos"
+CONTACT: Final = tuple(f"controller.joint_contact[{i}]" for i in range(1, 8))
+COLLISION: Final = 2.0  # of joint_contact
+SHORT: Final = 0.05 - 1e-9  # [s] a shorter gap belongs to a hold, a shorter span is none
+
+
+class Rows(Protocol):
+    """What is read of a recording."""
+
+    @property
+    def time(self) -> Array:
+        """Instants of the rows (n,) [s]."""
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Names of all columns."""
+
+    def __getitem__(self, name: str) -> Array:
+        """A column's values (n,)."""
+
+
+@dataclass(frozen=True)
+class Hold:
+    """One hold, in rows of the recording."""
+
+    grasp: int  # its first row
+    end: int  # the first row after it; the number of rows if it lasts to the end
+    # At which the gripper is commanded to open; `end` if it is not; None: that is not recorded.
+    release_command: int | None
+    lift: int | None  # when the block is first more than LIFTED from its place at `grasp`
+
+    @property
+    def let_go(self) -> int:
+        """The release command; where that is not recorded, the end."""
+        return self.end if self.release_command is None else self.release_command
+
+    @property
+    def carried(self) -> slice:
+        """Rows from lift to release command, both included; none without one of them."""
+        if self.lift is None or self.release_command is None:
+            return slice(0, 0)
+        return slice(self.lift, min(self.release_command + 1, self.end))
+
+
+def find_holds(recording: Rows) -> list[Hold]:
+    """Return the holds of a run in order; none without contact force and position of the block."""
+    columns = frozenset(recording.columns)
+    if not {FORCE, *BLOCK} <= columns:
+        return []
+    spans = _spans(recording.time, recording[FORCE])
+    block = [recording[name] for name in BLOCK]
+    opening = recording[OPENING] if OPENING in columns else None
+    return [_hold(block, opening, *span) for span in spans]
+
+
+def _spans(time: Array, force: Array) -> list[tuple[int, int]]:
+    """Return the first row of each hold, and the first after it."""
+    edges = np.flatnonzero(np.diff(force > HELD_FORCE, prepend=False, append=False))
+    begins, ends = edges[::2], edges[1::2]
+    if not len(begins):
+        return []
+    length = np.append(time, time[-1:])[ends] - time[begins]
+    # Fingers that open brush the block with short and weak touches; a heavy one that slips rattles.
+    inside = np.repeat(length >= SHORT, ends - begins)
+    firm = force[force > HELD_FORCE][inside].mean() if inside.any() else math.inf
+    counts = (length >= SHORT) | (np.maximum.reduceat(force, begins) > firm)
+    begins, ends = begins[counts], ends[counts]
+    apart = time[begins[1:]] - time[ends[:-1]] >= SHORT
+    first, last = np.append(True, apart)[: len(begins)], np.append(apart, True)[: len(begins)]
+    spans = zip(begins[first].tolist(), ends[last].tolist(), strict=True)
+    return [(a, b) for a, b in spans if time[min(b, len(time) - 1)] - time[a] >= SHORT]
+
+
+def _hold(block: Sequence[Array], opening: Array | None, grasp: int, end: int) -> Hold:
+    release_command = None if opening is None else _release_command(opening, grasp, end)
+    held = np.column_stack([axis[grasp:end] for axis in block])
+    way = np.linalg.norm(held - held[0], axis=1)
+    away = np.flatnonzero(way > LIFTED)
+    return Hold(grasp, end, release_command, grasp + int(away[0]) if len(away) else None)
+
+
+def _release_command(opening: Array, grasp: int, end: int) -> int:
+    """Return the last row at which the opening begins to rise to stay above what it was."""
+    # A grip that becomes weaker while the block is carried rises before, and does not let go.
+    held = opening[grasp:end]
+    rises = np.diff(held) > 0.0
+    least_later = np.minimum.accumulate(held[::-1])[::-1][1:]
+    begins = rises & ~np.append(False, rises)[: len(rises)] & (least_later > held[:-1])
+    rows = np.flatnonzero(begins)
+    return grasp + 1 + int(rows[-1]) if len(rows) else end
+
+
+def last_release(holds: Sequence[Hold], rows: int) -> Hold | None:
+    """Return the last hold that ended in a recording of so many rows, or None."""
+    return next((hold for hold in reversed(holds) if hold.end < rows), None)
+
+
+def events(recording: Recording, holds: Sequence[Hold]) -> Events:
+    """Return the time of each event [s], or None if it did not happen; see `DEFINITIONS`."""
+    time = recording.time
+    released = last_release(holds, len(time))
+    moving = np.flatnonzero(moving_rows(recording))
+    rows: dict[str, int | None] = {
+        "start": 0,
+        "grasp": holds[0].grasp if holds else None,
+        "lift": next((hold.lift for hold in holds if hold.lift is not None), None),
+        "release_command": released.release_command if released else None,
+        "release": released.end if released else None,
+        "placed": placed_row(time, holds),
+        "command_end": int(moving[-1]) if len(moving) else None,
+        "at_rest": _rest(recording, len(time)) if HAND in recording else None,
+        "end": len(time) - 1,
+        "collision": first_collision(recording),
+    }
+    return {
+        name: float(time[row]) if row is not None and len(time) else None
+        for name, row in rows.items()
+    }
+
+
+def first_collision(recording: Rows) -> int | None:
+    """Return the row at which a joint first collides; None: none does, or it is not recorded."""
+    if CONTACT[0] not in recording.columns:
+        return None
+    collided = np.max([recording[name] for name in CONTACT], axis=0) == COLLISION
+    return int(np.argmax(collided)) if collided.any() else None
+
+
+def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:
+    """Return the row half a second after the last release."""
+    # None if the block is not released, the run ends before, or the block is held again by then.
+    released = last_release(holds, len(time))
+    if released is None:
+        return None
+    row = int(np.searchsorted(time, time[released.end] + SETTLING - 1e-9))
+    held = holds[-1] is not released and holds[-1].grasp <= row
+    return row if row < len(time) and not held else None
+
+
+def moving_rows(recording: Recording) -> NDArray[np.bool_]:
+    """Return whether the command moves at each row: both rows of each change, if it is recorded."""
+    moving = np.zeros(recording.rows, dtype=bool)
+    if all(name in recording for name in COMMAND):
+
+        def step(*pose: Array) -> Any:
+            return np.abs(np.diff(np.hstack(pose), axis=0)).max(axis=1)
+
+        moving[1:] = by_rows(recording, step, *COMMAND, before=1) > 0.0
+        moving[:-1] |= moving[1:]
+    return moving
+
+
+def _rest(recording: Recording, rows: int) -> int | None:
+    """Return the row from which on the hand rests, or None if it moves at the end."""
+
+    def speed(time: Array, hand: Array) -> Any:
+        return np.linalg.norm(np.diff(hand, axis=0), axis=1) / np.diff(time)
+
+    fast = np.flatnonzero(~(by_rows(recording, speed, "time", HAND, before=1) < RESTING))
+    row = int(fast[-1]) + 1 if len(fast) else 0
+    return row if row < rows - 1 or rows <= 1 else None
+
+
+Metrics = dict[str, Any]
+
+SUPPORT: Final = "plant.support_force"
+POSE: Final = [f"plant.qpos[{i}]" for i in range(10, 17)]  # position, quaternion (w, x, y, z)
+
+
+def measure_block(
+    recording: Recording, held: Sequence[Hold], goal: tuple[float, float, float] | None
+) -> Metrics:
+    """Return the metrics under `block` in summary.json; `goal` is its place, world frame [m]."""
+    time = recording.time
+    if not len(time):
+        return {}
+    each = _holds(recording, held)
+    placed = placed_row(time, held)
+    at = -1 if placed is None else placed
+    there, final = np.column_stack([recording[name][[at, -1]] for name in POSE])
+    yaw, tilt = _yaw(there[3:]), by_rows(recording, _tilt, *POSE[4:6])
+    released = last_release(held, len(time))
+    height = recording[BLOCK[2]]
+    lifts = [float(height[h.grasp : h.end].max() - height[h.grasp]) for h in held]
+    error = 1e3 * (there[:3] - (0.0 if goal is None else np.array(goal)))
+    return {
+        "holds": each,
+        "lift_m": max(lifts, default=0.0),
+        "slip_mm": max((h["slip_mm"] for h in each if h["slip_mm"] is not None), default=None),
+        **_set_down(recording, height, released, placed),
+        "final_position_m": final[:3].tolist(),
+        "final_quaternion_wxyz": final[3:].tolist(),
+        "placed_at_s": _instant(time, placed),
+        "release_s": _instant(time, released.end if released else None),
+        "peak_tilt_deg": float(tilt.max()),
+        "tilt_deg": float(tilt[at]),
+        "yaw_deg": yaw,
+        "yaw_error_deg": abs((yaw + 45.0) % 90.0 - 45.0),
+        "place_error_mm": None if goal is None else float(np.linalg.norm(error)),
+        "place_error_xyz_mm": None if goal is None else error.tolist(),
+    }
+
+
+def _instant(time: Array, row: int | None) -> float | None:
+    return None if row is None or row >= len(time) else float(time[row])
+
+
+def _yaw(quaternion: Array) -> float:
+    """Yaw [deg] of a body from its quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion.tolist()
+    return math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def _tilt(x: Array, y: Array) -> Array:
+    """Tilt (n,) [deg] of a body from these parts of its quaternions (w, x, y, z)."""
+    upright = 1 - 2 * (x**2 + y**2)
+    return np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
+
+
+def _holds(recording: Recording, held: Sequence[Hold]) -> list[Metrics]:
+    """Return the instants of each hold, and the slip in it."""
+    time, slips = recording.time, _slips(recording, held)
+    return [
+        {
+            "grasp_s": float(time[hold.grasp]),
+            "lift_s": _instant(time, hold.lift),
+            "release_command_s": _instant(time, hold.release_command),
+            "release_s": _instant(time, hold.end),
+            "slip_mm": slip,
+        }
+        for hold, slip in zip(held, slips, strict=True)
+    ]
+
+
+def _slips(recording: Recording, held: Sequence[Hold]) -> list[float | None]:
+    """Return the largest displacement of the block in the hand while each hold carries it [mm]."""
+
+    def seen_from(hand: Array, quaternion: Array, *block: Array) -> Array:
+        return rotations.rotate(rotations.conjugate(quaternion), np.column_stack(block) - hand)
+
+    in_hand = by_rows(recording, seen_from, "plant.hand_xpos", "plant.hand_xquat", *BLOCK)
+    carried = [in_hand[hold.carried] for hold in held]
+    ways = [np.linalg.norm(place - place[:1], axis=1) for place in carried]
+    return [1e3 * float(way.max()) if len(way) else None for way in ways]
+
+
+def _set_down(
+    recording: Recording, height: Array, released: Hold | None, placed: int | None
+) -> Metrics:
+    """Measure how the block is set down after its last hold."""
+    drop = force = None
+    if released is not None and placed is not None:
+        if released.release_command is not None:
+            drop = float(height[released.release_command] - height[placed]) * 1e3
+        if released.lift is not None and SUPPORT in recording:
+            force = float(recording[SUPPORT][released.lift : placed + 1].max())
+    return {"drop_mm": drop, "set_down_force_N": force}

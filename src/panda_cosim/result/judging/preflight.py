@@ -1,0 +1,343 @@
+"""What the interface of the real robot would refuse of a run, in libfranka's own error names.
+
+The robot differentiates what it is sent by backward differences at 1 kHz, and stands still before
+the first command. A recording is read once, in blocks, so that a long one takes little memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE, TORQUE_DRIVEN
+from ...assets.franka import JOINT_DAMPING, RobotLimits, robot_limits
+from ...controller.gains import DEFAULT
+from ...controller.model import FINGERTIPS, ArmModel
+from ...controller.touch import ROTOR
+from ...task import rotations
+from ...task.limits import robot_of
+from ...task.trajectory import TIME_TOLERANCE
+from ..recording import Recording
+from .holds import first_collision
+from .limits import CHECKS, DERIVATIVES, REMEDIES
+
+Array = NDArray[np.float64]
+Refusal = dict[str, Any]  # as `findings` of summary.json has them
+Rates = Sequence[Array]  # positions (n, k) and their three derivatives
+# Key of `CHECKS`, values (n, k), largest sizes (k,) or (n, k), and what both are counted from (k,).
+Measure = tuple[str, Array, Array, Array | float]
+
+BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
+AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
+COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
+HAND: Final = ("plant.hand_xpos", "plant.hand_xquat")
+Q, QD, FORCE, BIAS, JAC = (
+    f"plant.{name}" for name in ("qpos", "qvel", "actuator_force", "qfrc_bias", "jac")
+)
+MEASURED: Final = (Q, QD, FORCE, BIAS, JAC)
+SENSED: Final = "sensors.qpos_measured"
+REGULAR: Final = 1e-12  # [m^2] keeps J J^T regular where the arm is singular
+
+
+class _Judge:
+    """Keeps the largest share of each limit, and the first time that it is reached."""
+
+    def __init__(self, robot: str, recording: Recording, touch: float) -> None:
+        self.shares: dict[str, Array] = {}
+        self.first: dict[str, Refusal] = {}  # of each check
+        self._robot, self._cause = robot, _cause(recording)
+        self._touch = touch  # when a joint first collides [s]
+        self._row_times = np.array(recording.metadata.get("row_times", ()), dtype=float)
+
+    def see(self, time: Array, measures: Iterable[Measure]) -> None:
+        """Compare values with their bounds in the last rows, whose instants are (n,) [s]."""
+        for key, values, bounds, origin in measures:
+            rows = slice(len(values) - len(time), None)
+            sizes = np.broadcast_to(bounds, values.shape)[rows]
+            shares = np.abs(values[rows]) / sizes
+            self.shares[key] = np.maximum(self.shares.get(key, 0.0), shares.max(axis=0))
+            refused = np.flatnonzero((shares >= AT_LIMIT).any(axis=1))
+            if len(refused) and key not in self.first:
+                row, k = refused[0], int(shares[refused[0]].argmax())
+                value, size = float(values[rows][row, k]), float(sizes[row, k])
+                zero = float(np.broadcast_to(origin, values.shape[1:])[k])
+                at, check = float(time[row]), CHECKS[key]
+                more_time = check.remedy == REMEDIES["more_time"]
+                remedy = self._cause if more_time else ""
+                if at >= self._touch and (more_time or check.remedy == REMEDIES["smooth"]):
+                    remedy = REMEDIES["after_touch"]
+                ahead = int(np.searchsorted(self._row_times, at - TIME_TOLERANCE)) + 1
+                self.first[key] = {
+                    "name": key,
+                    **vars(check),
+                    "remedy": (remedy or check.remedy).format(robot=self._robot, touch=self._touch),
+                    "time_s": at,
+                    "row": min(ahead, len(self._row_times)) or None,
+                    "joint": k + 1 if values.shape[1] > 1 else None,
+                    "value": zero + value,
+                    "bound": zero + math.copysign(size, value),
+                }
+
+
+class _Lost:
+    """How many packets may be lost in a row, at any time of the motion.
+
+    Meanwhile the robot keeps its last acceleration, and then gets the command of its time.
+    """
+
+    def __init__(self, limits: RobotLimits, judge: Callable[[], _Judge]) -> None:
+        self._limits, self._new_judge = limits, judge
+        self.borne = limits.lost_packets - 1
+        self.refusal: Refusal | None = None  # of one more
+
+    def see(self, time: Array, rates: Rates) -> None:
+        """Judge the last rows, at which packets arrive again or have done so up to two before."""
+        for count in range(1, self.borne + 1):
+            judge = self._new_judge()
+            judge.see(time, _rate_measures(_received(count, rates), self._limits))
+            if judge.first:
+                self.borne = count - 1
+                first = min(judge.first.values(), key=lambda each: each["time_s"])
+                self.refusal = {**first, "remedy": REMEDIES["smoother"]}
+                return
+
+
+def _received(count: int, rates: Rates) -> Rates:
+    """Return the largest rates at each row, if the gap has ended there or up to two rows before."""
+    q, v, a, _ = (rate[: -count - 1] for rate in rates)  # of the last packet before
+    command, velocity, acceleration, _ = (rate[count + 1 :] for rate in rates)  # with no gap
+    v_kept = v + count * STEP_SIZE * a
+    q_kept = q + count * STEP_SIZE * (v + 0.5 * (count + 1) * STEP_SIZE * a)
+    v_then = (command - q_kept) / STEP_SIZE
+    a_then = (v_then - v_kept) / STEP_SIZE
+    j_then = (a_then - a) / STEP_SIZE
+    # The differences of the two rows after still span the gap.
+    a_next = (velocity[1:] - v_then[:-1]) / STEP_SIZE
+    j_next = (a_next - a_then[:-1]) / STEP_SIZE
+    j_last = (acceleration[2:] - a_next[:-1]) / STEP_SIZE
+    return (
+        command[2:],
+        _largest(v_kept[2:], v_then[2:]),
+        _largest(a_then[2:], a_next[1:]),
+        _largest(j_then[2:], j_next[1:], j_last),
+    )
+
+
+def _largest(*values: Array) -> Array:
+    """Return which of the values is the largest in magnitude, element by element."""
+    stack = np.stack(values)
+    largest: Array = np.take_along_axis(stack, np.abs(stack).argmax(axis=0)[None], axis=0)[0]
+    return largest
+
+
+class _Arm:
+    """Torques that are commanded, and those that others exert, as the controller's observer finds.
+
+    The robot adds gravity itself, of the arm without load. External torques are those of `Touch`,
+    with its default gain, and the force is the one at the hand that would exert them.
+    """
+
+    def __init__(self, recording: Recording, limits: RobotLimits) -> None:
+        robot = robot_of(recording.metadata)
+        self._limits, self._model, self._damping = limits, ArmModel(robot), JOINT_DAMPING[robot]
+        self._rotor = 0.0 if _has_motors(recording) else ROTOR
+        gain = DEFAULT.observer_gain * STEP_SIZE
+        self._share = gain / (1.0 + gain)
+        self._torque, self._external = np.zeros(7), np.zeros(7)  # of the last row
+
+    def measures(self, signals: Mapping[str, Array], count: int) -> Iterator[Measure]:
+        """Yield what is measured of the last rows."""
+        last = slice(-count - 1, None)
+        q, qd, force, bias = (signals[name][last, :7] for name in (Q, QD, FORCE, BIAS))
+        read = signals.get(SENSED, signals[Q])[last, :7]  # a tick before the torque
+        limits, still = self._limits, np.zeros(7)
+        middle: Array = 0.5 * (limits.q_min + limits.q_max)
+        yield "arm_position", q - middle, limits.q_max - middle, middle
+        yield "arm_velocity", qd, limits.speed(q, qd), 0.0
+        yield "torque", force, limits.torque, 0.0
+        qdd = np.diff(qd, axis=0) / STEP_SIZE
+        q, qd, force, bias = q[1:], qd[1:], force[1:], bias[1:]
+        commanded, needed = np.empty((2, count, 7))
+        for row in range(count):
+            commanded[row] = force[row] - self._model.hand(read[row], still).bias
+            needed[row] = self._model.inertia_force(q[row], qdd[row])
+        needed += bias - (force - self._rotor * qdd - self._damping * qd)
+        begins = ~force.any(axis=1)  # before the first step, the servos give nothing
+        commanded[begins], needed[begins] = 0.0, 0.0
+        rate: Array = np.diff(commanded, axis=0, prepend=self._torque[None]) / STEP_SIZE
+        self._torque = commanded[-1]
+        yield "torque_rate", rate, limits.torque_rate, 0.0
+        external = needed
+        for row in range(count):
+            self._external += self._share * (needed[row] - self._external)
+            external[row] = self._external
+        yield "external_torque", external, limits.collision_torque, 0.0
+        jac = signals[JAC][-count:]
+        square = jac @ jac.transpose(0, 2, 1) + REGULAR * np.eye(6)
+        at_hand = np.linalg.solve(square, (jac @ external[:, :, None]))[:, :, 0].astype(float)
+        yield "external_force", at_hand[:, :3], limits.collision_force[:3], 0.0
+        yield "external_moment", at_hand[:, 3:], limits.collision_force[3:], 0.0
+        twist = (jac @ qd[:, :, None])[:, :, 0]
+        lever: Array = _fingertips(signals[HAND[1]][-count:])
+        speed = _length(twist[:, :3] + np.cross(twist[:, 3:], lever))
+        yield "hand_velocity", speed, limits.translation[:1], 0.0
+
+
+def preflight(recording: Recording, robot: str) -> dict[str, Any]:
+    """Return what one of `ROBOTS` would refuse, and the largest share of each of its limits [1]."""
+    if not recording.rows:
+        return {}
+    row = first_collision(recording)
+    touch = math.inf if row is None else float(recording.time[row])
+    new_judge = partial(_Judge, robot, recording, touch)
+    limits, judge, reference = robot_limits(robot), new_judge(), _reference(recording)
+    lost = _Lost(limits, new_judge)
+    arm = _Arm(recording, limits)
+    names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED) if n in recording]
+    kept: dict[str, Array] = {}
+    for time, *block in recording.in_blocks("time", *names):
+        signals = dict(zip(names, block, strict=True))
+        if not kept and recording.metadata.get("coupling") == "jacobi" and reference in signals:
+            computed = np.clip(np.arange(len(time)), 1, len(time) - 1)  # the first row is not yet
+            signals[reference] = signals[reference][computed]
+        if not kept:  # the robot stands still before
+            judge.see(time[:1], _start_measures(signals, reference, limits))
+            kept = {name: np.repeat(signal[:1], BEFORE, axis=0) for name, signal in signals.items()}
+        signals = {name: np.concatenate((kept[name], signals[name])) for name in names}
+        kept = {name: signal[-BEFORE:] for name, signal in signals.items()}
+        if reference in signals:
+            rates = _rates(signals[reference][:, :7], 3)
+            judge.see(time, _joint_measures(rates, limits))
+            lost.see(time, rates)
+        if signals.keys() >= {*COMMAND}:
+            judge.see(time, _hand_measures(signals, limits))
+        if signals.keys() >= {*HAND, *MEASURED}:
+            judge.see(time, arm.measures(signals, len(time)))
+    if reference in signals:
+        judge.see(time[-1:], _end_measures(rates, limits))
+    return _result(robot, reference, judge, lost)
+
+
+def _result(robot: str, reference: str, judge: _Judge, lost: _Lost) -> dict[str, Any]:
+    """Return the section of summary.json."""
+    own = "joint" if reference else "torque"
+    findings = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
+    findings.sort(key=lambda each: each["time_s"])
+    refused = [each for each in findings if each["necessary"]]
+    counts: dict[str, int | None] = {}  # None: a condition of the interface was not measured
+    for name in ("joint", "cartesian", "torque", "arm"):
+        needed = {key for key, check in CHECKS.items() if check.interface == name}
+        count = sum(each["interface"] == name for each in refused)
+        counts[name] = count if needed <= judge.shares.keys() else None
+    both = counts[own], counts["arm"]
+    told = [each for each in refused if each["interface"] in (own, "arm") and None not in both]
+    return {
+        "robot": robot,
+        "interface": own,
+        "refusals": None if None in both else sum(filter(None, both)),
+        "first_s": told[0]["time_s"] if told else None,
+        **{f"{name}_refusals": count for name, count in counts.items()},
+        "lost_packets": lost.borne if "joint_jerk" in judge.shares else None,
+        **{f"{key}_share": judge.shares.get(key, np.empty(0)).tolist() or None for key in CHECKS},
+        "findings": findings,
+        "late": {"lost_packets": lost.refusal} if lost.refusal else {},
+    }
+
+
+def _reference(recording: Recording) -> str:
+    """Return the signal that a joint motion generator would be sent; "": torques are commanded."""
+    if _has_motors(recording):
+        return ""
+    angles = "controller.qpos_ref" not in recording and "controller.ctrl[8]" in recording
+    follows = _gains(recording).get("use_reference", not angles)
+    return "controller.qpos_ref" if follows else "controller.ctrl"
+
+
+def _has_motors(recording: Recording) -> bool:
+    """Whether torques are commanded, by the impedance law or by a law of its own."""
+    scene, unit = recording.metadata.get("scene"), recording.units.get("controller.ctrl[1]")
+    return scene == TORQUE_DRIVEN or unit == "N.m" or bool(_gains(recording).get("impedance"))
+
+
+def _gains(recording: Recording) -> Mapping[str, Any]:
+    gains: Mapping[str, Any] = recording.metadata.get("parameters", {}).get("controller", {})
+    return gains
+
+
+def _cause(recording: Recording) -> str:
+    """Return what to change besides rows of the table if joints are too fast, or ""."""
+    if _gains(recording).get("period", STEP_SIZE) > STEP_SIZE:
+        return REMEDIES["period"]
+    return REMEDIES["no_reference"] if _reference(recording) == "controller.ctrl" else ""
+
+
+def _rates(values: Array, count: int) -> list[Array]:
+    """Return values (n, k) and so many of their derivatives, by backward differences."""
+    rates = [values]
+    for _ in range(count):
+        rates.append(np.diff(rates[-1], axis=0, prepend=rates[-1][:1]) / STEP_SIZE)
+    return rates
+
+
+def _rate_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    q, velocity, acceleration, jerk = rates
+    yield "joint_velocity", velocity, limits.speed(q, velocity), 0.0
+    yield "joint_acceleration", acceleration, limits.acceleration, 0.0
+    yield "joint_jerk", jerk, limits.jerk, 0.0
+
+
+def _joint_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    middle: Array = 0.5 * (limits.q_min + limits.q_max)
+    yield "joint_position", rates[0] - middle, limits.q_max - middle, middle
+    yield from _rate_measures(rates, limits)
+    elbow = limits.q_max[2:3] - middle[2]
+    yield "elbow_position", rates[0][:, 2:3] - middle[2], elbow, middle[2]
+    for name, rate, bound in zip(DERIVATIVES, rates[1:], limits.elbow, strict=True):
+        yield f"elbow_{name}", rate[:, 2:3], bound, 0.0
+
+
+def _hand_measures(signals: Mapping[str, Array], limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what the commanded pose asks of the end effector, between the fingertips."""
+    position, orientation = (signals[name] for name in COMMAND)
+    turns = rotations.multiply(orientation[1:], rotations.conjugate(orientation[:-1]))
+    turning = np.concatenate((np.zeros((1, 3)), rotations.log(turns))) / STEP_SIZE
+    moving = _rates(position + _fingertips(orientation), 3)[1:]
+    for name, rate, bound in zip(DERIVATIVES, moving, limits.translation, strict=True):
+        yield f"translation_{name}", _length(rate), bound, 0.0
+    for name, rate, bound in zip(DERIVATIVES, _rates(turning, 2), limits.rotation, strict=True):
+        yield f"rotation_{name}", _length(rate), bound, 0.0
+
+
+def _start_measures(
+    signals: Mapping[str, Array], reference: str, limits: RobotLimits
+) -> Iterator[Measure]:
+    """Yield how far the first command is from where the robot stands, per tick at full speed."""
+    measured = signals.get(SENSED, signals.get(Q))
+    if reference in signals and measured is not None:
+        away = signals[reference][:1, :7] - measured[:1, :7]
+        yield "start_pose", away, limits.velocity * STEP_SIZE, 0.0
+    if signals.keys() >= {*COMMAND, *HAND}:
+        poses = ((signals[pose[0]][:1], signals[pose[1]][:1]) for pose in (COMMAND, HAND))
+        command, hand = (position + _fingertips(turn) for position, turn in poses)
+        yield "start_place", _length(command - hand), limits.translation[:1] * STEP_SIZE, 0.0
+
+
+def _end_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what is left of the motion, of which the robot can stop so much within a tick."""
+    yield "end_velocity", rates[1], limits.acceleration * STEP_SIZE, 0.0
+    yield "end_acceleration", rates[2], limits.jerk * STEP_SIZE, 0.0
+
+
+def _fingertips(orientation: Array) -> Array:
+    """Return where the fingertips' centre is from the hand's origin (n, 3) [m], world axes."""
+    return rotations.rotate(orientation, np.broadcast_to(FINGERTIPS, (len(orientation), 3)))
+
+
+def _length(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return lengths

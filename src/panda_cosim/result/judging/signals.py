@@ -1,0 +1,277 @@
+"""Judges criteria over signals (a recorded signal, norm or difference), and poses of bodies.
+
+A signal is reduced over a window. A reduction takes times (n,) [s], values (n,) and the criterion
+with its band, target and level, and returns the number, or None if there is none. n is at least 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...task.criteria import (
+    BLOCK,
+    BOUNDS,
+    SLACK,
+    BodyCriterion,
+    Instant,
+    SignalCriterion,
+    split_instant,
+)
+from ..recording import Recording, by_rows
+from ..recording.reader import shapes_of
+from .criterion import Criterion, Direction
+from .holds import POSE, Events
+
+Array = NDArray[np.float64]
+Reduction = Callable[[Array, Array, SignalCriterion], float | None]
+DIRECTIONS: Final[tuple[Direction, ...]] = ("below", "above")
+AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
+TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
+
+
+class UnmeasuredError(ValueError):
+    """A criterion has no value in this run; the message says why."""
+
+
+def judge_signals(
+    criteria: Iterable[SignalCriterion], recording: Recording, events: Events
+) -> list[Criterion]:
+    """Judge a run by each criterion; a criterion with two bounds gives two results."""
+    return [judged for criterion in criteria for judged in _judge(criterion, recording, events)]
+
+
+def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> list[Criterion]:
+    unit, reason, length = "", None, 0.0
+    values: list[float] = []
+    try:
+        unit = unit_of(criterion, shapes_of(recording.columns), recording.units)
+        unit = "s" if criterion.reduce in TIMES else unit
+        values, length = _measure(criterion, recording, events)
+    except ValueError as error:
+        reason = str(error)
+    judged = []
+    for direction in DIRECTIONS:
+        bound = getattr(criterion, direction)
+        if bound is None:
+            continue
+        # The worst of several elements counts: for an upper bound, the largest.
+        value = (max if direction == "below" else min)(values, default=None)
+        if value is not None and criterion.reduce == "settle" and length < value <= bound:
+            value, reason = None, f"does not settle within its window of {length:g} s"
+        name = criterion.labels[direction]
+        judged.append(Criterion.judge(name, value, bound, unit, direction, reason))
+    return judged
+
+
+def _measure(
+    criterion: SignalCriterion, recording: Recording, events: Events
+) -> tuple[list[float], float]:
+    """Reduce each element; also return the window's length [s]."""
+    time = recording.time
+    start, stop = (time_of(each, events) for each in (criterion.from_, criterion.to))
+    rows = (time >= start - _slack(time)) & (time <= stop + _slack(time))
+    if not rows.any():
+        raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
+    signal = by_rows(recording, partial(_evaluate, criterion), *criterion.names)
+    if not np.isfinite(signal)[rows].all():
+        raise UnmeasuredError("is not finite")
+    within = time[rows]
+    values = [REDUCE[criterion.reduce](within, column[rows], criterion) for column in signal.T]
+    if any(value is None for value in values):
+        raise UnmeasuredError("has a window of one row, in which nothing settles")
+    return cast("list[float]", values), float(within[-1] - within[0])
+
+
+def row_at(instant: Instant, time: Array, events: Events) -> int:
+    """Return the row of an instant."""
+    at = time_of(instant, events)
+    rows = np.flatnonzero(time <= at + _slack(time))
+    if not len(rows) or at > time[-1] + _slack(time):
+        raise UnmeasuredError(f"no sample at {at:g} s")
+    return int(rows[-1])
+
+
+def _slack(time: Array) -> float:
+    """Rounding of k * dt [s]: a millionth of the shortest step."""
+    return min(SLACK, 1e-6 * float(np.diff(time).min(initial=1.0)))
+
+
+def time_of(instant: Instant, events: Events) -> float:
+    """Return the time of an instant [s]."""
+    if not isinstance(instant, str):
+        return instant
+    event, offset = split_instant(instant)
+    at = events.get(event)
+    if at is None:
+        raise UnmeasuredError(f"no {event} in this run")
+    return at + offset
+
+
+def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | None:
+    """Time from the window's start until the signal stays in the band."""
+    # If it ends outside, the row after the window's last: it settles then at the earliest.
+    target = values[-1] if criterion.target is None else criterion.target
+    outside = np.flatnonzero(~(np.abs(values - target) <= (criterion.band or 0.0)))
+    if not len(outside):
+        return 0.0
+    after = np.append(time, 2.0 * time[-1] - time[-2]) if len(time) > 1 else time
+    return float(after[outside[-1] + 1] - time[0]) if len(after) > len(time) else None
+
+
+def _overshoot(_time: Array, values: Array, criterion: SignalCriterion) -> float:
+    """Largest deviation from the target on its far side, seen from the first value."""
+    # A signal that starts at the target has no far side: its largest deviation counts.
+    target = values[-1] if criterion.target is None else criterion.target
+    beyond = values - target
+    if abs(beyond[0]) <= AT_TARGET * np.abs(beyond).max():
+        return float(np.abs(beyond).max())
+    return max(float((-np.sign(beyond[0]) * beyond).max()), 0.0)
+
+
+def _duration(time: Array, inside: NDArray[np.bool_]) -> float:
+    """Total time of the steps that begin inside."""
+    return float(np.diff(time)[inside[:-1]].sum())
+
+
+REDUCE: Final[Mapping[str, Reduction]] = {
+    "max": lambda _t, x, _c: float(x.max()),
+    "min": lambda _t, x, _c: float(x.min()),
+    "peak": lambda _t, x, _c: float(np.abs(x).max()),
+    "mean": lambda _t, x, _c: float(x.mean()),
+    "rms": lambda _t, x, _c: float(np.sqrt(np.mean(x**2))),
+    "final": lambda _t, x, _c: float(x[-1]),
+    "range": lambda _t, x, _c: float(x.max() - x.min()),
+    "settle": _settle,
+    "overshoot": _overshoot,
+    "duration_above": lambda t, x, c: _duration(t, x > (c.level or 0.0)),
+    "duration_below": lambda t, x, c: _duration(t, x < (c.level or 0.0)),
+}
+
+
+def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str]) -> None:
+    """Check that each criterion's signals are recorded, and match in shape and unit."""
+    shapes = shapes_of(tuple(units))
+    for index, criterion in enumerate(criteria, 1):
+        try:
+            unit_of(criterion, shapes, units)
+        except ValueError as error:
+            raise InputError(f"[[success.signal]] {index}: signal: {error}") from None
+
+
+def unit_of(
+    criterion: SignalCriterion, shapes: Mapping[str, tuple[int, ...]], units: Mapping[str, str]
+) -> str:
+    """Return the unit of a criterion's signal."""
+    columns = [_columns(name, shapes, units) for name in criterion.names]
+    kinds = {units[column] for parts in columns for column in parts}
+    if len({len(parts) for parts in columns}) > 1:
+        sizes = " and ".join(
+            f"{n} has {len(p)}" for n, p in zip(criterion.names, columns, strict=True)
+        )
+        raise ValueError(f"{sizes} elements; must have the same number")
+    if len(kinds) > 1:
+        shown = ", ".join(sorted(kinds))
+        raise ValueError(f"{' and '.join(criterion.names)}: units {shown}; must have the same unit")
+    return kinds.pop()
+
+
+def _columns(
+    name: str, shapes: Mapping[str, tuple[int, ...]], units: Mapping[str, str]
+) -> list[str]:
+    if name in units:
+        return [name]
+    if name not in shapes:
+        hint = did_you_mean(name, (*shapes, *units))
+        raise ValueError(
+            f"value {excerpt(name)} is not recorded as a number; must be a recorded signal{hint} "
+            "(`panda-cosim info` lists them)"
+        )
+    return [c for c in units if c.startswith(f"{name}[")]
+
+
+def _evaluate(criterion: SignalCriterion, *signals: Array) -> Array:
+    """Return a criterion's signal (n, k), with one column per element."""
+    parts = [signal.reshape(len(signal), -1) for signal in signals]
+    values: Array = parts[0] if len(parts) == 1 else parts[0] - parts[1]
+    if not isinstance(criterion.signal, str) and criterion.signal[0] == "norm":
+        values = np.linalg.norm(values, axis=1, keepdims=True)
+    return values
+
+
+_POSE = "_xquat[4]"  # end of a column's name, where a body's pose is recorded
+
+
+def check_bodies(criteria: Iterable[BodyCriterion], units: Mapping[str, str]) -> None:
+    """Check that the pose of each body is recorded, else raise `InputError`."""
+    posed = [n.removeprefix("plant.").removesuffix(_POSE) for n in units if n.endswith(_POSE)]
+    bodies = [name for name in posed if f"plant.{name}_xpos[3]" in units]
+    bodies += [BLOCK] if "plant.qpos[16]" in units else []
+    for index, criterion in enumerate(criteria, 1):
+        if criterion.body not in bodies:
+            valid = f"one of {', '.join(bodies)}" if bodies else "a body whose pose is recorded"
+            raise InputError(
+                f"[[success.body]] {index}: body: value {excerpt(criterion.body)}; must be {valid}"
+                f"{did_you_mean(criterion.body, bodies)}"
+            )
+
+
+def judge_bodies(
+    criteria: Iterable[BodyCriterion], recording: Recording, events: Events
+) -> list[Criterion]:
+    """Judge a run by each bound of each criterion."""
+    return [
+        judged for criterion in criteria for judged in _judge_body(criterion, recording, events)
+    ]
+
+
+def _judge_body(criterion: BodyCriterion, recording: Recording, events: Events) -> list[Criterion]:
+    values: Mapping[str, float] = {}
+    reason = None
+    try:
+        values = _measure_body(criterion, recording, row_at(criterion.at, recording.time, events))
+    except ValueError as error:
+        reason = str(error)
+    return [
+        Criterion.judge(
+            criterion.label(name),
+            values.get(name),
+            bound,
+            BOUNDS[name],
+            "above" if name.startswith("min_") else "below",
+            reason,
+        )
+        for name, bound in criterion.bounds.items()
+    ]
+
+
+def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:
+    """Return the value of each bound; raise `UnmeasuredError` without a finite pose."""
+    for name in criterion.signals:
+        if name not in recording:
+            raise UnmeasuredError(f"{name} is not recorded")
+    first, last = np.column_stack([recording[name][[0, row]] for name in _pose(criterion)])
+    start, end, (_, x, y, _) = first[:3], last[:3], last[3:].tolist()
+    if not (np.isfinite(end).all() and math.isfinite(x * y)):
+        raise UnmeasuredError("is not finite")
+    target = end if criterion.position is None else np.array(criterion.position)
+    return {
+        "tolerance": float(np.linalg.norm(end - target)),
+        "max_tilt": math.degrees(math.acos(min(1.0, max(-1.0, 1 - 2 * (x * x + y * y))))),
+        "max_shift": float(np.linalg.norm(end - start)),
+        "min_lift": float(end[2] - start[2]),
+    }
+
+
+def _pose(criterion: BodyCriterion) -> list[str]:
+    """Return the columns of a body's position and quaternion (w, x, y, z)."""
+    if criterion.body == BLOCK:
+        return POSE
+    sizes = zip(criterion.signals, (3, 4), strict=True)
+    return [f"{name}[{i}]" for name, size in sizes for i in range(1, size + 1)]

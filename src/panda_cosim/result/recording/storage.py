@@ -1,0 +1,314 @@
+"""Files of a recording: an Arrow stream while it grows, a Parquet file when it is complete.
+
+Both hold one column per scalar, float64 unless an FMU has another type, with unit and description
+in the column's metadata, and a JSON text under `METADATA_KEY` in the schema's metadata. Only this
+module and `reference` use pyarrow; functions import it, since it takes 0.1 s that
+`panda-cosim --help` should not spend.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ...fmus.errors import InputError, excerpt, one_line
+from ...fmus.reading import finite_number
+from ...task.files import read_integer
+
+Array = NDArray[np.float64]
+Metadata = dict[str, Any]
+
+FORMAT = 1  # of the recording; one of another number cannot be read
+STREAM_FILE = "recording.arrows"
+PARQUET_FILE = "recording.parquet"
+PARTIAL_FILE = f"{PARQUET_FILE}.part"  # while the one is made of the other
+METADATA_KEY = b"panda_cosim"
+BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
+# Types of columns, as Arrow names them, and NumPy's.
+TYPES: Final[dict[str, DTypeLike]] = {
+    "double": np.float64, "float": np.float32, "bool": np.bool_, "string": object, "binary": object,
+    **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+}  # fmt: skip
+TEXTS: Final = ("string", "binary")
+REALS: Final = ("double", "float")  # all else is held from row to row
+NO_END = "it has no end mark: the process was killed, the disk was full, or it is still running"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A scalar signal: `name` such as `plant.qpos[1]`, its `unit` and what it is."""
+
+    name: str
+    unit: str = ""
+    description: str = ""
+    type: str = "double"  # Arrow's name of one of `TYPES`
+    nominal: float | None = None  # size of usual values, in the unit; None: not declared
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording's data, in a file or in memory."""
+
+    columns: tuple[Column, ...]
+    metadata: Metadata  # scenario, versions, parameters and so on
+    rows: int
+    blocks: Callable[[Sequence[str]], Iterator[list[Array]]]  # named columns in blocks of rows
+
+
+def literal(path: Path) -> str:
+    """Return a path that pyarrow takes literally; it would expand a `~` at the start."""
+    text = str(path.absolute())
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{text}: is not UTF-8; must be, for a recording") from None
+    return text
+
+
+def distinct(columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Make the columns' names distinct: `a.b` of FMU `x` and `b` of FMU `x.a` would be equal."""
+    renamed: dict[str, Column] = {}
+    for column in columns:
+        name, count = column.name, 1
+        while name in renamed:
+            count += 1
+            name = f"{column.name} ({count})"
+        renamed[name] = column if count == 1 else replace(column, name=name)
+    return tuple(renamed.values())
+
+
+def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
+    """Return the Arrow schema of the columns."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    fields = [
+        pa.field(
+            column.name,
+            pa.type_for_alias(column.type),
+            nullable=False,
+            metadata={
+                **{"unit": column.unit, "description": column.description},
+                **({} if column.nominal is None else {"nominal": repr(column.nominal)}),
+            },
+        )
+        for column in columns
+    ]
+    return pa.schema(fields, metadata={METADATA_KEY: json.dumps(metadata)})
+
+
+def serialize_rows(schema: Any, values: Array) -> Any:
+    """Return the stream's message with these rows. `values` has shape (columns, rows)."""
+    return make_batch(schema, values).serialize()
+
+
+def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
+    """Return the stream's last message: no rows, and `state` as its metadata."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, schema) as writer:
+        empty = make_batch(schema, np.empty((len(schema), 0)))
+        writer.write_batch(empty, custom_metadata={METADATA_KEY: json.dumps(state)})
+    # A new stream starts with the schema, which ours already has at its start.
+    return sink.getvalue().slice(schema.serialize().size)
+
+
+def write_parquet(source: Source, parquet: Path) -> None:
+    """Write a recording's rows and metadata as Parquet."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
+
+    schema = make_schema(source.columns, source.metadata)
+    partial = parquet.with_name(PARTIAL_FILE)
+    try:
+        with (
+            partial.open("wb") as file,
+            pq.ParquetWriter(
+                file,
+                schema,
+                compression="zstd",
+                use_dictionary=False,
+                # Groups exponents: the file is a quarter smaller.
+                use_byte_stream_split=[c.name for c in source.columns if c.type == "double"],
+                write_statistics=False,
+                write_page_checksum=True,  # detects flipped bits
+            ) as writer,
+        ):
+            for block in source.blocks(schema.names):
+                writer.write_batch(make_batch(schema, block), row_group_size=BLOCK_ROWS)
+        with partial.open("rb+") as written:
+            os.fsync(written.fileno())  # before the stream is deleted
+        partial.replace(parquet)
+    except pa.ArrowException as error:
+        raise OSError(str(error)) from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def open_stream(path: Path) -> Source:
+    """Open an Arrow stream: all complete batches, without an incomplete one at its end."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    if not path.stat().st_size:
+        raise InputError(f"{path}: is empty: its run was killed at once, or has just begun")
+    try:
+        # Memory-mapped, so that only the headers of batches are read from disk here.
+        reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: is not an Arrow stream: {one_line(str(error))}") from error
+    columns, metadata = read_schema(path, reader.schema)
+    state: Metadata = {"complete": False, "reason": NO_END}
+    batches = rows = 0
+    with suppress(pa.ArrowException, OSError, ValueError, StopIteration):
+        while True:
+            batch, custom = reader.read_next_batch_with_custom_metadata()
+            batch.validate(full=True)
+            if any(column.null_count for column in batch.columns):
+                break
+            if custom and METADATA_KEY in custom:
+                end = json.loads(custom[METADATA_KEY])
+                state |= {key: end[key] for key in (*state, *LATE) if key in end}
+                break
+            batches, rows = batches + 1, rows + batch.num_rows
+    return Source(columns, metadata | state, rows, partial(_stream_blocks, path, batches))
+
+
+def _stream_blocks(path: Path, batches: int, names: Sequence[str]) -> Iterator[list[Array]]:
+    """Yield the named columns of a stream's first batches, about `BLOCK_ROWS` rows at a time."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    pending: list[list[Array]] = []
+    try:
+        # Not memory-mapped: the pages would stay in memory, 4 GB for an hour.
+        with pa.OSFile(literal(path)) as file:
+            reader = pa.ipc.open_stream(file)
+            for _ in range(batches):
+                batch = reader.read_next_batch()
+                pending.append([values_of(batch.column(name)) for name in names])
+                if sum(len(parts[0]) for parts in pending) >= BLOCK_ROWS:
+                    yield _joined(pending)
+                    pending = []
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
+    if pending:
+        yield _joined(pending)
+
+
+def _joined(blocks: Sequence[Sequence[Array]]) -> list[Array]:
+    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
+
+
+def open_parquet(path: Path) -> Source:
+    """Open a complete recording."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
+
+    try:
+        file = pq.ParquetFile(literal(path), page_checksum_verification=True)
+        schema = file.schema_arrow
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        raise InputError(
+            f"{path}: is not a whole recording; must be a run's folder or its {PARQUET_FILE}"
+        ) from error
+    columns, metadata = read_schema(path, schema)
+    groups = [file.metadata.row_group(number).num_rows for number in range(file.num_row_groups)]
+    is_short = len(groups) == 1 and groups[0] <= BLOCK_ROWS
+
+    @cache
+    def only_group() -> Any:
+        return file.read_row_group(0)
+
+    def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
+        for number, rows in enumerate(groups):
+            try:
+                # A short run is read once, and kept.
+                group = only_group() if is_short else file.read_row_group(number, list(names))
+                block = [values_of(group.column(name).combine_chunks()) for name in names]
+                if any(len(column) != rows for column in block):
+                    raise ValueError(f"a column does not have {rows} rows")
+            except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+                raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
+            yield block
+
+    return Source(columns, metadata, sum(groups), blocks)
+
+
+def make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
+    """Return columns as a batch of rows of a schema."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    # Made from buffers, since pa.array() copies, and imports pandas.
+    arrays = []
+    for field, column in zip(schema, values, strict=True):
+        name = str(field.type)
+        if name in TEXTS:
+            arrays.append(pa.array(column.tolist(), field.type))
+            continue
+        numbers = np.ascontiguousarray(column, dtype=TYPES[name])
+        if name == "bool":
+            numbers = np.packbits(numbers, bitorder="little")
+        buffers = [None, pa.py_buffer(numbers)]
+        arrays.append(pa.Array.from_buffers(field.type, len(column), buffers))
+    return pa.RecordBatch.from_arrays(arrays, schema=schema)
+
+
+def values_of(column: Any) -> Array:
+    """Return an Arrow array's values; its own to_numpy() would import pandas, which takes 0.4 s."""
+    name = str(column.type)
+    if name in TEXTS:
+        texts = np.empty(len(column), object)
+        texts[:] = column.to_pylist()
+        return texts
+    return np.asarray(np.from_dlpack(column.cast("uint8") if name == "bool" else column),
+                      dtype=read_type(name))  # fmt: skip
+
+
+def type_of_rows(columns: Sequence[Column]) -> DTypeLike:
+    """Return float64 if that holds the values of all columns."""
+    types = {read_type(column.type) for column in columns}
+    return np.float64 if types == {np.float64} else object
+
+
+def read_type(name: str) -> DTypeLike:
+    """Return the type in which a column is read: float64 if that holds all of its values."""
+    return TYPES[name] if name in ("int64", "uint64", *TEXTS) else np.float64
+
+
+def read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
+    """Check a recording's schema, and return its columns and metadata."""
+    text = (schema.metadata or {}).get(METADATA_KEY)
+    if text is None:
+        raise InputError(f"{path}: is not a recording of panda-cosim: its metadata is missing")
+    try:
+        metadata = json.loads(text, parse_int=read_integer)
+        version = metadata.get("format")
+        columns = tuple(_read_column(path, field) for field in schema)
+    except (ValueError, AttributeError) as error:
+        raise InputError(f"{path}: is damaged: {one_line(str(error))}") from None
+    if version != FORMAT:
+        raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
+    return columns, metadata
+
+
+LATE: Final = ("row_times", "row_ends")  # metadata that a run's end may change
+
+
+def _read_column(path: Path, field: Any) -> Column:
+    if str(field.type) not in TYPES:
+        valid = ", ".join(TYPES)
+        raise InputError(f"{path}: column {field.name!a}: type {field.type}; must be {valid}")
+    notes = field.metadata or {}
+    unit, description = (
+        notes.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"description")
+    )
+    nominal = finite_number(notes.get(b"nominal", b"").decode("utf-8", "replace"))
+    return Column(field.name, unit, description, str(field.type), nominal)

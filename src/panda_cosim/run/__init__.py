@@ -1,0 +1,1 @@
+"""How it comes about: a scenario is prepared, stepped and concluded."""

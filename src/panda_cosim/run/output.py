@@ -1,0 +1,134 @@
+"""Results of a run: recording, scenario, journal and summary, or only what is in memory."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from contextlib import nullcontext, suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+from ..fmus.atomic import replacing
+from ..fmus.build.libraries import package_version
+from ..fmus.errors import InputError
+from ..fmus.master.system import OpenSystem
+from ..result.judging.verdict import SUMMARY_FILE, Summary, Verdict
+from ..result.recording import AnyRecorder, MemoryRecorder, Recorder, Recording
+from ..task.scenario import is_shipped
+from .folder import SCENARIO_FOLDER, keep_scenario
+from .journal import JOURNAL_FILE, Action, append_action, begin_journal
+from .prepare import Prepared
+from .start import played_rows
+from .summary import summarize
+
+PACKAGES: Final = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
+
+
+class Output:
+    """Takes the rows and actions of a run, and judges it at its end."""
+
+    def __init__(
+        self, prepared: Prepared, system: OpenSystem, folder: Path, *, writes: bool, journals: bool
+    ) -> None:
+        self.system, self._prepared, self._writes = system, prepared, writes
+        self._place = folder.absolute()  # an FMU may change the working directory
+        self._journal = self._place / JOURNAL_FILE if journals else None
+        columns = prepared.assembly.recorded(prepared.scenario.coupling)
+        self.signals = tuple(column.name for column in columns)
+        provenance = _provenance(system, prepared.scenario.mujoco) if writes else {}
+        code = {name: fmu.code for name, fmu in system.fmus.items()}
+        metadata = {**_metadata(prepared), "code": code, **provenance}
+        metadata |= {"session": JOURNAL_FILE} if journals else {}
+        make = Recorder if writes else MemoryRecorder
+        self.recorder: AnyRecorder = make(folder, columns, metadata)
+        self.head = {
+            "scenario": prepared.scenario.name,
+            "kind": prepared.options.kind,
+            "fmus": provenance.get("fmus", {}),
+        }
+
+    def begin(self) -> None:
+        """Write the scenario, and the journal's head."""
+        if self._writes:
+            # A full disk: the run itself matters more, but a session could not be repeated.
+            with nullcontext() if self._journal else suppress(InputError):
+                folder = self._place / SCENARIO_FOLDER
+                keep_scenario(self._prepared.scenario, self._prepared.assembly, folder)
+        if self._journal:
+            begin_journal(self._journal, self.head)
+
+    def note(self, action: Action) -> None:
+        """Write an action to the journal, if there is one."""
+        if self._journal:
+            append_action(self._journal, action)
+
+    @property
+    def in_memory(self) -> Recording | None:
+        """The recording, if memory holds it."""
+        return self.recorder.recording()
+
+    def judge(self, end: Verdict) -> Summary:
+        """Measure and judge what has been recorded, which ended so, and write the summary."""
+        recording = self.in_memory or Recording.open(self._place)
+        statistics = self.system.master.statistics
+        summary = summarize(recording, self._prepared.scenario, statistics, end)
+        if self._writes:
+            text = json.dumps(summary.to_dict(), indent=2, allow_nan=False)
+            with replacing(self._place / SUMMARY_FILE) as path:
+                path.write_text(text + "\n", encoding="utf-8")
+        return summary
+
+
+def _metadata(prepared: Prepared) -> dict[str, Any]:
+    """Metadata of the recording, as JSON holds it."""
+    scenario, values, assembly = prepared.scenario, prepared.values, prepared.assembly
+    ours: dict[str, Any] = {}
+    if scenario.system:
+        ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
+    scene = values.get("plant", {}).get("scene")
+    if isinstance(scene, str):  # from an .ssp file it is a number
+        ours["scene"] = scene
+    if scenario.mujoco:
+        ours["mujoco"] = scenario.mujoco
+    if not scenario.is_system:
+        times, names = played_rows(scenario, values)
+        ours |= {
+            "robot": scenario.robot,
+            "gains": scenario.gains,
+            "interpolation": scenario.interpolation,
+            "row_times": times,
+            "row_names": names,
+        }
+    if scenario.folder is not None and not is_shipped(scenario):
+        ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is
+    return {
+        "scenario": scenario.name,
+        "purpose": scenario.purpose,
+        **ours,
+        "coupling": scenario.coupling,
+        "order": [*assembly.interfaces],
+        "late": assembly.late(scenario.coupling),
+        "step_size": scenario.step,
+        "duration": scenario.duration,
+        "parameters": values,
+    }
+
+
+def _provenance(system: OpenSystem, engine: str) -> dict[str, Any]:
+    """FMUs, versions and platform of a recording, for its metadata."""
+    return {
+        "fmus": {
+            name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
+            for name, fmu in system.fmus.items()
+        },
+        "versions": versions() | ({"mujoco": engine} if engine else {}),
+        "platform": f"{sys.platform} {platform.machine()}",
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that runs use, as far as they are installed."""
+    installed = (name for name in PACKAGES if find_spec(name.replace("-", "_")))
+    return {"python": platform.python_version()} | {n: package_version(n) for n in installed}

@@ -1,0 +1,77 @@
+"""Runs a session again from its journal, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from ..fmus.errors import InputError, excerpt
+from ..task.scenario import Scenario
+from .folder import SCENARIO_FOLDER
+from .journal import Adjustments, End, Journal
+from .options import Options
+from .prepare import Prepared
+from .result import Run
+from .session import Session
+
+
+def replay(
+    place: str | Path,
+    out: str | Path | None = None,
+    options: Options | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Run a session again.
+
+    A session that failed or was killed is run to its scenario's end, or to the same failure.
+
+    Args:
+        place: Its `session.jsonl` or its folder; the scenario lies beside it.
+        out: New folder for the run; None: one named by scenario and time, in `runs`.
+        options: How to run it; the journal takes precedence.
+        progress: Called with the completed and the total steps.
+
+    Raises:
+        InputError: The journal cannot be used.
+        SimulationError: An FMU fails; what was recorded is kept.
+    """
+    journal = Journal.read(place)
+    scenario, options = read_session(place, options or Options())
+    session = Session(scenario, out, options)
+    _check_actions(journal, session.prepared)  # before anything is run
+    with session:
+        before = journal.head["fmus"]
+        session.warnings += [
+            f"{name}: another FMU than the session's; the values may differ"
+            for name, fmu in session.head["fmus"].items()
+            if before.get(name) != fmu
+        ]
+        for action in journal.actions:
+            session.step(action.tick - session.tick, progress)
+            if isinstance(action.act, End):
+                return session.close(action.act.reason or None)
+            session.act(action.act)
+        session.step(session.ticks - session.tick, progress)
+        return session.close()
+
+
+def read_session(place: str | Path, options: Options) -> tuple[Scenario, Options]:
+    """Read the scenario of a session, and complete the options of the run."""
+    journal = Journal.read(place)
+    scenario = Scenario.read(journal.path.parent / SCENARIO_FOLDER)
+    scenario = replace(scenario, name=journal.head["scenario"])
+    return scenario, replace(options, kind=journal.head["kind"])
+
+
+def _check_actions(journal: Journal, prepared: Prepared) -> None:
+    """Check that all actions can be taken, one after the other."""
+    adjustments, last = Adjustments(prepared), prepared.scenario.ticks
+    for number, action in enumerate(journal.actions, start=2):
+        try:
+            if action.tick > last:
+                raise InputError(f"tick {excerpt(action.tick)}; must be at most {last}")
+            adjustments.take(action)
+        except InputError as error:
+            raise InputError(f"{journal.path}: line {number}: {error}") from None

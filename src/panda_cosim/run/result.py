@@ -1,0 +1,166 @@
+"""A finished run: its files, its verdict, and its pictures, which a notebook shows."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from ..fmus.errors import TEXT_LENGTH, legible
+from ..result.judging.criterion import cells
+from ..result.judging.verdict import STOPPED, Summary, Verdict
+from ..result.recording import Recording
+
+if TYPE_CHECKING:
+    from ..show.view.page import Inline
+    from ..show.view.run import Shown
+
+PLOT_FILE: Final = "plot.png"
+SHEET_FILE: Final = "contact_sheet.png"
+VIDEO_FILE: Final = "video.mp4"
+_HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th><th></th></tr>"
+
+
+@dataclass(frozen=True)
+class ShownFile:
+    """A file that a notebook shows as the last value of a cell; `open` takes it, too."""
+
+    path: Path
+
+    def __fspath__(self) -> str:
+        """Return the file's path."""
+        return str(self.path)
+
+
+class Picture(ShownFile):
+    """A picture (PNG)."""
+
+    def _repr_png_(self) -> bytes:
+        return self.path.read_bytes()
+
+
+class Video(ShownFile):
+    """A video (MP4)."""
+
+    def _repr_html_(self) -> str:
+        return f'<video controls loop src="{_data_url(self.path, "video/mp4")}"></video>'
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run, complete or not.
+
+    Attributes:
+        folder: The folder with its files.
+        summary: Metrics and verdict.
+        signal: Number of the signal that stopped it, or 0.
+        warnings: Messages of the FMUs.
+        in_memory: The recording, if it is short or was not kept in the folder.
+    """
+
+    folder: Path
+    summary: Summary
+    signal: int = 0
+    warnings: tuple[str, ...] = ()
+    in_memory: Recording | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """What it came to."""
+        return STOPPED if self.signal else self.summary.verdict
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command that ran it."""
+        return self.verdict.exit_code + self.signal
+
+    @property
+    def recording(self) -> Recording:
+        """The recording."""
+        return Recording.open(self.folder) if self.in_memory is None else self.in_memory
+
+    def plot(self, path: Path | None = None) -> Picture:
+        """Draw the plot; a notebook shows it.
+
+        Args:
+            path: Where to; None: `plot.png` in the run's folder.
+        """
+        from ..show.pictures.plot import plot_recording  # noqa: PLC0415 - matplotlib takes its time
+
+        path = path or self.folder / PLOT_FILE
+        return Picture(plot_recording(self.recording, path, self.summary))
+
+    def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
+        """Draw the video; a notebook shows it.
+
+        Args:
+            path: Where to; None: `video.mp4` in the run's folder.
+            camera: Name of a camera of the scene.
+        """
+        from ..show.pictures.video import render_video  # noqa: PLC0415 - slow to import
+
+        path = path or self.folder / VIDEO_FILE
+        return Video(render_video(self.recording, path, camera=camera))
+
+    def sheet(self, path: Path | None = None) -> Picture:
+        """Draw the contact sheet; a notebook shows it, also with the run's table.
+
+        Args:
+            path: Where to; None: `contact_sheet.png` in the run's folder.
+        """
+        from ..show.pictures.video import contact_sheet  # noqa: PLC0415 - slow to import
+
+        return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
+
+    def _repr_html_(self) -> str:
+        """Return the verdict as a table, and the contact sheet if one was drawn."""
+        summary, sheet = self.summary, self.folder / SHEET_FILE
+        title = f"<p><b>{_text(summary.scenario)}</b>: {_text(summary.brief)}</p>"
+        rows = "".join(_row(cells(criterion)) for criterion in summary.criteria)
+        table = f"<table>{_HEAD}{rows}</table>" if rows else ""
+        if not sheet.is_file():
+            return title + table
+        style = "max-width:100%"
+        picture = f'<img alt="contact sheet" style="{style}" src="{_data_url(sheet, "image/png")}">'
+        return title + table + picture
+
+    def shown(self, name: str | None = None) -> Shown:
+        """Return the run for the view.
+
+        Args:
+            name: Its name on the page; None: the folder's.
+        """
+        from ..show.view.page import show_source  # noqa: PLC0415 - slow to import
+
+        name = name or self.folder.resolve().name
+        return show_source(self.recording, name, summary=self.summary)
+
+    def view(self, against: Run | None = None, *, height: int = 640) -> Inline:
+        """Show the run in 3D: in a notebook the result is the page, inline.
+
+        Args:
+            against: Another run, shown as a ghost.
+            height: Of the page in the notebook [px].
+        """
+        from ..show.view.page import Inline, view_page  # noqa: PLC0415 - slow to import
+
+        runs = [self.shown("run" if against else None)]
+        if against is not None:
+            runs.append(against.shown("other run"))
+        return Inline(view_page(runs), height)
+
+
+def _row(texts: Sequence[str]) -> str:
+    return f"<tr>{''.join(f'<td>{_text(text)}</td>' for text in texts)}</tr>"
+
+
+def _text(text: str) -> str:
+    from html import escape  # noqa: PLC0415 - only a notebook needs it
+
+    return escape(legible(text, TEXT_LENGTH))
+
+
+def _data_url(path: Path, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"

@@ -1,0 +1,285 @@
+"""Runs a scenario: what was prepared is opened, stepped, judged and written."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fmus.errors import CosimError, InputError, SimulationError
+from ..fmus.master.master import Master, RealtimePacer
+from ..result.judging.verdict import ENDED, FAILED, STOPPED, TIMEOUT, Summary
+from ..task.scenario import Scenario, load_scenario
+from ..task.values import Values
+from .folder import claimed_folder
+from .journal import Action, Adjustments, End
+from .options import Options
+from .output import Output
+from .prepare import Inputs, Prepared, prepare
+from .result import Run
+from .stopping import StopRequest, exit_guard, stopping_on_signals
+
+Progress = Callable[[int, int], None]  # completed and total steps
+
+
+def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
+    scenario: Scenario | str | Path,
+    out: Path | str | None = None,
+    options: Options | None = None,
+    *,
+    values: Values | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    stop: threading.Event | None = None,
+) -> Run:
+    """Run a scenario and keep the results in a folder.
+
+    Args:
+        scenario: A scenario, a shipped one's name, or a folder.
+        out: New folder for the run; None: one named by scenario and time, in `runs`.
+        options: How to run it.
+        values: Values to change, by key: see `Scenario.changed`.
+        progress: Called with the completed and the total steps, a few times a second.
+        stop: Set in another thread, it stops the run after the step under way.
+
+    Returns:
+        The run.
+
+    Raises:
+        InputError: Something given cannot be used; nothing is written then.
+        SimulationError: An FMU failed; what was recorded is kept, marked incomplete.
+    """
+    loaded = load_scenario(scenario)  # read
+    changed = loaded.changed(values or {})  # change
+    prepared = prepare(changed, options)  # prepare
+    with stopping_on_signals(stop) as request, Execution(prepared, out) as execution:
+        execution.advance(execution.ticks, request, progress)  # step
+        execution.judge(stop=request)  # judge
+        return execution.close(stop=request)  # write
+
+
+class Execution:
+    """One run of what was prepared; a context manager, which opens and ends it.
+
+    Without `writes` there is no folder, and all stays in memory, as for rows of sweeps.
+    """
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        out: Path | str | None = None,
+        *,
+        writes: bool = True,
+        journals: bool = False,
+    ) -> None:
+        self.prepared, self.scenario = prepared, prepared.scenario
+        self.folder = Path()
+        self._out = None if out is None else Path(out)
+        self._writes, self._journals = writes, journals
+        self._stack: ExitStack | None = None  # of what an open run has to close
+        self._output: Output | None = None
+        self._reset()
+
+    def _reset(self) -> None:
+        self._adjustments = Adjustments(self.prepared)
+        self.actions: list[Action] = []
+        self.warnings: list[str] = self.prepared.notes
+        self.failure = ""
+        self._summary: Summary | None = None  # of a failed run only if its recording can be read
+        self._columns: dict[str, list[int]] = {}  # of the master's rows, by signal
+
+    def open(self) -> Self:
+        """Open the FMUs and the run's folder, at t = 0.
+
+        Raises:
+            InputError: A file or a value cannot be used.
+            SimulationError: An FMU fails.
+        """
+        if self._stack is not None:
+            raise InputError("session: is already open; `close` or `restart` ends its run")
+        if self._output is not None:  # of a run before
+            self._reset()
+        prepared = self.prepared
+        with ExitStack() as stack:
+            if self._writes:
+                self.folder = stack.enter_context(claimed_folder(self._out, self.scenario.name))
+            with exit_guard(self.folder):
+                system = stack.enter_context(prepared.open(self.warnings))
+                self._output = Output(
+                    prepared, system, self.folder, writes=self._writes, journals=self._journals
+                )
+                stack.enter_context(self._output.recorder)
+                self._output.begin()
+                with self._guarded():
+                    system.master.begin(self._output.recorder.append)
+            self._stack = stack.pop_all()
+        return self
+
+    def judge(self, reason: str | None = None, *, stop: StopRequest | None = None) -> None:
+        """Record the last row and judge the recording; see `close`, which does it otherwise."""
+        stop = stop or StopRequest()
+        if not (self.failure or self._summary):  # else it has been judged
+            with self._guarded():
+                self._end(reason or stop.text)
+                end = STOPPED if stop.signal else TIMEOUT if stop.is_late else ENDED
+                self._summary = self._begun.judge(end)
+
+    def close(
+        self,
+        reason: str | None = None,
+        *,
+        stop: StopRequest | None = None,
+        meanwhile: Callable[[Run], None] | None = None,
+    ) -> Run:
+        """End the run: complete and judge the recording, free the FMUs.
+
+        Args:
+            reason: Why it ends before the scenario does, for the recording.
+            stop: What may have stopped it.
+            meanwhile: Called with the judged run while the recording's file is being written.
+
+        Raises:
+            SimulationError: The last row is not finite, or the disk is full.
+        """
+        if self._stack is None:
+            raise InputError("session: is not open; `open` opens it")
+        with self._stack:
+            self._stack = None
+            self.judge(reason, stop=stop)
+            if self._summary is None:
+                raise SimulationError(self.failure)
+            warnings, recording = tuple(self.warnings), self._begun.in_memory
+            signal = stop.signal if stop else 0
+            run = Run(self.folder, self._summary, signal, warnings, recording)
+            if meanwhile is not None:
+                meanwhile(run)
+        return run
+
+    def _end(self, reason: str | None) -> None:
+        """Record the last row and the end; an FMU may have ended the simulation."""
+        ended = self._master.ended
+        self._note(Action(self.tick, End(reason=reason or "")))
+        self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
+        finished = self.tick == self.ticks
+        if finished and ended:
+            self.warnings.append(str(ended))
+        default = str(ended) if ended else f"the session was ended at t = {self.time:.3f} s"
+        reason = None if finished else reason or default
+        self._close_recording(reason, complete=finished)
+
+    def _close_recording(self, reason: str | None, *, complete: bool) -> None:
+        recorder = self._begun.recorder
+        recorder.late |= self._adjustments.inputs.guarded.happened()
+        recorder.end(complete=complete, reason=reason)
+
+    def __enter__(self) -> Self:
+        """Open it."""
+        return self.open()
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        """End the run, unless it has ended."""
+        if self._stack is None:
+            return
+        if error is None:
+            self.close()
+            return
+        with suppress(CosimError):  # the error being raised says more
+            name = type(error).__name__
+            self.close(f"{name}: {error}" if str(error) else name)
+
+    def advance(self, last: int, stop: StopRequest, progress: Progress | None = None) -> None:
+        """Step up to a tick, or until asked to stop, at the pace of the options."""
+        self._check_open()
+        master, options, pace = self._master, self.prepared.options, None
+        if options.realtime:
+            period = self.scenario.step / options.realtime
+            pace = RealtimePacer(period, master.statistics).wait
+
+        def look(done: int) -> None:
+            stop.poll()
+            if progress is not None:
+                progress(done, self.ticks)
+
+        stop.watch(master, options.time_limit)
+        with self._guarded():
+            inputs = self._adjustments.inputs
+            while self.tick < last and not master.stop_requested:
+                inputs.guarded.look(self.tick, self._value)
+                count = inputs.guarded.unwatched(self.tick, last)
+                master.step(count, inputs, pace=pace, progress=look)
+            master.flush()
+        if progress is not None:
+            progress(self.tick, self.ticks)
+
+    def _value(self, signal: str) -> NDArray[np.float64]:
+        """Present value of a signal of several elements, row by row (n,)."""
+        if not self._columns:
+            for column, name in enumerate(self._begun.signals):
+                self._columns.setdefault(name.partition("[")[0], []).append(column)
+        return np.asarray(self._master.latest()[self._columns[signal]], float)
+
+    @property
+    def inputs(self) -> Inputs:
+        """External inputs of each tick, with the rows that have ended early."""
+        return self._adjustments.inputs
+
+    @property
+    def tick(self) -> int:
+        """Completed steps."""
+        return self._master.steps
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no step is left, or an FMU has ended the simulation."""
+        return self.tick >= self.ticks or self._master.ended is not None
+
+    @property
+    def ticks(self) -> int:
+        """Steps from t = 0 to the scenario's end."""
+        return self.scenario.ticks
+
+    @property
+    def time(self) -> float:
+        """Current time [s]."""
+        return self._master.time
+
+    @property
+    def _master(self) -> Master:
+        return self._begun.system.master
+
+    @property
+    def _begun(self) -> Output:
+        """The output of the run; that of one that has ended is still there."""
+        if self._output is None:
+            raise InputError("session: is not open; `open` opens it")
+        return self._output
+
+    def _check_open(self) -> None:
+        if self._stack is None:
+            raise InputError("session: is not open; `open` opens it")
+        if self.failure:
+            raise InputError("session: its run has failed; `restart` begins another")
+        if self._summary is not None:
+            raise InputError("session: its run has been judged; `restart` begins another")
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Call into FMUs: if one fails, the run is over; if one calls exit(), it is a failure."""
+        try:
+            with exit_guard(self.folder):
+                yield
+        except CosimError as error:
+            self.failure = str(error)
+            with suppress(CosimError):  # the failure itself says more
+                reason = f"{type(error).__name__}: {error}"
+                self._close_recording(reason, complete=False)
+                self._summary = self._begun.judge(FAILED)
+            raise
+
+    def _note(self, action: Action) -> None:
+        self.actions.append(action)
+        self._begun.note(action)

@@ -1,0 +1,374 @@
+"""A run stepped by the caller, who can change parameters, pushes and waypoints on the way.
+
+    with Session("pick_and_place") as session:
+        session.step(1000)
+        session.set("controller.kp", 6)
+        session.set("plant.push_force", (0, 5, 0))
+        session.step(100)
+        session.release("plant.push_force")
+        session.finish()
+
+It is recorded like any run, and each action is journalled: `replay` and
+`panda-cosim replay` repeat it bit for bit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import signal
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assets import STEP_SIZE
+from ..fmus.errors import InputError
+from ..fmus.interface.parameters import ParameterValue
+from ..fmus.interface.plant import FORCES
+from ..fmus.interface.tables import INTERFACES
+from ..fmus.interface.variables import Scalar, Value
+from ..fmus.master.step import Coupling
+from ..task.scenario import Push, Scenario, load_scenario
+from ..task.table import TrajectoryTable
+from ..task.trajectory import StartPose, Trajectory
+from ..task.values import Values
+from .folder import keep_scenario, refuse_existing
+from .journal import Act, Action, Adjustments, MoveWaypoint, Release, Set, SetCoupling
+from .options import Options
+from .prepare import Inputs, Prepared, prepare
+from .run import Execution, Progress
+from .start import resolve, start_pose
+from .stopping import stopping_on_signals
+
+Array = NDArray[np.float64]
+_DIGITS: Final = 9  # of a time in a scenario [s]; a tick is 1e-3
+
+
+def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Scenario:
+    """Write a session as a scenario, with the criteria within its time.
+
+    The scenario's external inputs are computed and compared with the session's.
+    """
+    if ticks == 0:
+        raise InputError("session: no step yet; a scenario needs at least one")
+    scenario, adjustments = prepared.scenario, Adjustments(prepared)
+    inputs, rows, first = adjustments.inputs, [], 0
+    started = scenario
+    for action in actions:
+        rows.append(inputs[first : action.tick])
+        first = action.tick
+        if isinstance(action.act, Set) and action.act.name not in inputs:
+            started = _with_parameter(prepared, started, action.tick, action.act)
+        elif isinstance(action.act, SetCoupling) and action.tick > 0:
+            raise InputError(f"session: the coupling was changed at {_time(prepared, action.tick)};"
+                             " a scenario has one")  # fmt: skip
+        adjustments.take(action)
+    session = np.vstack([*rows, inputs[first:ticks]])
+    start, duration = prepared.assembly.start_time, round(ticks * scenario.step, _DIGITS)
+    written = replace(
+        started,
+        coupling=adjustments.coupling,
+        table=inputs.table,
+        duration=duration,
+        success=scenario.success.within(start, start + duration),
+        push=tuple(_all_pushes(session, inputs)),
+        folder=scenario.folder if scenario.has_own_parts else None,
+    )
+    if written.coupling == "jacobi" and written.controller != scenario.controller:
+        raise InputError(
+            "session: a parameter was set before the first step, which with Jacobi coupling acts a "
+            "tick later than a start value; give it in the session's `values`"
+        )
+    same = prepared.inputs(written)[0:ticks] == session
+    if not same.all():
+        tick = int(np.flatnonzero(~same.all(axis=1))[0])
+        raise InputError(
+            f"session: from {_time(prepared, tick)} on, no table gives its commands: they were "
+            "held, or a waypoint was moved when the hand was on its way to it"
+        )
+    return written
+
+
+def _with_parameter(prepared: Prepared, scenario: Scenario, tick: int, act: Set) -> Scenario:
+    """Return the scenario with a parameter that was set before the first step."""
+    if tick > 0:
+        raise InputError(
+            f"session: {act.name} was set at {_time(prepared, tick)}; a scenario has values of "
+            "parameters at its start only"
+        )
+    return scenario.changed({act.name: act.value})
+
+
+def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
+    """Yield the pushes on all bodies, one for each span of constant force [N]."""
+    for body, name in FORCES.items():
+        if f"plant.{name}" not in inputs:
+            continue
+        force = rows[:, inputs.columns(f"plant.{name}")]
+        changes = np.flatnonzero(np.diff(force, axis=0).any(axis=1)) + 1
+        for first, last in itertools.pairwise([0, *changes.tolist(), len(force)]):
+            if force[first].any():
+                start, duration = first * STEP_SIZE, (last - first) * STEP_SIZE
+                yield Push(
+                    start=round(start, _DIGITS),
+                    duration=round(duration, _DIGITS),
+                    force=tuple(force[first].tolist()),
+                    on=body,
+                )
+
+
+def _time(prepared: Prepared, tick: int) -> str:
+    return f"t = {prepared.assembly.start_time + tick * prepared.scenario.step:.3f} s"
+
+
+_REFUSED = ("realtime", "time_limit")  # options: the caller paces, and stops
+
+
+class Session(Execution):
+    """A scenario stepped by the caller. One thread at a time may use it.
+
+    A context manager: entering opens the FMUs and the run's folder, leaving ends the run.
+
+    Args:
+        scenario: A scenario, a shipped one's name, or a folder.
+        out: New folder for the run; None: one named by scenario and time, in `runs`.
+        options: How to run it; pacing and time limits are up to the caller.
+        values: Values to change, by key.
+
+    Attributes:
+        scenario: As it is run.
+        folder: The run's folder.
+        interfaces: Variables of each FMU.
+        actions: Actions so far.
+        warnings: Messages of the FMUs, and what runs in Python because it was changed.
+        failure: Why the run failed; "" if it has not.
+
+    Raises:
+        InputError: A scenario, folder or option is invalid.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        out: Path | str | None = None,
+        options: Options | None = None,
+        *,
+        values: Values | None = None,
+    ) -> None:
+        scenario = load_scenario(scenario).changed(values or {})
+        options = options or Options()
+        for name in _REFUSED:
+            if getattr(options, name) != getattr(Options(), name):
+                raise InputError(f"{name}: does not apply to a session, whose caller steps it")
+        super().__init__(prepare(scenario, options, interactive=True), out, journals=True)
+        self.interfaces = self.prepared.assembly.interfaces
+        self._numbers = count(2)  # of the folders after a restart
+
+    def restart(self) -> None:
+        """End this run, keep its folder, and open a new run in a new folder at t = 0."""
+        first = self._out
+        if self._stack is not None:
+            self.close()
+        if first is not None:
+            free = (first.with_name(f"{first.name}-{n}") for n in self._numbers)
+            self._out = next(folder for folder in free if not folder.exists())
+        try:
+            self.open()
+        finally:
+            self._out = first
+
+    # Stepping.
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a run is under way; false after `close` or a failed `restart`."""
+        return self._stack is not None
+
+    def step(self, n: int = 1, progress: Progress | None = None) -> int:
+        """Take communication steps as fast as possible; pace and pauses are the caller's.
+
+        Args:
+            n: Number of steps, of 1 ms unless a system sets `step`; fewer at the scenario's
+                end.
+            progress: Called with the completed and the total steps.
+
+        Returns:
+            Number of steps taken.
+
+        Raises:
+            SimulationError: An FMU fails; the run is over, and what was recorded is kept.
+            KeyboardInterrupt: Ctrl-C, after the step under way.
+        """
+        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 0:
+            raise InputError(f"step: {n!r} steps; must be a whole number of at least 0")
+        first = self.tick
+        with stopping_on_signals() as stop:
+            self.advance(min(first + int(n), self.ticks), stop, progress)
+        if stop.signal:
+            signal.raise_signal(stop.signal)  # back to the previous handlers
+        return self.tick - first
+
+    def finish(self) -> int:
+        """Step to the scenario's end; returns the number of steps taken."""
+        return self.step(self.ticks - self.tick)
+
+    # Reading.
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of a row's values: `time`, then `plant.push_force[1]` and so on."""
+        return self._begun.signals
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """Scenario and FMUs, as the journal has them."""
+        return self._begun.head
+
+    def row(self) -> Array:
+        """Current values (len(signals),), of type object if a float64 cannot hold some of them.
+
+        The controller's outputs are those of the last tick; its next step is still to come.
+        """
+        self._check_open()
+        row = self._master.latest()
+        external = self._adjustments.inputs[self.tick : self.tick + 1][0]
+        row[1 : 1 + len(external)] = external
+        return row
+
+    def state(self) -> dict[str, float | str | bytes]:
+        """Current values by signal, see `row`."""
+        return dict(zip(self.signals, self.row().tolist(), strict=True))
+
+    def numbers(self) -> dict[str, float]:
+        """Current values of the signals that are numbers, see `row`."""
+        texts = (str, bytes)
+        return {n: float(v) for n, v in self.state().items() if not isinstance(v, texts)}
+
+    @property
+    def table(self) -> TrajectoryTable:
+        """The current trajectory table; raises InputError if the scenario is a system."""
+        table = self._adjustments.inputs.table
+        if table is None:
+            raise InputError(f"{self.scenario.name}: a system has no trajectory table")
+        return table
+
+    @property
+    def is_panda(self) -> bool:
+        """Whether the plant is the project's own."""
+        return self.interfaces.get("plant") is INTERFACES["plant"]
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The current commanded path: the table's rows in the world."""
+        return resolve(replace(self.scenario, table=self.table), self.prepared.values)
+
+    @property
+    def start_pose(self) -> StartPose:
+        """Poses of hand and block that the table refers to, the block's as the camera sees it."""
+        values = self.prepared.values
+        return start_pose(values["plant"], values.get("sensors"))
+
+    @property
+    def held(self) -> list[str]:
+        """Scalar inputs that `set` holds, as `plant.push_force[1]`."""
+        return self._adjustments.inputs.held
+
+    @property
+    def coupling(self) -> Coupling:
+        """The current coupling."""
+        return self._master.coupling
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Value]]:
+        """Current values of all parameters by instance and scalar variable."""
+        return {instance: dict(values) for instance, values in self._adjustments.values.items()}
+
+    @property
+    def tunables(self) -> dict[str, Scalar]:
+        """Parameters that `set` can change, with unit, bounds and description."""
+        return self._adjustments.tunables
+
+    # Actions.
+
+    def set(self, name: str, value: ParameterValue) -> None:
+        """Set a tunable parameter, or hold an input at a value until it is released.
+
+        Args:
+            name: `controller.kp` (all joints), `controller.kp[3]`; an external input:
+                `plant.push_force`, `plant.block_force` [N], `controller.pos_cmd` [m] and the
+                other commands.
+            value: One for all scalars, or one per scalar.
+
+        Raises:
+            InputError: The name is unknown, the parameter is fixed, or the value is out of
+                bounds; nothing has changed then.
+            SimulationError: The FMU rejects it; the run is over.
+        """
+        self.act(Set(name=name, value=value))
+
+    def release(self, name: str) -> None:
+        """Give an input held by `set` back to the scenario.
+
+        Raises:
+            InputError: It is not held.
+        """
+        self.act(Release(name=name))
+
+    def move_waypoint(self, row: int, **changes: Any) -> None:
+        """Change a later row of the trajectory table, from the next tick on.
+
+        If the hand is already on its way there, the commands jump by the change times the
+        share of the way covered.
+
+        Args:
+            row: Index of the row, from 0.
+            changes: `time` [s], `frame`, `position` [m], `orientation` (w, x, y, z), `grip` [m].
+
+        Raises:
+            InputError: The row has passed, or a value is out of bounds.
+        """
+        self.act(MoveWaypoint(row=row, **changes))
+
+    def set_coupling(self, coupling: Coupling) -> None:
+        """Change the coupling from the next tick on: "gauss-seidel" or "jacobi".
+
+        Raises:
+            InputError: There is no such coupling.
+        """
+        self.act(SetCoupling(coupling=coupling))
+
+    def act(self, act: Act) -> None:
+        """Take an action: check it, change the FMUs, and write it to the journal."""
+        self._check_open()
+        action = Action(self.tick, act)
+        parameters = self._adjustments.take(action)
+        with self._guarded():
+            for instance, values in parameters.items():
+                self._begun.system.slaves[instance].set_values(values)
+        if self._adjustments.coupling != self.coupling:
+            self._master.couple(self._adjustments.coupling)
+        self._note(action)
+
+    # Keeping it.
+
+    def as_scenario(self) -> Scenario:
+        """Return a scenario that gives the same bits up to the current time.
+
+        Raises:
+            InputError: An action cannot be written as a scenario; it is named.
+        """
+        return as_scenario(self.prepared, self.actions, self.tick)
+
+    def keep(self, folder: Path | str) -> None:
+        """Write the session as a scenario into a new folder.
+
+        Raises:
+            InputError: See `as_scenario`; or the folder is not new.
+        """
+        scenario = self.as_scenario()
+        refuse_existing(Path(folder))
+        keep_scenario(scenario, self.prepared.assembly, Path(folder))

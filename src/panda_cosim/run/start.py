@@ -1,0 +1,215 @@
+"""Start values of a scenario's FMUs, and the poses and times that its table refers to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assets import ELASTIC
+from ..assets.franka import HOME_XPOS, HOME_XQUAT
+from ..controller.gains import DEFAULT, OF_IMPEDANCE, OF_SERVOS, PRESETS, Gains, preset
+from ..fmus.errors import InputError
+from ..fmus.interface.controller import CONTROLLER
+from ..fmus.interface.parameters import grouped
+from ..fmus.interface.variables import Value
+from ..plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
+from ..result.judging.signals import check_bodies, check_signals
+from ..result.recording.storage import TEXTS
+from ..task.scenario import SCENARIO_FILE, TOUCH, Scenario
+from ..task.table import TrajectoryTable
+from ..task.trajectory import TIME_TOLERANCE, StartPose, Trajectory
+from .system.assembly import Assembly, assemble
+
+if TYPE_CHECKING:
+    from ..task.timing.demand import Timing
+
+StartValues = dict[str, dict[str, Value]]
+NOISES: Final = ("joint_noise", "joint_quantisation")  # of [mismatch]
+
+
+def start_values(scenario: Scenario, assembly: Assembly | None = None) -> StartValues:
+    """Parameters of each FMU: scene and gains of our own, the mismatch, then the sections."""
+    own: dict[str, Any] = {}
+    assembly = assembly or assemble(scenario)
+    if not scenario.is_system:
+        if assembly.is_ours("plant"):
+            own["plant"] = {"scene": scenario.scene, "robot": scenario.robot}
+        if assembly.is_ours("controller"):
+            gains = replace(
+                PRESETS[scenario.gains],
+                reading_delay=scenario.mismatch.known_delay,
+                follow_posture=scenario.has_posture,
+                observer=not TOUCH.isdisjoint(scenario.asked),
+                robot=scenario.robot,
+            )
+            own["controller"] = asdict(gains)
+        if scenario.mismatch.has_sensors:
+            own["sensors"] = {"robot": scenario.robot}
+    return assembly.start_values([own, scenario.mismatch.start_values(), scenario.sections])
+
+
+def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:
+    """Check that the signals of the scenario's criteria will be recorded, as long as they need."""
+    if scenario.success.signal or scenario.success.body:
+        assembly = assembly or assemble(scenario)
+        columns = assembly.recorded(scenario.coupling)
+        units = {column.name: column.unit for column in columns if column.type not in TEXTS}
+        start = assembly.start_time
+        try:
+            scenario.success.check_windows(start, start + scenario.duration)
+            check_signals(scenario.success.signal, units)
+            check_bodies(scenario.success.body, units)
+        except (InputError, ValueError) as error:
+            place = f"{scenario.folder}/{SCENARIO_FILE}: " if scenario.folder else ""
+            raise InputError(f"{place}{error}") from None
+
+
+def check_tolerances(scenario: Scenario, assembly: Assembly | None = None) -> None:
+    """Check that the signals of the scenario's tolerances will be recorded."""
+    if scenario.regression.values:
+        columns = (assembly or assemble(scenario)).recorded(scenario.coupling)
+        scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
+
+
+def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = None) -> StartPose:
+    """Poses of hand and block at the start, the block's as the camera sees it."""
+    block, errors = PlantParameters(), seen or {}  # a foreign plant has no block
+    x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
+    top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
+    yaw = float(plant.get("block_yaw", block.block_yaw))
+    dx, dy, dz = (float(errors.get(f"block_position_error[{i}]", 0.0)) for i in (1, 2, 3))
+    yaw += float(errors.get("block_yaw_error", 0.0))
+    return StartPose(HOME_XPOS, HOME_XQUAT, (x + dx, y + dy, top + dz), yaw)
+
+
+def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
+    """Resolve the scenario's table for these parameters."""
+    if scenario.timing != "table":
+        return new_timing(scenario, values).trajectory
+    start = start_pose(values["plant"], values.get("sensors"))
+    assert scenario.table is not None
+    return _resolved(scenario.table, start, scenario.interpolation, scenario.align)
+
+
+@lru_cache(maxsize=4)  # a run resolves its table several times, as do rows of a sweep
+def _resolved(
+    table: TrajectoryTable, start: StartPose, interpolation: str, align: bool
+) -> Trajectory:
+    return Trajectory.from_table(table, start, interpolation=interpolation, align=align)
+
+
+def new_timing(scenario: Scenario, values: StartValues) -> Timing:
+    """Make the new times of the scenario's table that its `timing` asks for."""
+    assert scenario.table is not None
+    if scenario.timing == "feasible":
+        _check_duration(scenario, scenario.rows[-1].time)  # new times are never earlier
+    timing = _timed(
+        scenario.table,
+        start_pose(values["plant"], values.get("sensors")),
+        scenario.interpolation,
+        scenario.align,
+        scenario.timing,
+        scenario.timing_share,
+        law_gains(scenario, values),
+        carried_mass(scenario, values),
+    )
+    _check_duration(scenario, timing.cycle)
+    return timing
+
+
+def played_rows(scenario: Scenario, values: StartValues) -> tuple[list[float], list[str]]:
+    """Return times and names of the rows that are played, with the new times of `timing`."""
+    if scenario.timing == "table":
+        return [row.time for row in scenario.rows], [row.name for row in scenario.rows]
+    timing = new_timing(scenario, values)
+    rows = timing.table.rows if timing.table else scenario.rows
+    return timing.trajectory.times.tolist(), [row.name for row in rows]
+
+
+def _check_duration(scenario: Scenario, cycle: float) -> None:
+    if cycle > scenario.duration + TIME_TOLERANCE:
+        raise InputError(
+            f"duration: value {scenario.duration!r}; must be at least {cycle:.3f} s, which "
+            f"the cycle takes within {scenario.timing_share:.0%} of the limits"
+        )
+
+
+@lru_cache(maxsize=1)  # a run resolves its table several times
+def _timed(  # noqa: PLR0913 - all that new times depend on
+    table: TrajectoryTable,
+    start: StartPose,
+    interpolation: str,
+    align: bool,
+    timing: str,
+    share: float,
+    gains: Gains,
+    load: float,
+) -> Timing:
+    trajectory = _resolved(table, start, interpolation, align)
+    if timing == "optimal":
+        from ..task.timing.optimal import retimed  # noqa: PLC0415 - few scenarios need it
+
+        blends = np.array([row.blend for row in table.rows])
+        return retimed(trajectory, blends, gains, load, share)
+    from ..task.timing.optimal import stretched  # noqa: PLC0415 - few scenarios need it
+
+    return stretched(trajectory, gains, load, share)
+
+
+def law_gains(scenario: Scenario, values: StartValues) -> Gains:
+    """Gains of the scenario's controller; the default ones if it has no joint reference of ours."""
+    default = preset("default", robot=scenario.robot)
+    if "controller" in scenario.fmus:
+        return default
+    parameters: Any = grouped(CONTROLLER, values["controller"])
+    parameters.pop("period")
+    gains = Gains(**parameters)
+    return gains if gains.law == "reference" else default
+
+
+def late_pushes(scenario: Scenario) -> Iterator[str]:
+    """Say of each push that it has no effect, as it begins after the end."""
+    for push in scenario.push:
+        if push.start >= scenario.duration:
+            yield f"{SCENARIO_FILE}: [[push]] at {push.start:g} s begins after the end"
+
+
+def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:
+    """Say which gains the law does not have, or that it amplifies noise or elastic joints."""
+    if scenario.is_system or "controller" in scenario.fmus:
+        return []
+    law, others = "servos", OF_IMPEDANCE
+    if values["controller"]["impedance"]:
+        law, others = "impedance", OF_SERVOS
+    idle = [key for key in scenario.controller if key.partition("[")[0] in others]
+    if idle:
+        return [f"[controller] {', '.join(idle)}: without effect, as the law is that of {law}"]
+    if scenario.gains != "default" or scenario.fmus:
+        return []
+    gains, mismatch = law_gains(scenario, values), scenario.mismatch.values
+    causes = [f"mismatch.{key}" for key in NOISES if np.any(mismatch.get(key, 0.0))]
+    causes += [f'scene "{ELASTIC}"'] * (scenario.scene == ELASTIC)
+    if not causes or any(getattr(gains, n) != getattr(DEFAULT, n) for n in ("kp", "ik_gain")):
+        return []
+    return [
+        f"gains: the default ones do not suit {' and '.join(causes)}: the torque rate or "
+        'oscillations may exceed the limits of the robot; gains = "robust" suits them'
+    ]
+
+
+def carried_mass(scenario: Scenario, values: StartValues) -> float:
+    """Mass of the block [kg] if the fingers ever close, else 0."""
+    grips = [row.opening for row in scenario.rows]
+    mass = float(values["plant"].get("block_mass", 0.0))
+    return mass if min(grips) < max(grips) else 0.0
+
+
+def instants(scenario: Scenario) -> NDArray[np.float64]:
+    """Instants of all rows of a run, k * dt (n + 1,) [s]."""
+    times: NDArray[np.float64] = scenario.step * np.arange(scenario.ticks + 1, dtype=np.float64)
+    return times

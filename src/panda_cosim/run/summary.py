@@ -1,0 +1,206 @@
+"""Measures and judges a run: makes its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fmus.master.master import RunStatistics
+from ..result.judging.contacts import SIGNAL as UNWANTED
+from ..result.judging.contacts import unwanted_contacts
+from ..result.judging.criterion import Criterion, Direction
+from ..result.judging.holds import COMMAND, Events, events, find_holds, measure_block, moving_rows
+from ..result.judging.limits import all_lacking, first_limit, largest_share, limit_shares
+from ..result.judging.signals import judge_bodies, judge_signals
+from ..result.judging.verdict import ENDED, Metrics, Summary, Verdict
+from ..result.recording import Recording, by_rows
+from ..task import rotations
+from ..task.criteria import Success, split_instant
+from ..task.fields import field_names
+from ..task.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+_HAND, _FORCE = ("plant.hand_xpos", "plant.hand_xquat"), "plant.contact_force"
+# Signals without which a section is empty; foreign FMUs may lack some.
+NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
+    "tracking": (_HAND[0], COMMAND[0]),
+    "orientation": (_HAND[1], COMMAND[1]),
+    "block": (_FORCE, "plant.qpos[16]", *_HAND),
+    "contact": (UNWANTED,),  # but for its peak
+    "energy": ("plant.actuator_force[7]", "plant.qvel[9]", _HAND[0]),
+}
+
+
+def summarize(
+    recording: Recording,
+    scenario: Scenario,
+    statistics: RunStatistics | None = None,
+    end: Verdict = ENDED,
+) -> Summary:
+    """Measure a run; `end`: how it ended, if it is not complete."""
+    held = find_holds(recording)
+    happened = events(recording, held)
+
+    def measured_if(names: Iterable[str], measure: Callable[[], Metrics]) -> Metrics:
+        """Measure what the recorded signals allow."""
+        return measure() if all(name in recording for name in names) else {}
+
+    target = scenario.success.block_position
+    measured = {
+        "tracking": measured_if(NEEDED["tracking"], lambda: _tracking(recording)),
+        "orientation": measured_if(NEEDED["orientation"], lambda: _orientation(recording)),
+        "block": measured_if(NEEDED["block"], lambda: measure_block(recording, held, target)),
+        "contact": {
+            **measured_if([_FORCE], lambda: {"peak_force_N": _peak(recording[_FORCE])}),
+            **measured_if(NEEDED["contact"], lambda: unwanted_contacts(recording)),
+        },
+        "limits": limit_shares(recording),
+        "preflight": _preflight(recording, scenario.preflight),
+        "energy": measured_if(NEEDED["energy"], lambda: _energy(recording)),
+        "timing": _timing(recording, happened, statistics),
+    }
+    criteria = (
+        *_criteria(scenario.success, measured, recording),
+        *judge_bodies(scenario.success.body, recording, happened),
+        *judge_signals(scenario.success.signal, recording, happened),
+    )
+    return Summary(
+        scenario=scenario.name,
+        complete=recording.complete,
+        reason=recording.reason,
+        end=end,
+        expect=scenario.expect,
+        expect_reason=scenario.expect_reason,
+        order=tuple(recording.metadata.get("order", ())),
+        late=tuple(recording.metadata.get("late", ())),
+        criteria=criteria,
+        row_ends=tuple(recording.metadata.get("row_ends", ())),
+        events=happened,
+        first_limit=first_limit(recording),
+        stepped_by=statistics.stepped_by if statistics else None,
+        code=recording.metadata.get("code", {}),
+        **measured,
+    )
+
+
+def _preflight(recording: Recording, robot: str) -> Metrics:
+    if not robot:
+        return {}
+    from ..result.judging.preflight import preflight  # noqa: PLC0415 - imports MuJoCo, which is slow
+
+    return preflight(recording, robot)
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _peak(values: Array) -> float | None:
+    return float(np.max(np.abs(values))) if values.size else None
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _tracking(recording: Recording) -> Metrics:
+    places = ("plant.hand_xpos", "controller.pos_cmd")
+    error = by_rows(recording, lambda hand, cmd: np.linalg.norm(hand - cmd, axis=1), *places)
+    moving = error[moving_rows(recording)]
+    return {
+        "rms_mm": _scaled(_rms(error), 1e3),
+        "max_mm": _scaled(_peak(error), 1e3),
+        "moving_rms_mm": _scaled(_rms(moving), 1e3),
+        "moving_max_mm": _scaled(_peak(moving), 1e3),
+    }
+
+
+def _orientation(recording: Recording) -> Metrics:
+
+    def between(command: Array, hand: Array) -> Any:
+        turn = rotations.log(rotations.multiply(command, rotations.conjugate(hand)))
+        return np.degrees(np.linalg.norm(turn, axis=1))
+
+    angle = by_rows(recording, between, "controller.quat_cmd", "plant.hand_xquat")
+    return {"rms_deg": _rms(angle), "max_deg": _peak(angle)}
+
+
+def _energy(recording: Recording) -> Metrics:
+    """Work of the arm's servos; braking does not recover energy."""
+
+    def positive(torque: Array, speed: Array) -> Any:
+        return np.maximum(torque[:, :7] * speed[:, :7], 0.0).sum(axis=1)
+
+    power = by_rows(recording, positive, "plant.actuator_force", "plant.qvel")
+    # A row's torques are those of the step that ends there.
+    work = float(power[1:] @ np.diff(recording.time)) if len(power) else None
+    return {"arm_work_J": work, "peak_power_W": _peak(power)}
+
+
+def _timing(recording: Recording, happened: Events, statistics: RunStatistics | None) -> Metrics:
+    time = recording.time
+    simulated = float(time[-1] - time[0]) if len(time) else 0.0
+    is_commanded = all(name in recording for name in COMMAND)
+    timing: Metrics = {
+        "simulated_s": simulated,
+        "cycle_s": (happened["command_end"] or 0.0) if is_commanded else None,
+        "steps": max(len(time) - 1, 0),
+    }
+    if statistics is not None:
+        timing |= {
+            "wall_s": statistics.wall_time,
+            "real_time_factor": simulated / statistics.wall_time if statistics.wall_time else None,
+            "overruns": statistics.overruns,
+            "worst_lateness_s": statistics.worst_lateness,
+        }
+    return timing
+
+
+def unrecorded(success: Success, recorded: Container[str]) -> Iterator[str]:
+    """Say of each criterion on a metric which signal it lacks."""
+    from ..result.judging.definitions import DEFINITIONS  # noqa: PLC0415 - slow to read
+
+    for name in field_names(Success):
+        definition = DEFINITIONS.get(f"success.{name}")
+        reason = _lacking(definition.metric, recorded) if definition is not None else None
+        if reason and getattr(success, name) is not None:
+            yield f"{name}: {reason}"
+    windows = [(each.label, at) for each in success.signal for at in (each.from_, each.to)]
+    for label, at in (*windows, *((each.body, each.at) for each in success.body)):
+        reason = _lacking(f"events.{split_instant(at)[0]}", recorded) if isinstance(at, str) else ""
+        if reason:
+            yield f"{label}: {at} never happens: {reason}"
+
+
+def _lacking(metric: str, recorded: Container[str]) -> str | None:
+    if metric == "limits":
+        return all_lacking(recorded) or None
+    from ..result.judging.definitions import DEFINITIONS  # noqa: PLC0415 - slow to read
+
+    needed = (*NEEDED.get(metric.partition(".")[0], ()), *DEFINITIONS[metric].signals)
+    return next((f"{signal} is not recorded" for signal in needed if signal not in recorded), None)
+
+
+def _criteria(
+    success: Success, measured: Mapping[str, Metrics], recorded: Container[str]
+) -> Iterator[Criterion]:
+    """Compare the metrics with the success criteria, in the scenario file's units."""
+    from ..result.judging.definitions import DEFINITIONS  # noqa: PLC0415 - read while FMUs step, for pages
+
+    for name in field_names(Success):
+        definition = DEFINITIONS.get(f"success.{name}")
+        bound = getattr(success, name)
+        if definition is not None and bound is not None:
+            section, _, key = definition.metric.partition(".")
+            value = measured[section].get(key) if key else largest_share(measured[section])
+            if key.endswith("_mm"):
+                value = _scaled(value, 1e-3)
+            direction: Direction = "above" if definition.better == "higher" else "below"
+            reason = _lacking(definition.metric, recorded) if value is None else None
+            if key and value is None:
+                reason = reason or DEFINITIONS[definition.metric].unmeasured
+            yield Criterion.judge(name, value, bound, definition.unit, direction, reason)

@@ -1,0 +1,371 @@
+"""Connects the FMUs of a scenario: by name and shape, and as [connect] says."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from ...fmus.errors import InputError, did_you_mean
+from ...fmus.interface.parameters import ParameterValue, expand
+from ...fmus.interface.plant import FORCES
+from ...fmus.interface.tables import (
+    INERTIA,
+    INTERFACES,
+    MEASURED,
+    SEEN,
+    Connection,
+)
+from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
+from ...fmus.interface.variables import Interface, Scalar, Value, Variable
+from ...fmus.master.fmu_file import described_interface, read_fmu
+from ...fmus.master.order import late, shown, stepping_order
+from ...fmus.master.step import ITERATIONS
+from ...fmus.master.system import System
+from ...fmus.master.wiring import Array, Name
+from ...fmus.sources.targets import Kind
+from ...result.recording import Column
+from ...task.scenario import MAX_STEPS, SCENARIO_FILE, Coupling, Scenario
+from .connector import RARE, Connector, DrivenInput, driven_inputs
+from .parts import Part, measures_a_panda, read_parts
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A coupled system, as a scenario describes it."""
+
+    interfaces: Mapping[str, Interface]  # of each FMU, in the order of stepping
+    connections: Sequence[Connection]
+    external: Sequence[Name] = ()  # inputs that are given at each tick
+    parts: Sequence[Part] = ()  # where the FMUs come from; empty for an .ssp file
+    notes: Sequence[str] = ()  # unconnected inputs
+    asked: frozenset[str] = frozenset()  # signals of criteria, recorded in any case
+    driven: Mapping[Name, DrivenInput] = field(default_factory=dict)  # among the external ones
+    steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
+    not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
+    # Of an .ssp file: its system, start values and start time [s].
+    ssp: System | None = None
+    start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
+    start_time: float = 0.0
+
+    @cached_property
+    def system(self) -> System:
+        """The system with its FMU files; what has to be built is built."""
+        if self.ssp is not None:
+            return self.ssp
+        return System(
+            {part.name: part.make() for part in self.parts},
+            self.connections,
+            self.external,
+            self.outputs,
+            steps=self.steps,
+            not_finite=self.not_finite,
+        )
+
+    @cached_property
+    def outputs(self) -> Mapping[str, Sequence[str]]:
+        """Recorded outputs, the plant's first."""
+        if self.ssp is not None:
+            return self.ssp.outputs
+        order = sorted(self.interfaces, key=lambda name: name != "plant")
+        return {
+            name: [n for v in self.interfaces[name].of("output") if self._is_recorded(name, v)
+                   for n in v.names()]
+            for name in order
+        }  # fmt: skip
+
+    def late(self, coupling: str) -> list[str]:
+        """Connections whose target gets values of the step before."""
+        return late([*self.interfaces], self.connections, coupling)
+
+    def course(self, coupling: str) -> str:
+        """Say in which order FMUs are stepped, and what is late."""
+        return shown([*self.interfaces], self.late(coupling))
+
+    def _is_recorded(self, name: str, variable: Variable) -> bool:
+        if not variable.on_request or f"{name}.{variable.name}" in self.asked:
+            return True
+        return any(each.source == (name, variable.names()[0]) for each in self.connections)
+
+    def recorded(self, coupling: str = "") -> list[Column]:
+        """Columns of a recording, whose names must differ."""
+        iterations = Column(".".join(ITERATIONS), "1", "Iterations of the step before")
+        return [*self._columns, *([iterations] if coupling == "iterated" else [])]
+
+    @cached_property
+    def _columns(self) -> list[Column]:
+        columns = [Column("time", "s", "Time since the start")]
+        sources: dict[str, Name] = {}
+        names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
+        for name in names:
+            scalar, column = self.scalars.get(name), ".".join(name)
+            if scalar is None:
+                raise InputError(f"{column}: is not an output of its FMU, and cannot be recorded")
+            other = sources.setdefault(column, name)
+            if other != name:
+                raise InputError(
+                    f"FMUs {other[0]!r} and {name[0]!r}: {other[1]!r} and {name[1]!r} would both "
+                    f"be column {column} of the recording; rename one of the FMUs"
+                )
+            variable, kind = scalar.variable, column_type(scalar.variable)
+            about = (scalar.unit, variable.description, kind, variable.nominal)
+            columns.append(Column(column, *about))
+        return columns
+
+    @cached_property
+    def scalars(self) -> dict[Name, Scalar]:
+        """All scalar variables by FMU and name."""
+        return {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
+
+    def inputs_at_start(self, values: Mapping[str, Mapping[str, Value]]) -> Array:
+        """Start value of each external input, as rows hold it."""
+        scalars = [self.scalars[name] for name in self.external]
+        is_number = all(type_of(scalar.variable) not in OBJECTS for scalar in scalars)
+        content = [in_row(s, values.get(i, {}).get(n))
+                   for s, (i, n) in zip(scalars, self.external, strict=True)]  # fmt: skip
+        return np.array(content, np.float64 if is_number else object)
+
+    def is_ours(self, name: str) -> bool:
+        """Whether plant or controller is the project's own, by its model and parameters."""
+        own, given = INTERFACES[name], self.interfaces[name]
+        names = ({v.name for v in interface.of("parameter")} for interface in (own, given))
+        return given.model == own.model and next(names) <= next(names)
+
+    def changed(
+        self,
+        values: Mapping[str, Mapping[str, Value]],
+        stated: Mapping[str, Mapping[str, ParameterValue]],
+    ) -> dict[str, dict[str, Value]]:
+        """Return the start values that FMUs are given; of others' what is stated, or not theirs."""
+        own = {name: scalar.start for name, scalar in self.scalars.items()}
+        given = {i: {*expand(i, each, stated.get(i, {})), *self.start.get(i, {})}
+                 for i, each in self.interfaces.items()}  # fmt: skip
+        ours = {part.name for part in self.parts if part.file is None}
+        return {
+            i: {
+                n: v for n, v in named.items() if i in ours or n in given[i] or own.get((i, n)) != v
+            }
+            for i, named in values.items()
+        }
+
+    def start_values(
+        self, layers: Sequence[Mapping[str, Mapping[str, ParameterValue]]]
+    ) -> dict[str, dict[str, Value]]:
+        """Parameters of all FMUs: their own values, then those of each layer."""
+        for layer in layers:
+            for name in layer:
+                if layer[name] and name not in self.interfaces:
+                    valid = ", ".join(self.interfaces)
+                    hint = did_you_mean(name, self.interfaces)
+                    raise InputError(f"{name}: no FMU of this name; valid: {valid}{hint}")
+        values: dict[str, dict[str, Value]] = {}
+        for name, interface in self.interfaces.items():
+            parameters = [s for s in interface.scalars() if s.variable.causality == "parameter"]
+            values[name] = {s.name: s.start for s in parameters if s.start is not None}
+            values[name] |= self.start.get(name, {})
+            for layer in layers:
+                values[name] |= expand(name, interface, layer.get(name, {}))
+        return values
+
+
+def assemble(
+    scenario: Scenario,
+    kind: Kind = "auto",
+    *,
+    files: Mapping[str, Path] | None = None,
+    run_code: bool = True,
+    from_outside: bool = False,
+) -> Assembly:
+    """Read and connect the parts of a scenario; only PythonFMU slaves are built."""
+    # `files` are used instead of our own FMUs. `run_code`: slaves may be run to find their
+    # variables. `from_outside`: all inputs that nothing feeds become external, as in a session.
+    if scenario.system:
+        return _of_ssp(scenario, from_outside=from_outside)
+    try:
+        parts = read_parts(scenario, kind, files or {}, run_code=run_code)
+        return _connected(scenario, parts, from_outside=from_outside)
+    except InputError as error:
+        from_file = scenario.folder and not any(map(os.path.isabs, scenario.fmus.values()))
+        if not (from_file and str(error).startswith(("[", "order: ", "not_finite: "))):
+            raise
+        raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
+
+
+def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool) -> Assembly:
+    """Connect parts: as the scenario says, from outside, then by name."""
+    connector = Connector(parts)
+    for target, source in scenario.connect.items():
+        connector.connect(target, source)
+    if scenario.is_torque_driven:
+        connector.connect_torques()
+    if scenario.mismatch.values and not measures_a_panda(connector.parts["plant"].interface):
+        raise InputError("mismatch: only valid with the project's plant, or one that extends it")
+    external = [] if scenario.is_system else _external(scenario, connector, from_outside)
+    interfaces = {part.name: part.interface for part in parts}
+    driven = driven_inputs(scenario, interfaces)
+    connector.drive(driven)
+    if scenario.mismatch.has_sensors:
+        is_modelled = scenario.mismatch.values.get("hand_pose_source") == "model"
+        connector.connect_sensors((*MEASURED, *SEEN, *([INERTIA] if is_modelled else [])))
+    connector.connect_rest_by_name()
+    if not scenario.is_system and not connector.is_fed("plant", "ctrl"):
+        raise InputError(connector.unfed_message("plant", "ctrl"))
+    _check_names(scenario, interfaces)
+    scale, notes = scenario.input_scale, connector.notes
+    connections = [
+        replace(c, factor=scale * c.factor, offset=scale * c.offset)
+        if c.target[0] == "plant"
+        else c
+        for c in connector.connections
+    ]
+    interfaces = _ordered(interfaces, connections, scenario.order)
+    places = _places(interfaces)
+    connections.sort(key=lambda each: places[each.target])
+    external += sorted(driven, key=places.__getitem__)
+    if from_outside:
+        external, notes = [*_unfed(interfaces, connections, external), *external], []
+    ordered = [connector.parts[name] for name in interfaces]
+    asked, steps, free = scenario.asked, scenario.steps, _not_finite(scenario, interfaces)
+    return Assembly(interfaces, connections, external, ordered, notes, asked, driven, steps, free)
+
+
+def _ordered(
+    interfaces: Mapping[str, Interface], connections: Sequence[Connection], stated: Sequence[str]
+) -> dict[str, Interface]:
+    """Return the FMUs in the order of stepping, which a scenario may state."""
+    if stated and sorted(stated) != sorted(interfaces):
+        valid = ", ".join(sorted(interfaces))
+        raise InputError(f"order: value {[*stated]!r}; must name each FMU once: {valid}")
+    return {name: interfaces[name] for name in stated or stepping_order(interfaces, connections)}
+
+
+def _places(interfaces: Mapping[str, Interface]) -> dict[Name, int]:
+    """Each scalar's place among those of all FMUs, so that no order of lines is seen."""
+    names = ((name, s.name) for name, each in interfaces.items() for s in each.scalars())
+    return {name: place for place, name in enumerate(names)}
+
+
+def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> None:
+    """Check the FMUs that sections name."""
+    sections = {f"[parameters.{name}]": name for name in scenario.parameters}
+    for place, name in {**sections, **{f"[steps] {name}": name for name in scenario.steps}}.items():
+        if name not in interfaces:
+            hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
+            raise InputError(f"{place}: no FMU of this name; {hint}")
+
+
+def _not_finite(scenario: Scenario, interfaces: Mapping[str, Interface]) -> list[Name]:
+    """Outputs that a scenario allows to be NaN or infinite, one by one."""
+    outputs: dict[str, list[Name]] = {}
+    for instance, interface in interfaces.items():
+        for variable in interface.of("output"):
+            names = [(instance, name) for name in variable.names()]
+            outputs |= {".".join(name): [name] for name in names}
+            outputs[f"{instance}.{variable.name}"] = names
+    for text in scenario.not_finite:
+        if text not in outputs:
+            hint = did_you_mean(text, outputs)
+            raise InputError(f"not_finite: {text!r}; must be an output, FMU.NAME{hint}")
+    return [scalar for text in scenario.not_finite for scalar in outputs[text]]
+
+
+def _unfed(
+    interfaces: Mapping[str, Interface], connections: Sequence[Connection], external: Sequence[Name]
+) -> list[Name]:
+    """Inputs that nothing feeds, but for those of ours that act only in other scenarios."""
+    without = {connection.target for connection in connections} | {*external}
+    return [
+        (instance, name)
+        for instance, interface in interfaces.items()
+        for variable in interface.of("input")
+        if not (interface is INTERFACES.get(instance) and variable.name in RARE)
+        for name in variable.names()
+        if (instance, name) not in without
+    ]
+
+
+def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> list[Name]:
+    """The pushes, in a session those on all bodies, and the commands that the controller takes."""
+    bodies = FORCES if from_outside else scenario.pushed
+    names = [("plant", FORCES[body]) for body in bodies]
+    names += [("controller", command) for command in scenario.commands]
+    external: list[Name] = []
+    for instance, name in names:
+        variable = connector.parts[instance].interface.end(name, "input")
+        if variable is None and name in map(FORCES.get, scenario.pushed):
+            raise InputError(f"[[push]]: {instance} has no input {name}")
+        if variable is not None and not connector.is_fed(instance, name):
+            ours = INTERFACES[instance].variable(name)
+            connector.check(f"the scenario's {name}", ours, f"{instance}.{name}", variable)
+            external += [(instance, n) for n in variable.names()]
+            connector.mark_fed(instance, variable)
+    return external
+
+
+# A coupled system from an .ssp file.
+
+
+def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
+    from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
+
+    coupled = system_from_ssp((scenario.folder or Path()) / scenario.system)
+    system = coupled.system
+    interfaces = {
+        name: described_interface(read_fmu(file).restructured(coupled.start_values.get(name, {})))
+        for name, file in system.fmus.items()
+    }
+    connector, driven = Connector([]), driven_inputs(scenario, interfaces)
+    connector.drive([connection.target for connection in system.connections])
+    connector.drive(driven)
+    unfed = _unfed(interfaces, system.connections, [*driven]) if from_outside else []
+    _check_names(scenario, interfaces)
+    interfaces = _ordered(interfaces, system.connections, scenario.order or [*system.fmus])
+    system = replace(
+        system,
+        fmus={name: system.fmus[name] for name in interfaces},
+        external=[*unfed, *sorted(driven, key=_places(interfaces).__getitem__)],
+        steps=scenario.steps,
+        not_finite=_not_finite(scenario, interfaces),
+    )
+    return Assembly(
+        interfaces,
+        system.connections,
+        system.external,
+        notes=coupled.warnings,
+        driven=driven,
+        ssp=system,
+        start=coupled.start_values,
+        start_time=coupled.start_time,
+    )
+
+
+def system_scenario(path: Path, duration: float | None = None) -> Scenario:
+    """Return the scenario that runs an .ssp file's system as it says, without a verdict."""
+    from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
+
+    coupled = system_from_ssp(path)
+    step = coupled.step_size
+    if duration is None:
+        duration = coupled.stop_time - coupled.start_time
+    count = round(duration / step) if 0 < duration / step <= 2 * MAX_STEPS else 0
+    if not 1 <= count <= MAX_STEPS or abs(count * step - duration) > 1e-9 * max(duration, 1.0):
+        raise InputError(
+            f"{path}: {duration!r} s from start to stop; must be a whole number of steps of "
+            f"{step:g} s, between {step:g} and {MAX_STEPS * step:g} s"
+        )
+    name = "".join(c if c.isprintable() else "_" for c in coupled.name) or "system"
+    return Scenario(
+        name=name[:80],
+        table=None,
+        duration=duration,
+        step=step,
+        coupling=cast("Coupling", coupled.coupling),
+        steps=coupled.steps,
+        system=path.name,
+        folder=path.parent.resolve(),
+    )

@@ -1,0 +1,1 @@
+"""How it looks: the page, videos and plots."""

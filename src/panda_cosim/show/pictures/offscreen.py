@@ -1,0 +1,178 @@
+"""Draws a scene off screen in a separate process: MUJOCO_GL must be set before importing MuJoCo.
+
+The process is this module, started by `OffscreenRenderer`. It first writes a line of JSON that says
+whether it can draw. Then it reads a number of rows (int64) and their qpos (float64) from standard
+input and writes one RGB image for each row, until standard input is closed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError, one_line
+from ...fmus.processes import SAFE_PATH
+from ...task.fields import check_choice
+from .gl import RenderError, backends, what_to_install
+from .meshes import Meshes, load_model
+from .motion import FloatArray
+
+Image = NDArray[np.uint8]
+Draw = Callable[[Any], bytes]
+"""From positions qpos (nq,) to an image (height, width, 3)."""
+
+MAX_SIDE: Final = 8192  # [px] more than any video needs, less than graphics drivers refuse
+PROCESS: Final = "panda_cosim.show.pictures.offscreen"
+
+
+class OffscreenRenderer:
+    """Draws with `mujoco.Renderer` in another process, by the first `backend` that works."""
+
+    def __init__(
+        self,
+        scene: str,
+        width: int,
+        height: int,
+        camera: str = "overview",
+        meshes: Meshes = "never",
+    ) -> None:
+        for name, side in (("width", width), ("height", height)):
+            if not 1 <= side <= MAX_SIDE:
+                raise InputError(f"{name}: value {side} px; must be from 1 to {MAX_SIDE} px")
+        self._shape = (height, width, 3)
+        failures: dict[str, str] = {}
+        for backend in backends():
+            self._process = _start(backend, [scene, width, height, camera, meshes])
+            with ExitStack() as stack:
+                stack.callback(self.close)
+                reply = self._first_reply()
+                if "device" in reply:
+                    stack.pop_all()
+                    self.backend, self.device = backend, reply["device"]
+                    return
+            if "refused" in reply:
+                raise InputError(reply["refused"])
+            failures[backend] = reply["failed"]
+        raise RenderError(what_to_install(failures))
+
+    def frames(self, qpos: FloatArray) -> Iterator[Image]:
+        """Yield the image (height, width, 3) of each row of positions (k, nq); take all of them."""
+        rows = np.ascontiguousarray(qpos, dtype="<f8")
+        with suppress(OSError):  # ended; the missing reply will show that
+            self._process.stdin.write(np.array(len(rows), "<i8").tobytes() + rows.tobytes())
+            self._process.stdin.flush()
+        size = int(np.prod(self._shape))
+        for _ in rows:
+            image = self._process.stdout.read(size)
+            if len(image) < size:
+                code = self._process.wait()
+                raise RenderError(f"picture missing: the process that draws ended with code {code}")
+            yield np.frombuffer(image, np.uint8).reshape(self._shape)
+
+    def close(self) -> None:
+        """End the process; a second call does nothing."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with suppress(OSError):  # of what could not be sent
+                pipe.close()
+
+    def _first_reply(self) -> dict[str, str]:
+        """Return the reply of the process once it has drawn an image, or has failed to."""
+        line = self._process.stdout.readline()
+        if not line.endswith(b"\n"):
+            return {"failed": f"its process ended with code {self._process.wait()}"}
+        return dict(json.loads(line))
+
+
+def _start(backend: str, job: list[Any]) -> Any:
+    return subprocess.Popen(
+        [sys.executable, "-m", PROCESS, json.dumps(job)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "MUJOCO_GL": backend, **SAFE_PATH},
+        process_group=0,  # out of reach of the terminal's Ctrl-C: it ends with its pipes
+    )
+
+
+def describe_gl() -> tuple[str | None, str]:
+    """Return the working backend and its device, or None and what to install."""
+    try:
+        with closing(OffscreenRenderer("tabletop", 16, 16)) as renderer:
+            return renderer.backend, renderer.device
+    except RenderError as error:
+        return None, str(error)
+
+
+def _open_scene(
+    scene: str, width: int, height: int, camera: str, meshes: Meshes
+) -> tuple[int, Draw]:
+    """Return a scene's number of positions and a function that draws it."""
+    import mujoco  # noqa: PLC0415 - fails where the backend's library is missing
+
+    model = load_model(scene, meshes)
+    names = [model.cam(index).name for index in range(model.ncam)]
+    view: str | int = camera
+    if scene.endswith(".mjb") and camera == "overview" and camera not in names:
+        view = 0 if names else -1  # its first camera, or MuJoCo's free one
+    else:
+        check_choice("camera", camera, names)
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    data, renderer = mujoco.MjData(model), mujoco.Renderer(model, height, width)
+
+    def draw(qpos: Any) -> bytes:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        renderer.update_scene(data, view)
+        return bytes(renderer.render().tobytes())
+
+    return model.nq, draw
+
+
+def _serve(job: list[Any], requests: BinaryIO, replies: BinaryIO) -> None:
+    """Report whether drawing works, then draw the requested images."""
+    nq, reply = 0, {}
+    try:
+        nq, draw = _open_scene(*job)
+        draw(np.zeros(nq))  # a driver may fail, or crash, at the first image
+        reply = {"device": _device()}
+    except InputError as error:
+        reply = {"refused": str(error)}
+    except Exception as error:  # whatever a driver raises, the caller tries another backend
+        reply = {"failed": f"{type(error).__name__}: {one_line(error)}"}
+    replies.write(json.dumps(reply).encode() + b"\n")
+    replies.flush()
+    while count := requests.read(8):
+        size = 8 * nq * int.from_bytes(count, "little")
+        for qpos in np.frombuffer(requests.read(size), "<f8").reshape(-1, nq):
+            replies.write(draw(qpos))
+            replies.flush()
+
+
+def _device() -> str:
+    """Return OpenGL's name of the device; MuJoCo's backends for a screen have no PyOpenGL."""
+    try:
+        from OpenGL import GL  # noqa: PLC0415 - reads the environment when imported
+
+        return str(GL.glGetString(GL.GL_RENDERER).decode())
+    except Exception:  # the name is only informative
+        return "unknown device"
+
+
+if __name__ == "__main__":
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # drivers print to standard output, too
+    with suppress(BrokenPipeError):  # the parent has ended
+        _serve(json.loads(sys.argv[1]), sys.stdin.buffer, answers)
+    os._exit(0)  # without OpenGL's clean-up, in which drivers tend to crash

@@ -1,0 +1,239 @@
+"""Pages: data, code and style in one HTML file that makes no requests.
+
+Data are JSON in script elements of a type that no browser runs; the page's code inserts them as
+text (`legible` in dom.ts). A content security policy allows only the page's own scripts, by their
+digests, and no requests, so that nothing else would run even if a text got through as HTML.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any, Final
+
+from ...fmus.atomic import cache_folder, cached, replacing
+from ...fmus.build.libraries import code_digest, digest
+from ...fmus.errors import InputError, legible, shown
+from ...plant.parameters import BLOCK, PlantParameters
+from ...result.judging.verdict import Summary
+from ...result.recording import Recording
+from ...task.files import model_file
+from ..pictures.meshes import Meshes, load_model
+from ..pictures.motion import DEFAULT_SCENE, refuse_without_model
+from .run import RunData, Shown
+from .run import describe as describe_run
+
+TEMPLATE: Final = "template.html"
+TITLE: Final = 200  # [character]
+VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &hellip;</p></main>
+<noscript><p class="pv-wait">This page needs JavaScript and WebGL, which are switched off. \
+The pictures in the run's folder show the run without them.</p></noscript>"""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Content of a page."""
+
+    title: str
+    runs: Sequence[str]  # names of those shown first; the second is the ghost of the first
+    documents: Sequence[Mapping[str, Any]]  # all runs, as `run.describe` returns them
+    models: Mapping[str, Mapping[str, Any]]  # by key, as `model.describe` returns them
+
+
+def page(contents: Contents) -> str:
+    """Return the page as HTML."""
+    data = data_elements(contents) + data_element("show", {"runs": list(contents.runs)})
+    return _view(contents.title, data)
+
+
+def live_page(title: str, run: Mapping[str, Any]) -> str:
+    """Return the page of a running simulation; it connects only to its own server."""
+    return _view(title, data_element("live", run), "; connect-src 'self'")
+
+
+def _view(title: str, data: str, policy: str = "") -> str:
+    title = legible(title, TITLE)
+    body = Template(VIEW).substitute(title=escape(title))
+    return document(title, body, data, ["view"], policy=policy)
+
+
+def document(title: str, body: str, data: str, code: Sequence[str], *, policy: str = "") -> str:
+    """Return a page as HTML.
+
+    Args:
+        title: As text.
+        body: As HTML, without scripts.
+        data: Elements, see `data_element`.
+        code: Names of bundles, which run in this order; each has a style sheet.
+        policy: Added to the content security policy.
+    """
+    # Inserted text is not searched for further placeholders.
+    return Template(_part(TEMPLATE)).substitute(
+        title=escape(title),
+        scripts=" ".join(script_sources(*code)),
+        more=policy,
+        style="\n".join(_part(f"{name}.css") for name in code),
+        kind=code[0],
+        body=body,
+        data=data,
+        code=_code_elements(code),
+    )
+
+
+def _code_elements(code: Sequence[str]) -> str:
+    """Return the elements with bundles of code, deflated, and the script that starts them."""
+    bundles = [
+        f'<script type="text/plain" data-code="{name}">{_code()[name]["deflated"]}</script>'
+        for name in code
+    ]
+    return "\n".join((*bundles, f"<script>{_code()['loader']['text']}</script>"))
+
+
+def rendered(template: Path, **content: Any) -> str:
+    """Fill in the HTML template of a page's body; all texts in it become legible."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - slow
+
+    loader = FileSystemLoader(template.parent)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, finalize=shown
+    )
+    return environment.get_template(template.name).render(content)
+
+
+def data_elements(contents: Contents) -> str:
+    """Return the elements with runs and models; the page's code reads each when needed."""
+    models = [data_element(f"model:{key}", model) for key, model in contents.models.items()]
+    runs = [data_element(f"run:{run['name']}", run) for run in contents.documents]
+    return "\n".join(models + runs)
+
+
+def script_sources(*code: str) -> list[str]:
+    """Return the sources for a content security policy that lets the code run."""
+    return [f"'sha256-{_code()[name]['sha256']}'" for name in ("loader", *code)]
+
+
+def data_element(name: str, value: Any) -> str:
+    """Return an element with JSON; `embedded` in embedded.ts reads it by its name."""
+    # The name is JSON, too: HTML changes some characters of an attribute.
+    label = escape(json.dumps(name))
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    text = text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
+    return f'<script type="application/json" data-view="{label}">{text}</script>'
+
+
+@cache
+def _part(name: str) -> str:
+    return files(__package__).joinpath("page", name).read_text(encoding="utf-8")
+
+
+@cache
+def _code() -> dict[str, dict[str, str]]:
+    """Return each bundle as it was built: its text, or deflated, and its digest, both in base64."""
+    return dict(json.loads(_part("code.json")))
+
+
+@dataclass(frozen=True)
+class Inline:
+    """A page for notebooks: Jupyter, JupyterLab, VS Code."""
+
+    page: str = field(repr=False)  # as HTML
+    height: int  # of the frame around it [px]
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame, isolated from the notebook's own scripts."""
+        style = f"width:100%;height:{self.height:d}px;border:1px solid #8884;border-radius:8px"
+        return (
+            f'<iframe srcdoc="{escape(self.page)}" style="{style}" sandbox="allow-scripts" '
+            'title="Run in 3D"></iframe>'
+        )
+
+
+VIEW_FILE: Final = "view.html"
+
+
+def write_view(runs: Sequence[Shown], path: Path) -> Path:
+    """Write the page."""
+    with replacing(path) as temporary:
+        temporary.write_text(view_page(runs), encoding="utf-8")
+    return path
+
+
+def view_page(runs: Sequence[Shown]) -> str:
+    """Return the page as HTML."""
+    return page(contents(runs))
+
+
+def contents(runs: Sequence[Shown]) -> Contents:
+    """Return the data of runs; the first is compared with the second, if any."""
+    models: dict[str, dict[str, Any]] = {}
+    documents = []
+    for index, run in enumerate(runs):
+        key = hashlib.sha256(json.dumps(run.model).encode()).hexdigest()[:12]
+        models[key] = dict(run.model)
+        against = runs[1].source if index == 0 and len(runs) > 1 else None
+        documents.append(describe_run(run, key, against))
+    title = f"{documents[0]['title']} · panda-cosim"
+    return Contents(title, [run.name for run in runs], documents, models)
+
+
+def shown_run(folder: Path | str, *, name: str | None = None, meshes: Meshes = "never") -> Shown:
+    """Open a run to show."""
+    recording = Recording.open(folder, in_order=True)
+    name = name or recording.path.parent.resolve().name
+    return show_source(recording, name, summary=Summary.of(recording), meshes=meshes)
+
+
+def show_source(source: RunData, name: str, *, summary: Summary, meshes: Meshes = "never") -> Shown:
+    """Return a run to show, with the model named in its recording."""
+    own = model_file(source)
+    if own is not None:
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+        return Shown(name, source, describe(load_model(str(own))), summary=summary)
+    refuse_without_model(source)
+    model, masses = plant_model(source.metadata, meshes)
+    return Shown(name, source, model, masses, summary)
+
+
+def plant_model(
+    metadata: Mapping[str, Any], meshes: Meshes = "never"
+) -> tuple[Mapping[str, Any], list[float]]:
+    """Return the plant's model with a recording's scene and robot, and the masses of its bodies."""
+    plant = metadata.get("parameters", {}).get("plant", {})
+    values = {key: plant[key] for key in ("robot", "block_mass") if key in plant}
+    scene = metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
+    try:
+        parameters = PlantParameters(scene=scene, **values)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the recording's plant cannot be drawn: {error}") from error
+    model = described_scene(parameters.scene, parameters.robot, meshes)
+    given = {BLOCK: parameters.block_mass}
+    return model, [given.get(body["name"], body["mass"]) for body in model["bodies"]]
+
+
+@lru_cache(maxsize=4)
+def described_scene(scene: str, robot: str, meshes: Meshes = "never") -> Mapping[str, Any]:
+    """Describe a scene of ours; without meshes, once for each version of the code."""
+    if meshes != "never":
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+        return describe(load_model(scene, meshes))
+
+    def make() -> bytes:
+        from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+        model = load_scene(PlantParameters(scene=scene, robot=robot), drawn=True)
+        return json.dumps(describe(model)).encode()
+
+    code = [Path(__file__).with_name(name).read_bytes() for name in ("model.py", "columns.py")]
+    key = digest(scene, robot, code_digest(), *code)
+    kept = cached(cache_folder() / "scenes" / f"{key[:24]}.json", make)
+    return dict(json.loads(kept.read_bytes()))

@@ -1,0 +1,325 @@
+"""One run as plain values for the page: motion, signals, verdict, limits, moments and notes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from itertools import groupby
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
+from ...fmus.errors import InputError
+from ...fmus.master.order import shown
+from ...result.judging.definitions import DEFINITIONS
+from ...result.judging.limits import CHECKS, outcome
+from ...result.judging.verdict import Summary, json_values
+from ...result.recording import Recording, by_rows
+from ...task import rotations
+from ...task.files import model_file
+from ...task.limits import METRICS, robot_of
+from ..pictures.motion import Signals, describe_run, key_moments
+from .columns import Thinning, describe_time, encode
+
+MOMENTS: Final = 8  # most marks on the timeline
+PARTS: Final = 6  # most FMUs, and the stepper, of which the header says what ran
+JOINTS: Final = range(1, 8)
+CURVES: Final = (
+    ("Tracking error", ["tracking error"]),
+    ("Fingers on the block", ["plant.contact_force"]),
+    ("Joint velocities", [f"plant.qvel[{i}]" for i in JOINTS]),
+    ("Joint torques", [f"plant.actuator_force[{i}]" for i in JOINTS]),
+)
+
+
+def criteria_of(summary: Summary) -> list[dict[str, Any]]:
+    """Return the success criteria with measured values, in their units."""
+    return [
+        {
+            **json_values(asdict(each)),
+            "least": each.direction == "above",
+            "words": meaning(f"success.{each.name}"),
+        }
+        for each in summary.criteria
+    ]
+
+
+def meaning(key: str) -> str:
+    """Return what a criterion or number means, for a tooltip, or ""."""
+    return DEFINITIONS[key].text if key in DEFINITIONS else ""
+
+
+def limits_of(summary: Summary) -> list[dict[str, Any]]:
+    """Return the largest shares of the robot's limits that the run used."""
+    rows = [("limits", key, name, summary.limits) for key, name in METRICS.items()]
+    real = summary.preflight
+    judged = (real.get("interface"), "arm") if real else ()
+    rows += [
+        ("preflight", f"{key}_share", f"{real.get('robot')}: {key.replace('_', ' ')}", real)
+        for key, check in CHECKS.items()
+        if check.interface in judged
+    ]
+    return [
+        {"name": name, "words": meaning(f"{group}.{key}"), "shares": list(map(number, used[key]))}
+        for group, key, name, used in rows
+        if isinstance(used.get(key), list)
+    ]
+
+
+def refusals_of(summary: Summary) -> list[str]:
+    """Return what the real robot would refuse, in lines."""
+    try:
+        lines = outcome(summary.preflight, complete=summary.complete)
+        return [text for level, text in lines if level == "refused"]
+    except (
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+    ):  # none, or another's
+        return []
+
+
+def column_bounds(name: str) -> dict[str, list[float]]:
+    """Return a robot's lower and upper limits of single columns, for curves."""
+    robot = ROBOTS[name]
+    lines: dict[str, list[float]] = {"controller.grip_cmd": [0.0, OPENING_MAX]}
+    for i in JOINTS:
+        lines[f"plant.qpos[{i}]"] = [float(robot.q_min[i - 1]), float(robot.q_max[i - 1])]
+        lines[f"plant.qvel[{i}]"] = [-float(robot.velocity[i - 1]), float(robot.velocity[i - 1])]
+        torque = float(TORQUE_MAX[i - 1])
+        lines[f"plant.actuator_force[{i}]"] = [-torque, torque]
+    return lines
+
+
+def moments(signals: Signals) -> list[dict[str, Any]]:
+    """Return the key instants: start, grasp, lift ..."""
+    return [{"time": m.time, "label": m.label} for m in key_moments(signals, MOMENTS) if m.label]
+
+
+def waypoints(metadata: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of the scenario's table: their instants [s], and names or numbers."""
+    times = metadata.get("row_times", ())
+    names = metadata.get("row_names") or [""] * len(times)
+    return [
+        {"time": time, "label": name or str(index)}
+        for index, (time, name) in enumerate(zip(times, names, strict=False), start=1)
+    ]
+
+
+def number(value: object) -> float | None:
+    """Return a finite number, or None."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
+        return None
+    return float(value) if math.isfinite(value) else None
+
+
+def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, str]) -> list[Any]:
+    """Return the curves whose columns a run has, in one plot per unit."""
+    return [
+        {"title": title, "columns": [name for name in names if units.get(name) == unit]}
+        for title, names in curves
+        for unit in dict.fromkeys(units[name] for name in names if name in units)
+    ]
+
+
+Array = NDArray[np.float64]
+
+POSE_STEP: Final = 1e-6  # [rad], [m], [1] rounding step of qpos
+CLEAR: Final = 20  # rounding steps of a reference from which a difference is no noise
+PIECE: Final = 100_000  # rows computed at once
+ROUNDING: Final = "Curves are rounded to 1/65536 of their range; what stays below 1e-12 is 0."
+FORCES: Final = (
+    "Arrows: the forces on each free body besides its weight, m (a - g), from its recorded motion; "
+    "means over at least 33 ms."
+)
+
+# Signals by their role in the scene; what is missing is not drawn, but positions must be there.
+ROLES: Final = {
+    "qpos": "plant.qpos",  # MuJoCo's positions (n, nq)
+    "actual": "plant.hand_xpos",  # of the hand (n, 3) [m]
+    "actual_turn": "plant.hand_xquat",  # (n, 4) (w, x, y, z)
+    "commanded": "controller.pos_cmd",
+    "commanded_turn": "controller.quat_cmd",
+}
+
+
+class RunData(Signals, Protocol):
+    """Interface the page needs of a run; `result.recording.Recording` has it."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column."""
+
+    @property
+    def descriptions(self) -> Mapping[str, str]:
+        """Description of each column."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A run to show."""
+
+    name: str  # in links and on the page
+    source: RunData
+    model: Mapping[str, Any]  # as `model.describe` returns it
+    # Of the model's bodies [kg]; None: the run may have had others, and no forces are drawn.
+    masses: Sequence[float] | None = None
+    summary: Summary = field(default_factory=Summary)
+    notes: tuple[str, ...] = ()  # further remarks on its data
+
+
+def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict[str, Any]:
+    """Return a run as plain values."""
+    source, metadata = run.source, run.source.metadata
+    columns = {role: _columns(source, signal) for role, signal in ROLES.items()}
+    if not len(source.time):
+        raise InputError(f"{run.name}: the recording has no rows; there is nothing to show")
+    if len(columns["qpos"]) != run.model["nq"]:
+        raise InputError(
+            f"{run.name}: {len(columns['qpos'])} columns of {ROLES['qpos']}; the model that it is "
+            f"drawn with has {run.model['nq']} positions"
+        )
+    thinning = Thinning.of(source.time)
+    title, about = describe_run(source)
+    ran = [*metadata.get("code", {}).items(), ("stepped by", run.summary.stepped_by)]
+    with ThreadPoolExecutor(1) as second:  # zlib compresses without Python's lock
+        recorded = _signals(source, thinning, columns["qpos"], second)
+        signals = [*_derived(source, thinning, against), *recorded]
+    known = {n: unit for s in signals for n, unit in zip(s["columns"], s["units"], strict=True)}
+    is_ours = model_file(source) is None
+    bounds = column_bounds(robot_of(source.metadata)) if is_ours else {}
+    forces = FORCES if run.masses else ""
+    order = metadata.get("order", ())
+    steps = shown(order, metadata["late"]) if len(order) > 1 else ""
+    notes = (*refusals_of(run.summary), thinning.words(), ROUNDING, forces, steps, *run.notes)
+    return {
+        "name": run.name,
+        "title": title,
+        "purpose": str(metadata.get("purpose") or ""),
+        "facts": [*about.split(" · "), *[f"{part}: {by}" for part, by in ran if by][-PARTS:]],
+        "model": model_key,
+        "verdict": {"state": run.summary.verdict.level, "words": run.summary.brief},
+        "criteria": criteria_of(run.summary),
+        "limits": limits_of(run.summary),
+        "notes": list(filter(None, notes)),
+        "time": describe_time(thinning.curve_time),
+        "signals": signals,
+        "poses": _poses(source, thinning, columns) if thinning.every > 1 else None,
+        "roles": {role: names for role, names in columns.items() if names},
+        "masses": run.masses,
+        "moments": moments(source),
+        "waypoints": waypoints(metadata),
+        "bounds": {name: pair for name, pair in bounds.items() if name in known},
+        "curves": shown_curves(CURVES, known),
+    }
+
+
+def _columns(source: RunData, signal: str) -> list[str]:
+    """Return a signal's columns in order; none if the run has no such signal."""
+    pattern = re.compile(rf"{re.escape(signal)}(\[\d+\])?")
+    return [name for name in source.columns if pattern.fullmatch(name)]
+
+
+def _signals(
+    source: RunData, thinning: Thinning, positions: Sequence[str], second: Executor
+) -> Iterator[dict[str, Any]]:
+    """Yield all recorded signals, each with its columns in one block; these are begun at once."""
+    names = (name for name in source.columns if name != "time")
+    groups = [list(group) for _, group in groupby(names, key=_signal_of)]
+    curves = ([thinning.curve(source[n]) for n in columns] for columns in groups)
+    steps = [[POSE_STEP if n in positions else None for n in columns] for columns in groups]
+    return (
+        {
+            "name": _signal_of(columns[0]),
+            "columns": columns,
+            "units": [source.units.get(name, "") for name in columns],
+            "words": source.descriptions.get(columns[0], ""),
+            **block,
+        }
+        for columns, block in zip(groups, second.map(encode, curves, steps), strict=True)
+    )
+
+
+def _signal_of(column: str) -> str:
+    return column.partition("[")[0]
+
+
+def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> list[dict[str, Any]]:
+    """Return curves computed from several signals, unless they would be rounding noise."""
+    hand, turn, command = ROLES["actual"], ROLES["actual_turn"], ROLES["commanded"]
+    curves = []
+
+    def add(name: str, unit: str, words: str, values: Array) -> None:
+        block = encode([thinning.curve(values)], [None])
+        curves.append({"name": name, "columns": [name], "units": [unit], "words": words, **block})
+
+    if _has(source, hand, command):
+        error = _each_row(source, _distance, hand, command)
+        if error.max(initial=0.0) >= CLEAR * max(_quanta(source, hand)):
+            add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
+    if _has(source, turn, ROLES["commanded_turn"]):
+        angle = _each_row(source, _angle, ROLES["commanded_turn"], turn)
+        if angle.max(initial=0.0) >= CLEAR * np.degrees(2 * max(_quanta(source, turn))):
+            add("orientation error", "deg", "Angle of the hand from its command", angle)
+    if against is not None and _has(source, hand) and _has(against, hand):
+        gap = 1e3 * np.linalg.norm(_difference(source, against, hand), axis=1)
+        add("distance to the other run", "mm", "Between the hands of the two runs", gap)
+    return curves
+
+
+def _has(source: RunData, *signals: str) -> bool:
+    return all(_columns(source, signal) for signal in signals)
+
+
+def _each_row(source: RunData, function: Callable[..., Array], *signals: str) -> Array:
+    """Return what a function computes of each row, in pieces: a long run needs little memory."""
+    if isinstance(source, Recording):
+        return by_rows(source, function, *signals)
+    whole = [source[signal] for signal in signals]
+    pieces = (slice(k, k + PIECE) for k in range(0, len(whole[0]), PIECE))
+    return np.concatenate([function(*(values[rows] for values in whole)) for rows in pieces])
+
+
+def _distance(one: Array, other: Array) -> Array:
+    return np.asarray(np.linalg.norm(one - other, axis=1))
+
+
+def _angle(commanded: Array, actual: Array) -> Array:
+    """Return the angle between orientations (n, 4) (w, x, y, z), (n,) [deg]."""
+    turn = rotations.log(rotations.multiply(commanded, rotations.conjugate(actual)))
+    return np.asarray(np.degrees(np.linalg.norm(turn, axis=1)))
+
+
+def _difference(source: RunData, other: RunData, signal: str) -> Array:
+    """Return the distance of a signal (n, 3) from another run's, NaN after that one's end.
+
+    What the other run's rounding explains is 0.
+    """
+    mine, theirs = source[signal], other[signal]
+    there = [np.interp(source.time, other.time, theirs[:, axis], right=np.nan) for axis in range(3)]
+    away = np.asarray(mine - np.column_stack(there))
+    half = np.array(_quanta(other, signal)) / 2
+    away[np.abs(away) <= half * (1 + 1e-6)] = 0.0
+    return away
+
+
+def _quanta(source: RunData, signal: str) -> list[float]:
+    """Return the rounding step of each column of a signal: a reference has them, a run has none."""
+    quanta: Mapping[str, float] = getattr(source, "quanta", {})
+    return [quanta.get(name, 0.0) for name in _columns(source, signal)]
+
+
+def _poses(
+    source: RunData, thinning: Thinning, columns: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
+    """Return the columns the scene needs, at the instants of poses."""
+    names = [name for group in columns.values() for name in group]
+    values = [thinning.poses(source[name]) for name in names]
+    block = encode(values, [POSE_STEP] * len(names))
+    return {"time": describe_time(thinning.pose_time), "columns": names, **block}

@@ -1,0 +1,1 @@
+"""Many runs, or one closely: checks, comparisons, sweeps, analyses, live."""

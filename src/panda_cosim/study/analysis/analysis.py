@@ -1,0 +1,342 @@
+"""Analyses the control loops of a scenario at an instant of its run, by their sensitivity.
+
+Each loop is opened at its input of the plant while the others stay closed; the disk margin opens
+all at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ...fmus.interface.parameters import grouped
+from ...fmus.interface.variables import Value
+from ...result.judging.signals import time_of
+from ...run.options import Options
+from ...run.prepare import Inputs, Prepared, prepare
+from ...run.run import Execution
+from ...run.stopping import StopRequest
+from ...task.criteria import check_instant, check_within
+from ...task.fields import field_names
+from ...task.scenario import Scenario, load_scenario
+from .responses import DECAYED, ENOUGH, LINEAR, Responses, measure
+from .sensitivity import Limits, disk_margin, limits
+
+if TYPE_CHECKING:
+    import control
+
+Array = NDArray[np.float64]
+
+SETTLED: Final = 0.02  # of a position's largest distance from its end
+RESTING: Final = 0.002  # likewise, by which it moves at most in the last quarter of the responses
+FREQUENCIES = 600  # points of a frequency response
+
+
+@dataclass(frozen=True)
+class Loop(Limits):
+    """One loop, opened at its input with the others closed; definitions.toml says what each is."""
+
+    input: str  # such as plant.ctrl[1]
+    joint: int  # from 1: the element of the input, or a number of its own
+    # Of the joint's response to a step of the input; None: it is not known, or drifts.
+    peak_ratio: float | None  # position per unit of the input
+    settling_ms: float | None
+
+
+@dataclass(frozen=True)
+class Margins(Limits):
+    """The loops for one period and one coupling; definitions.toml says what each is.
+
+    Without margins, all numbers but the first are 0.
+    """
+
+    period: float  # [s]
+    coupling: str  # with `jacobi`, targets and readings are one tick late
+    stable: bool
+    reason: str  # why there are no margins, or empty
+    pole_modulus: float
+    linear: bool
+    loops: tuple[Loop, ...] = ()
+    # Of all loops at once, each in its own way.
+    disk_margin: float = 0.0
+    disk_gain_db: float = 0.0
+    disk_phase_deg: float = 0.0
+
+
+def judge(responses: Responses, coupling: str) -> Margins:
+    """Judge all loops of one measurement."""
+    reason, sensitivity = _reason(responses), responses.sensitivity
+    about: dict[str, Any] = {
+        "period": responses.period, "coupling": coupling, "stable": not reason, "reason": reason,
+        "pole_modulus": responses.growth, "linear": responses.linear,
+    }  # fmt: skip
+    if reason:
+        none: dict[str, Any] = dict.fromkeys(field_names(Limits), 0.0)
+        return Margins(**none, **about)
+    loops = tuple(_judge(responses, loop) for loop in range(len(responses.inputs)))
+    disk = disk_margin(sensitivity)
+    gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
+    phase = math.degrees(2.0 * math.atan(0.5 * disk))
+    return Margins(**vars(limits(sensitivity)), **about, loops=loops, disk_margin=disk,
+                   disk_gain_db=gain, disk_phase_deg=phase)  # fmt: skip
+
+
+def _reason(responses: Responses) -> str:
+    """Why there are no margins, or nothing."""
+    if not responses.linear:
+        return "NOT LINEAR, a doubled pulse does not double the response; no margins"
+    if responses.unstable:
+        return f"UNSTABLE, a pole of modulus {responses.growth:.4f}"
+    if responses.remaining <= ENOUGH:
+        return ""
+    left = f"NO MARGINS: {responses.remaining:.0%} of the responses is left"
+    if not responses.changed:
+        return f"{left} after {responses.window * 1e3:g} ms"
+    return (
+        f"{left} when a contact or limit changes them, {responses.window * 1e3:g} ms after "
+        f"{responses.at:g} s; choose an instant at rest"
+    )
+
+
+def frequencies(responses: Responses) -> Array:
+    """Frequencies (m,) [rad/s] of a picture: of one wave in the responses to Nyquist's."""
+    ends = 2.0 * np.pi / responses.window, 0.999 * np.pi / responses.period
+    omega: Array = np.geomspace(*ends, FREQUENCIES)
+    return omega
+
+
+def steps(responses: Responses) -> Array:
+    """How far each joint moves (ticks, n) if 1 is added to its input; (ticks, 0): not known."""
+    n, own = len(responses.inputs), range(len(responses.positions))
+    moves: Array = np.cumsum(responses.pulses[:, n:][:, own, own], axis=0)
+    return moves
+
+
+def step_figures(moves: Array) -> tuple[int, float] | None:
+    """Ticks until a position has settled, and how far it moves at most; None: it drifts."""
+    away = np.abs(moves - moves[-1])
+    if not away.max() or away[3 * len(away) // 4 :].max() > RESTING * away.max():
+        return None
+    settled = np.flatnonzero(away > SETTLED * away.max())[-1] + 1
+    return int(settled), float(np.abs(moves).max())
+
+
+def _judge(responses: Responses, loop: int) -> Loop:
+    """Compute the margins and the step response of one loop."""
+    found: dict[str, Any] = vars(limits(responses.sensitivity.loop(loop)))
+    figures = step_figures(steps(responses)[:, loop]) if responses.positions else None
+    settled, peak = figures or (None, None)
+    settling = None if settled is None else settled * responses.period * 1e3
+    element = responses.inputs[loop].partition("[")[2].rstrip("]")
+    joint = int(element) if element.isdigit() else loop + 1
+    return Loop(**found, input=responses.inputs[loop], joint=joint, peak_ratio=peak,
+                settling_ms=settling)  # fmt: skip
+
+
+ORDER: Final = 40  # largest of a model
+HANKEL: Final = 80  # rows and columns of Hankel's matrix; more are slow, and seldom better
+FIT: Final = 1e-3  # of the peak, by which a model's response may differ from the measured one
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """The control loops of a scenario at an instant of its run, measured with its FMUs.
+
+    Attributes:
+        scenario: Name of the scenario.
+        at: The instant [s].
+        margins: Margins of each loop and of all at once; see `Margins`.
+        responses: What was measured, n loops; see `Responses`.
+        parameters: Those of the FMU that feeds the loops' inputs, by name.
+    """
+
+    scenario: str
+    at: float
+    margins: Margins
+    responses: Responses = field(repr=False)
+    parameters: Mapping[str, Value] = field(repr=False)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Where the n loops are opened, such as `plant.ctrl[1]` (n,)."""
+        return self.responses.inputs
+
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """Positions of the joints that these inputs move (n,), or () if the plant has none."""
+        return self.responses.positions
+
+    @property
+    def period(self) -> float:
+        """Time between two updates of the controller, at which the models are sampled [s]."""
+        return self.responses.period
+
+    @property
+    def model(self) -> control.StateSpace:
+        """`control.StateSpace` of the closed loops.
+
+        Inputs (n): what is added to `inputs`, in their units: rad for servo targets, N.m for
+        torques. Outputs: `inputs` (n), then `positions` (n) in rad or m, both as differences to
+        what they are if nothing is added. Signals have `_` for the point in their names.
+        """
+        return self._realised[0]
+
+    @property
+    def model_error(self) -> float:
+        """Largest difference of the model's response to a pulse, as a share of its peak."""
+        return self._realised[1]
+
+    @property
+    def sensitivity(self) -> control.StateSpace:
+        """S = 1 / (1 + L) as a `control.StateSpace` of n inputs and n outputs."""
+        return self.model[: len(self.inputs), :]
+
+    @property
+    def loop(self) -> control.StateSpace:
+        """The open loops L as a `control.StateSpace`: from `inputs` to what feeds them, negated."""
+        system, n = self.model, len(self.inputs)
+        b, c = system.B, system.C[:n]
+        zero = np.zeros((n, n))
+        return _system(system.A - b @ c, b, -c, zero, self.period, self.inputs, self.inputs)
+
+    @property
+    def matrices(self) -> dict[str, Any]:
+        """A, B, C and D of `model`, the names of its inputs and outputs, and its period [s]."""
+        names = {"inputs": self.inputs, "outputs": (*self.inputs, *self.positions)}
+        return {n: getattr(self.model, n) for n in "ABCD"} | names | {"period": self.period}
+
+    @property
+    def remarks(self) -> list[str]:
+        """What makes the numbers less certain: one sentence each."""
+        is_, window = self.responses, f"the {self.responses.window:g} s that were measured"
+        texts = {
+            f"{is_.remaining:.1%} of the responses is left after {window}": is_.remaining > DECAYED,
+            f"a doubled pulse gives a response that is off by {is_.linearity:.1%}":
+                is_.linearity > LINEAR,
+            f"the state-space model's response differs by up to {self.model_error:.1%} of its peak":
+                self.model_error > 10 * FIT,
+        }  # fmt: skip
+        return [text for text, holds in texts.items() if holds]
+
+    @cached_property
+    def _realised(self) -> tuple[Any, float]:
+        return _realised(self.responses)
+
+
+def analyze(
+    scenario: Scenario | str | Path,
+    at: float | str = "start",
+    options: Options | None = None,
+    *,
+    loop: str = "",
+) -> Analysis:
+    """Measure the control loops of any scenario at an instant of its run.
+
+    Small pulses are added to each input of the plant that is controlled, one after the other, and
+    the FMUs go back to the same state before each. Commands and pushes continue as in the run;
+    responses are differences from it. The margins are those of the loops at that instant, if the
+    responses fall below 1 % before a contact or a limit changes them.
+
+    Args:
+        scenario: A scenario, a shipped one's name, or a folder.
+        at: Time [s], or an event of the run such as "grasp" or "release + 0.5".
+        options: How it is run.
+        loop: Input at which the loops are opened, such as "plant.ctrl"; "": all inputs of the
+            instance `plant` that an FMU feeds.
+
+    Returns:
+        Margins and state-space models.
+
+    Raises:
+        InputError: Something given cannot be used, or an FMU cannot go back to a state.
+        SimulationError: An FMU failed.
+    """
+    prepared = prepare(load_scenario(scenario), options)
+    tick, inputs = _instant(prepared, at)
+    responses = measure(prepared, inputs, tick, loop)
+    connections = prepared.assembly.system.connections
+    fed_by = {".".join(c.target): c.source[0] for c in connections}[responses.inputs[0]]
+    return Analysis(
+        prepared.scenario.name,
+        responses.at,
+        judge(responses, prepared.scenario.coupling),
+        responses,
+        grouped(prepared.assembly.interfaces[fed_by], prepared.values[fed_by]),
+    )
+
+
+def _instant(prepared: Prepared, at: float | str) -> tuple[int, Inputs]:
+    """Tick of a time or an event, and the run's inputs.
+
+    Where events, or rows that end early, depend on the run, it is run first, in memory.
+    """
+    start, scenario, inputs = prepared.assembly.start_time, prepared.scenario, prepared.inputs()
+    span = start, start + scenario.duration
+    with suppress(ValueError):
+        at = float(at) if isinstance(at, str) else at
+    try:
+        instant = check_instant(at)
+        time = check_within("at", instant, *span)
+        if time is None or inputs.guarded.guards:
+            with Execution(prepared, writes=False) as execution:
+                execution.advance(execution.ticks, StopRequest())
+                inputs, events = execution.inputs, execution.close().summary.events
+            time = check_within("at", time_of(instant, events), *span)
+    except ValueError as error:
+        raise InputError(f"at: {str(error).removeprefix('at: ')}") from None
+    return round(((time or 0.0) - start) / scenario.step), inputs
+
+
+def _realised(responses: Responses) -> tuple[Any, float]:
+    """Return the smallest `control.StateSpace` that gives the responses, and its error."""
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
+
+    n, peaks = len(responses.inputs), np.abs(responses.pulses).max(axis=(0, 2))
+    peaks[peaks == 0.0] = 1.0
+    pulses = responses.pulses / peaks[:, None]
+    pulses = np.pad(pulses, ((0, max(4 - len(pulses), 0)), (0, 0), (0, 0)))  # the fewest it takes
+    rows = max(min(HANKEL, len(pulses) // 2 - 1), 1)
+    order = min(ORDER, rows)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below
+        # Its own sampling time would scale B: it is for responses to pulses of area 1.
+        whole, _ = control.eigensys_realization(pulses.transpose(1, 2, 0), order, rows, rows)
+    best, error = 0, math.inf
+    for size in range(order + 1):
+        misfit = _misfit(whole.A[:size, :size], whole.B[:size], whole.C[:, :size], pulses)
+        if misfit < error:
+            best, error = size, misfit
+        if error <= FIT:
+            break
+    parts = whole.A[:best, :best], whole.B[:best], whole.C[:, :best] * peaks[:, None]
+    inputs, outputs = responses.inputs, (*responses.inputs, *responses.positions)
+    direct = responses.pulses[0] + np.eye(len(outputs), n)  # what is added, itself
+    return _system(*parts, direct, responses.period, inputs, outputs), error
+
+
+def _misfit(a: Array, b: Array, c: Array, pulses: Array) -> float:
+    """Largest difference between a model's response to a pulse and the measured one."""
+    state, error = b, 0.0
+    for answer in pulses[1:]:
+        error = float(np.maximum(error, np.abs(c @ state - answer).max()))
+        state = a @ state
+        if not error < 1.0:  # a model that diverges
+            break
+    return error
+
+
+def _system(*parts: Any) -> Any:
+    """Return a `control.StateSpace` of A, B, C, D, period, and names of inputs and outputs."""
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
+
+    *matrices, inputs, outputs = parts
+    ends = [[name.replace(".", "_") for name in names] for names in (inputs, outputs)]
+    return control.StateSpace(*matrices, inputs=ends[0], outputs=ends[1])

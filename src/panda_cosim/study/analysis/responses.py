@@ -1,0 +1,250 @@
+"""Measures the loops of a scenario at an instant of its run.
+
+Something small is added to one input of the plant, such as a servo target, for one period of the
+controller. The response is the difference to what happens without it, divided by what was added.
+Before each pulse, all FMUs go back to the state of that instant; commands and pushes continue as
+in the run. Responses are cut off where a contact or a limit changes them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError, did_you_mean
+from ...fmus.master.system import PerturbedSystem
+from ...fmus.master.wiring import Name
+from ...run.prepare import Inputs, Prepared
+from .sensitivity import Sensitivity
+
+Array = NDArray[np.float64]
+
+WINDOWS: Final = (250, 500, 1000, 2000, 4000)  # [ticks] the first in which responses decay
+DECAYED: Final = 5e-3  # of its peak, below which a response has; a longer window adds little
+ENOUGH: Final = 1e-2  # likewise, if it cannot be followed further
+SIZES: Final = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # of pulses: units of the input, or its value if > 1
+LINEAR: Final = 1e-3  # of its peak, by which a response may differ from a linear one
+CHAOS: Final = 0.1  # likewise: it is not linear at all
+CHANGED: Final = 2e-2  # of the peak, by which that to a later pulse differs once the loops have
+LATER: Final = 5  # [ticks] by which this pulse is later, or a period
+EXPLOSION: Final = 10.0  # growth from a third to the next: a longer window shows where it saturates
+LEAST: Final = 20  # samples of a response
+POSITIONS: Final = "qpos"  # the plant's output with the joints' positions
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Responses to a pulse of 1, of one period, at the input of each of n loops."""
+
+    inputs: tuple[str, ...]  # (n,)
+    positions: tuple[str, ...]  # of the joints that they move (n,), or none if these are unknown
+    at: float  # [s] the instant
+    period: float  # [s] between two updates of what feeds the inputs
+    pulses: Array  # (ticks, n + positions, n) what feeds the inputs, then positions; by input
+    linearity: float  # of twice a pulse at all inputs, half its response [share of the peak]
+    changed: bool  # whether they end before a contact or a limit changes them
+
+    @property
+    def window(self) -> float:
+        """Length of the responses [s]."""
+        return len(self.pulses) * self.period
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity:
+        """S = 1 / (1 + L) of the n loops."""
+        return Sensitivity(self.pulses[:, : len(self.inputs)], self.period)
+
+    @property
+    def remaining(self) -> float:
+        """Share of the peak that is left at the end of the window."""
+        return _course(self.sensitivity.pulses)[0]
+
+    @property
+    def growth(self) -> float:
+        """Factor per period by which the answers change, from the middle third to the last."""
+        return float(_course(self.sensitivity.pulses)[1] ** (1.0 / max(len(self.pulses) // 3, 1)))
+
+    @property
+    def linear(self) -> bool:
+        """Whether answers depend on a pulse's size almost linearly; else they say little."""
+        return self.linearity <= CHAOS
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the answers grow, by themselves or before a contact or a limit changes them."""
+        remaining, growth = _course(self.sensitivity.pulses)
+        return remaining > ENOUGH and growth > (EXPLOSION if self.changed else 1.0)
+
+
+def _course(answers: Array) -> tuple[float, float]:
+    """Share of the peaks that is left at the end, and the growth from one third to the last."""
+    sizes = np.abs(answers).reshape(*answers.shape[:2], -1).max(axis=2)
+    if not sizes.any(axis=0).all():  # one has not answered yet
+        return 1.0, 1.0
+    shares = (sizes / sizes.max(axis=0)).max(axis=1)
+    _, middle, last = (part.max(initial=0.0) for part in np.array_split(shares, 3))
+    left = shares[-max(len(shares) // 10, 1) :].max()
+    return float(left), float(last / middle) if middle else 0.0
+
+
+def measure(prepared: Prepared, inputs: Inputs, tick: int, loop: str = "") -> Responses:
+    """Measure the responses from a tick of the run on; `loop`: see `_targets`."""
+    system, step = prepared.assembly.system, prepared.scenario.step
+    targets = _targets([connection.target for connection in system.connections], loop)
+    with prepared.open([], longer=WINDOWS[-1] * step) as opened:
+        opened.master.begin(lambda _rows: None)
+        opened.master.step(tick, inputs)
+        external = inputs[tick : tick + (WINDOWS[-1] if tick else 1)]  # the start is at rest
+        after = ((0, WINDOWS[-1] - len(external)), (0, 0))  # from the end, commands stay
+        perturbed = PerturbedSystem(opened, targets, np.pad(external, after, mode="edge"))
+        at = prepared.assembly.start_time + tick * step
+        return _Measurement(perturbed, targets, step).responses(at)
+
+
+def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
+    """Inputs at which the loops are opened: those that are named, else all of the plant."""
+    names = {target: ".".join(target) for target in fed}
+    chosen = [t for t in fed if loop in (names[t], _whole(names[t]))]
+    chosen = chosen if loop else [t for t in fed if t[0] == "plant"]
+    if not chosen:
+        valid = list(dict.fromkeys(map(_whole, names.values())))
+        what = f"--loop {loop}: no FMU feeds it" if loop else "no FMU is named `plant`"
+        raise InputError(
+            f"{what}; --loop must name a connected input: {', '.join(valid) or 'none'}"
+            f"{did_you_mean(loop, valid)}"
+        )
+    return chosen
+
+
+def _whole(name: str) -> str:
+    return name.partition("[")[0]
+
+
+class _Measurement:
+    """Measures the responses of a system that has been stepped to some tick."""
+
+    def __init__(self, system: PerturbedSystem, targets: Sequence[Name], step: float) -> None:
+        self._system, self._targets, self._step = system, targets, step
+        self._nothing = np.empty((0, len(targets)))
+        self._resize(WINDOWS[0])
+        again = system.run(np.zeros_like(self._nothing))
+        if (changes := np.argwhere(again != self._base)).size:
+            instance, variable = system.columns[changes[0, 1]]
+            raise InputError(
+                f"{instance}: {variable} differs after its state was restored; its FMU must save "
+                "all that its outputs depend on"
+            )
+        self._scale = np.maximum(1.0, np.abs(self._base[0, system.fed_by]))
+
+    def responses(self, at: float) -> Responses:
+        """Find the loops, choose the pulses' size and the window, then apply one after another."""
+        system, loops = self._system, self._find_loops()
+        places = [system.columns.index(place) for place in self._positions(loops)]
+        columns = [*(system.fed_by[i] for i in loops), *places]
+        self._choose_size(loops, columns)
+        return Responses(
+            tuple(".".join(self._targets[i]) for i in loops),
+            tuple(".".join(system.columns[place]) for place in places),
+            at,
+            self._at.step * self._step,
+            self._pulses / self._scale[loops],
+            self._linearity,
+            self._changed,
+        )
+
+    def _find_loops(self) -> list[int]:
+        """Inputs that have an effect, and whose feeding output answers; sets the period."""
+        for window in WINDOWS:
+            self._resize(window)
+            rows = self._system.run(SIZES[-1] * self._scale + self._nothing) - self._base
+            answers = rows[:, self._system.fed_by]
+            changes = np.flatnonzero(np.diff(answers, axis=0).any(axis=1)) + 1
+            if len(changes) > 2:
+                length = int(np.gcd.reduce(np.diff(changes)))
+                self._at = slice(int(changes[0]) % length, None, length)
+                answering = [int(i) for i in np.flatnonzero(answers.any(axis=0))]
+                columns, self._size = [self._system.fed_by[i] for i in answering], SIZES[-1]
+                loops = [i for i in answering if self._answers([i], columns).any()]
+                if loops:
+                    return loops
+        raise InputError(
+            f"{', '.join(map('.'.join, self._targets))}: a pulse there causes no response "
+            f"within {WINDOWS[-1] * self._step:g} s; there is no loop"
+        )
+
+    def _positions(self, loops: Sequence[int]) -> list[Name]:
+        """Positions of the joints that the inputs move, which have the same numbers."""
+        targets = [self._targets[i] for i in loops]
+        places = [(fmu, POSITIONS + name.removeprefix(_whole(name))) for fmu, name in targets]
+        return places if set(places) <= set(self._system.columns) else []
+
+    def _choose_size(self, loops: Sequence[int], columns: Sequence[int]) -> None:
+        """Choose the largest pulse to which answers are linear, else that with the most linear."""
+        linearity: dict[float, float] = {}
+        for self._size in SIZES:
+            self._choose_window(loops, columns)
+            linearity[self._size] = self._linearity
+            if self._linearity <= LINEAR:
+                return
+        self._size = min(linearity, key=linearity.__getitem__)
+        self._choose_window(loops, columns)
+
+    def _choose_window(self, loops: Sequence[int], columns: Sequence[int]) -> None:
+        """Lengthen the window until answers to each pulse decay, change or are not linear."""
+        enough = False
+        for window in WINDOWS:
+            self._resize(window)
+            pulses = np.stack([self._answers([i], columns) for i in loops], axis=-1)
+            answers = self._answers(loops, columns[: len(loops)])
+            end = self._first_change(answers, loops, columns[: len(loops)])
+            self._changed = end < len(pulses)
+            if self._changed and enough:  # the window before was long enough
+                break
+            self._pulses = pulses[:end]
+            twice = self._answers(loops, columns[: len(loops)], 2.0)
+            self._linearity = _difference(answers, twice)
+            remaining, growth = _course(self._pulses[:, : len(loops)])
+            enough = remaining <= ENOUGH
+            decayed = len(pulses) > LEAST and (remaining <= DECAYED or growth > EXPLOSION)
+            if decayed or self._changed or self._linearity > CHAOS:
+                break
+
+    def _first_change(self, answers: Array, loops: Sequence[int], columns: Sequence[int]) -> int:
+        """Row at which answers first differ from those to a later pulse, or their number.
+
+        Where the loops do not change, they are the same, only later.
+        """
+        late = math.ceil(LATER / self._at.step)
+        later = self._answers(loops, columns, late=late)[late:]
+        apart = np.abs(later - answers[: len(later)]) / self._scale[loops]
+        bound = CHANGED * (np.abs(answers) / self._scale[loops]).max()
+        rows = np.flatnonzero((apart > bound).any(axis=1))
+        return max(int(rows[0]), 1) if rows.size else len(answers)
+
+    def _resize(self, ticks: int) -> None:
+        if ticks != len(self._nothing):
+            self._nothing = np.zeros((ticks, len(self._targets)))
+            self._base = self._system.run(self._nothing)
+
+    def _answers(
+        self, inputs: Sequence[int], columns: Sequence[int], factor: float = 1.0, late: int = 0
+    ) -> Array:
+        """Return the responses (ticks, columns) to a pulse at some inputs, of one period."""
+        added, first = self._nothing.copy(), self._at.start + late * self._at.step
+        size = factor * self._size
+        added[first : first + self._at.step, inputs] = size * self._scale[inputs]
+        answers: Array = (self._system.run(added) - self._base)[self._at, columns] / size
+        return answers
+
+
+def _difference(one: Array, other: Array) -> float:
+    """Largest difference of responses, as a share of each one's peak."""
+    peaks = np.abs(one).max(axis=0, initial=0.0)
+    differences = np.abs(one - other).max(axis=0, initial=0.0)
+    return float((differences[peaks > 0] / peaks[peaks > 0]).max(initial=0.0))

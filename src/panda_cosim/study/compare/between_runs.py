@@ -1,0 +1,296 @@
+"""Compares runs with each other: parameters, criteria, metrics and signals.
+
+All runs are compared with the first. Their scenarios, lengths and step sizes may differ; signals
+of the same name and unit are compared at the instants of all runs, where the times overlap.
+Between its own, a run's Reals are interpolated; all else keeps its value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ...fmus.errors import InputError
+from ...result.judging.criterion import Criterion, bound_text, margin_text, quantity
+from ...result.judging.verdict import Summary, Verdict
+from ...result.recording import Recording
+from ...run.result import Run
+from . import differences
+from .differences import (
+    DASH,
+    CriterionRow,
+    Extent,
+    Row,
+    SignalRow,
+    multiple,
+    numbers,
+    percent,
+    precise,
+)
+from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
+
+FIGURES: Final = 12
+ALIKE: Final = 2  # figures of one signal's elements
+VIEWED: Final = 3  # curves of the most different signals beside the 3D view
+SIGNAL_HEAD: Final = ("Signal", "x tolerance", "of its range")
+DIGITS: Final = 9  # of instants [s], so that rounding of k * dt makes no second one
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Runs against the first of them.
+
+    Attributes:
+        names: Names of the runs.
+        extents: What each run recorded.
+        verdicts: What each run came to.
+        begin: First of the instants, those of all runs, at which they were compared [s].
+        end: The last of these [s].
+        rows: Their number.
+        columns: Number of compared columns.
+        parameters: Parameters that differ.
+        criteria: All criteria.
+        metrics: Metrics that differ, the largest difference first.
+        signals: Columns of all runs that differ, the most default tolerances apart first.
+        missing: Columns that only some runs have.
+        other_units: Columns that are of another unit, or text in some runs; they are not compared.
+        recordings: Recordings of the runs.
+    """
+
+    names: tuple[str, ...]
+    extents: tuple[Extent, ...]
+    verdicts: tuple[Verdict, ...]
+    begin: float
+    end: float
+    rows: int
+    columns: int
+    parameters: tuple[Row, ...]
+    criteria: tuple[CriterionRow, ...]
+    metrics: tuple[Row, ...]
+    signals: tuple[SignalRow, ...]
+    missing: tuple[str, ...]
+    other_units: tuple[str, ...]
+    recordings: tuple[Recording, ...] = field(repr=False)
+
+    @property
+    def identical(self) -> bool:
+        """Whether all runs recorded the same: signals, instants, and whether they ended early."""
+        same_extent = all(extent == self.extents[0] for extent in self.extents)
+        return same_extent and not (self.signals or self.missing or self.other_units)
+
+    @property
+    def unmet(self) -> bool:
+        """Whether a run did not come to what its scenario expects."""
+        return any(verdict.level == "bad" for verdict in self.verdicts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON."""
+        parts = ("extents", "parameters", "criteria", "metrics", "signals")
+        plain = ("begin", "end", "rows", "columns", "missing", "other_units")
+        return {
+            "runs": self.names,
+            "verdicts": [verdict.word for verdict in self.verdicts],
+            "identical": self.identical,
+            **{name: getattr(self, name) for name in plain},
+            **{part: [asdict(row) for row in getattr(self, part)] for part in parts},
+        }
+
+    @property
+    def verdict(self) -> str:
+        """What was compared, and what came of it."""
+        if self.identical:
+            result = "All recorded signals are equal"
+        else:
+            count = len(self.signals)
+            result = f"{count or 'None'} of the compared columns differ{'s' if count < 2 else ''}"
+            result += "" if count else ", but the runs are not the same"
+        span = f"from {precise(self.begin)} to {precise(self.end)} s"
+        return f"{result}. Compared: {self.columns} columns, {self.rows} rows, {span}."
+
+    def to_html(self) -> str:
+        """Return the comparison as a self-contained page."""
+        return render(_page(self))
+
+    def _repr_html_(self) -> str:
+        from ...show.view.page import Inline  # noqa: PLC0415 - only in a notebook
+
+        return Inline(self.to_html(), 640)._repr_html_()
+
+
+def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison:
+    """Compare runs with the first of them.
+
+    Args:
+        first: A run, or its folder.
+        others: At least one more.
+
+    Raises:
+        InputError: There is no such run, or only one, or they have no signal or span in common.
+    """
+    if not others:
+        raise InputError("compare: only one run; must be at least two")
+    runs = (first, *others)
+    recordings = tuple(
+        run.recording if isinstance(run, Run) else Recording.open(run, in_order=True)
+        for run in runs
+    )
+    summaries = [
+        run.summary if isinstance(run, Run) else Summary.of(recording)
+        for run, recording in zip(runs, recordings, strict=True)
+    ]
+    paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
+    short = [path.resolve().name for path in paths]
+    names = tuple(short if len(set(short)) == len(short) else map(str, paths))
+    instants, own = differences.joint_instants(names, [each.time for each in recordings])
+    every = dict.fromkeys(name for r in recordings for name in r.types if name != "time")
+    common = [name for name in every if all(name in r.types for r in recordings)]
+    # The unit of a number, None of a text.
+    compared = [name for name in common if len({r.units.get(name) for r in recordings}) == 1]
+    if not compared:
+        raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
+    metrics = differences.differing([dict(summary.numbers()) for summary in summaries])
+    return RunComparison(
+        names=names,
+        extents=tuple(map(Extent.of, recordings)),
+        verdicts=tuple(summary.verdict for summary in summaries),
+        begin=float(instants[0]),
+        end=float(instants[-1]),
+        rows=len(instants),
+        columns=len(compared),
+        parameters=tuple(differences.differing([differences.parameters_of(r) for r in recordings])),
+        criteria=differences.criteria_of(summaries),
+        metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
+        signals=differences.signals_apart(compared, recordings, instants, own),
+        missing=tuple(name for name in every if name not in common),
+        other_units=tuple(name for name in common if name not in compared),
+        recordings=recordings,
+    )
+
+
+def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
+    """Return the rows of a table: span, number of rows and end of each run."""
+    extents = comparison.extents
+    return [
+        ("span", *(f"{precise(e.begin)} to {precise(e.end)} s" for e in extents)),
+        ("rows", *(str(e.rows) for e in extents)),
+        ("ended", *("complete" if e.complete else f"early: {e.reason}" for e in extents)),
+        ("verdict", *(verdict.word for verdict in comparison.verdicts)),
+    ]
+
+
+def judged_text(criterion: Criterion | None) -> str:
+    """Format the measured value and its margin."""
+    if criterion is None:
+        return DASH
+    if not criterion.measured:
+        return f"not measured: {criterion.reason}"
+    missed = "" if criterion.ok else ", missed"
+    value = quantity(criterion.value, criterion.unit)
+    return f"{value} ({margin_text(criterion)}{missed})"
+
+
+def _page(comparison: RunComparison) -> Page:
+    """Return the page: one section, in which all runs are held against the first."""
+    first, *others = comparison.names
+    state = "bad" if comparison.unmet else "good" if comparison.identical else ""
+    view, runs = _view(comparison)
+    rows = [
+        (row.name, bound_text(next(filter(None, row.judged))), *map(judged_text, row.judged))
+        for row in comparison.criteria
+    ]
+    criteria = Table(("Criterion", "Required", *comparison.names), rows)
+    parts = [
+        Part("Recorded", [Table(("Recorded", *comparison.names), extent_rows(comparison))]),
+        *view,
+        _values("Parameter", comparison, comparison.parameters),
+        *([Part("Success criteria", [criteria])] if criteria.rows else []),
+        *_signals_part(comparison),
+        _values("Metric", comparison, comparison.metrics),
+    ]
+    deviations = f" Deviations are from {first}." if comparison.signals else ""
+    return Page(
+        title=f"{', '.join(comparison.names[:-1])} and {comparison.names[-1]}",
+        state=state,
+        about=comparison.verdict + deviations,
+        key=[("reference", first), *((f"r{i % 5 + 1}", name) for i, name in enumerate(others))],
+        sections=[Section(f"{', '.join(others)} against {first}", state, parts)],
+        runs=runs,
+    )
+
+
+def _values(what: str, comparison: RunComparison, rows: Sequence[Row]) -> Part:
+    cells = [(row.name, *numbers(row.values)) for row in rows]
+    note = "" if cells else "None."
+    return Part(f"{what}s that differ", [Table((what, *comparison.names), cells)], note)
+
+
+def _signals_part(comparison: RunComparison) -> list[Part]:
+    """Return the curves, and what could not be compared; nothing if all is equal."""
+    rows = [signal_cells(row) for row in comparison.signals]
+    units, missing = comparison.other_units, comparison.missing
+    head = (*SIGNAL_HEAD, *comparison.names[1:])
+    tables = [
+        Table(head, rows, f"{len(rows)} signals that differ"),
+        _names(units, "columns in other units or types, not compared"),
+        _names(missing, "columns that only some runs have"),
+    ]
+    if not any(table.rows for table in tables):
+        return []
+    numbers = [row for row in comparison.signals if row.name in comparison.recordings[0].units]
+    shown = varied(numbers, lambda row: row.name, ALIKE)[:FIGURES]
+    note = "A range below a thousandth of the signal's largest value counts as that."
+    figures = [_figure(row, comparison) for row in shown]
+    return [Part("Signals, the most default tolerances first", tables, note, figures)]
+
+
+def _names(columns: Sequence[str], words: str) -> Table:
+    return Table(("Signal",), [(name,) for name in columns], f"{len(columns)} {words}")
+
+
+def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
+    """Return a column's curves in all runs, at the instants of all of them."""
+    runs = comparison.recordings
+    time = np.unique(np.round(np.concatenate([run.time for run in runs]), DIGITS))
+    values = [_curve(time, run, row.name) for run in runs]
+    worst = row.times[int(np.argmax(row.largest))]
+    lines = curve(row.unit, dict(zip(comparison.names, values, strict=True)), time, worst)
+    meaning = runs[0].descriptions.get(row.name, "")
+    return Figure(row.name, "; ".join(row.texts), meaning, lines)
+
+
+def _curve(time: Array, run: Recording, name: str) -> Array:
+    """Return a column at the instants of all runs, NaN before and after its own."""
+    values = differences.on_times(time, run.time, run[name].astype(float), run.is_real(name))
+    slack = 10.0**-DIGITS
+    within = (time >= run.time[0] - slack) & (time <= run.time[-1] + slack)
+    return np.asarray(np.where(within, values, np.nan))
+
+
+def signal_cells(row: SignalRow) -> tuple[str, ...]:
+    """Return the cells of a column's row in a table; `SIGNAL_HEAD` is above them."""
+    return row.name, multiple(row.multiple), percent(row.share), *row.texts
+
+
+def _view(comparison: RunComparison) -> tuple[list[Part], str]:
+    """Show the run that differs most in 3D, with the first one as a ghost; with their data."""
+    from ...show.view.page import show_source  # noqa: PLC0415 - slow to import
+    from .views import Views  # noqa: PLC0415 - slow to import
+
+    if not comparison.signals:
+        return [], ""
+    runs = list(zip(comparison.recordings, comparison.names, strict=True))
+    worst, views = comparison.signals[0], Views()
+    other = int(np.argmax(worst.largest))
+    try:
+        run, ghost = (
+            show_source(recording, name, summary=Summary.of(recording))
+            for recording, name in (runs[other + 1], runs[0])
+        )
+        columns = [row.name for row in comparison.signals[:VIEWED]]
+        return [views.add(run, ghost, columns, worst.times[other])], views.elements
+    except InputError as error:  # no model, or no positions
+        return [Part("In 3D", note=f"No 3D: {error}")], ""

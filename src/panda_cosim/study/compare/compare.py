@@ -1,0 +1,331 @@
+"""Compares a run with its reference recording: a tube around each signal, and other checks.
+
+A value may lie anywhere between the smallest and the largest value of the reference within `time`
+of its instant, widened by the signal's tolerance:
+
+    min r(t') - tol <= x(t) <= max r(t') + tol,  |t' - t| <= time
+
+A text must be one of those of the reference within `time`; any other is infinitely far away.
+The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
+the comparison fails. Where the reference, of format 1, holds only a column's bits, these must
+match. The other checks find signals that are missing, new or of another unit or type, values
+that are not finite, a different time axis or verdict and, on request, different bits. Parameters,
+versions and the FMUs' identities are not compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...result.judging.verdict import Summary
+from ...result.recording import Recording
+from ...task.tolerances import Tolerances, signal_of
+from .differences import LEAST_SHARE, instant, measure, multiple, precise, signal_names
+from .reference import Reference, column_digest, kept_metadata
+from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, widths
+
+Array = NDArray[np.float64]
+
+
+def verdict_problems(summary: Summary, reference: Reference) -> list[str]:
+    """Check that the verdict is that of the reference, and what the scenario expects."""
+    if summary.success == reference.summary.success:
+        return [] if summary.as_expected else [summary.detail]
+    now, before = (
+        "a success" if s.success else "not a success" for s in (summary, reference.summary)
+    )
+    return [f"is {now}, the reference is {before} ({summary.detail})"]
+
+
+def signal_problems(recording: Recording, reference: Reference) -> list[str]:
+    """Check that the signals and their units are those of the reference."""
+    missing = _words(name for name in reference.units if name not in recording.types)
+    added = _words(name for name in recording.types if name not in reference.units)
+    problems = []
+    for signal, words in missing.items():
+        near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
+        problems.append(f"signal {words} is missing{near.rstrip('?')}")
+    problems += [f"signal {words} is new" for words in added.values()]
+    for name, unit in recording.units.items():
+        before = reference.units.get(name, unit)
+        if unit != before:
+            problems.append(f"{name} has the unit {unit!r}, the reference {before!r}")
+    for name, kind in recording.types.items():
+        before = reference.types.get(name, kind)
+        if kind != before:
+            problems.append(f"{name} has the type {kind}, the reference {before}")
+    return problems
+
+
+def _words(columns: Iterable[str]) -> dict[str, str]:
+    """Name the columns of each signal."""
+    signals = defaultdict(list)
+    for name in columns:
+        signals[signal_of(name)].append(name)
+    return {
+        signal: names[0] if len(names) == 1 else f"{signal} ({len(names)} columns)"
+        for signal, names in signals.items()
+    }
+
+
+def value_problems(recording: Recording) -> list[str]:
+    """Check that every value is finite, in all columns, compared or not."""
+    problems = []
+    time = recording.time
+    for name in recording.columns:
+        values = recording[name]
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            at, more = time[bad[0]], f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
+            problems.append(f"{name} is {values[bad[0]]} at {instant(at)} s{more}")
+    return problems
+
+
+def time_problems(time: Array, reference: Reference) -> list[str]:
+    """Check that the time axis is that of the reference."""
+    start, end = reference.time[[0, -1]].tolist()
+    first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
+    slack = TIME_SLACK * reference.step_size
+    if not (abs(first - start) <= slack and abs(last - end) <= slack):
+        spans = [f"{precise(a)} to {precise(b)} s" for a, b in ((first, last), (start, end))]
+        return [f"goes from {spans[0]}, the reference from {spans[1]}"]
+    if len(time) != reference.rows:
+        return [f"has {len(time)} rows, the reference {reference.rows}"]
+    off = np.flatnonzero(~(np.abs(time - reference.time) <= slack))
+    return [
+        f"time is {time[row]:.9f} s in row {row + 1}, must be {reference.time[row]:.9f} s"
+        for row in off[:1]
+    ]
+
+
+def bit_problems(recording: Recording, reference: Reference) -> list[str]:
+    """Check that all columns have the same bits; add possible causes of a difference."""
+    differing = [
+        name
+        for name, bits in reference.digests.items()
+        if name in recording.types and column_digest(recording[name]) != bits
+    ]
+    if not differing:
+        return []
+    before, now = reference.metadata, kept_metadata(recording)
+    changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
+    old, new = before.get("versions", {}), now.get("versions", {})
+    changes += [name for name in new if old.get(name) != new[name]]
+    causes = f" (recorded with another {', another '.join(changes)})" if changes else ""
+    return [f"bits differ: {signal_names(differing)}{causes}"]
+
+
+COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Deviation of one column from its reference."""
+
+    name: str
+    unit: str
+    tolerance: float  # half-width of its tube, in its unit
+    share: float
+    distance: float  # the largest, in its unit
+    time: float  # of that distance [s]
+    first: float | None  # time at which it first leaves the tube [s]; None: never
+    outside: int  # ticks outside the tube
+    extent: float = 0.0  # of the reference: its largest value less its smallest; 1 of texts
+    constant: bool = False  # whether a constant would stay inside the tube
+    found: str = ""  # what it is, and the reference, where it is infinitely far away
+
+    @property
+    def ok(self) -> bool:
+        """Whether it stays inside its tube."""
+        return self.share <= 1.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A run against its reference."""
+
+    problems: tuple[str, ...]  # one line each, the most important first
+    deviations: tuple[Deviation, ...]  # of each compared column, the worst first
+    engines: tuple[str, str] = ("", "")  # versions of MuJoCo: the run's, the reference's
+    equal: int = 0  # further columns, of which only the bits were compared
+    uncompared: tuple[str, ...] = ()  # recorded columns that were not compared
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run matches its reference within tolerances."""
+        return not self.problems
+
+    @property
+    def worst(self) -> Deviation | None:
+        """The column with the largest deviation."""
+        return self.deviations[0] if self.deviations else None
+
+    @property
+    def first(self) -> Deviation | None:
+        """The column that leaves its tube first."""
+        outside = [each for each in self.deviations if each.first is not None]
+        return min(outside, key=lambda each: each.first or 0.0, default=None)
+
+    @property
+    def compared(self) -> int:
+        """Number of compared columns."""
+        return len(self.deviations) + self.equal
+
+    @property
+    def constant_fits(self) -> list[str]:
+        """Columns that vary, but in whose tube a constant stays, too."""
+        extents = defaultdict[tuple[str, str], float](float)
+        for d in self.deviations:
+            key = signal_of(d.name), d.unit
+            extents[key] = max(extents[key], d.extent)
+        return [
+            d.name
+            for d in self.deviations
+            if d.constant and d.extent > LEAST_SHARE * extents[signal_of(d.name), d.unit]
+        ]
+
+    @property
+    def count(self) -> str:
+        """Say how many columns were compared, and how many of them a constant would match, too."""
+        share = f" of {self.compared + len(self.uncompared)}" if self.uncompared else ""
+        fits = f", {len(self.constant_fits)} loose" if self.constant_fits else ""
+        return f"{self.compared}{share} columns{fits}"
+
+    @property
+    def scope(self) -> str:
+        """Say what was compared, what was not, and which signals a constant would match, too."""
+        loose = "loose, as a constant would match"
+        others = {"not compared": self.uncompared, loose: sorted(self.constant_fits)}
+        names = [f" ({what}: {signal_names(each)})" for what, each in others.items() if each]
+        return "".join([f"Compared: {self.count}", *names, "."])
+
+
+def compare_with_reference(
+    recording: Recording,
+    summary: Summary,
+    reference: Reference,
+    tolerances: Tolerances,
+    *,
+    exact: bool = False,
+) -> Comparison:
+    """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
+    half, ticks = widths(reference, tolerances), tolerances.ticks(reference.step_size)
+    _check_precision(reference, half)
+    time = recording.time
+    problems = [
+        *([] if recording.complete else [f"ended early: {recording.reason}"]),
+        *signal_problems(recording, reference),
+        *value_problems(recording),
+        *time_problems(time, reference),
+        *verdict_problems(summary, reference),
+    ]
+    rows = matching_rows(time, reference)
+    matched = rows >= 0
+    time, rows = time[matched], rows[matched]
+    deviations, equal, uncompared = [], 0, []
+    for name in (each for each in recording.types if each != "time"):
+        if (name in recording.texts, True) == (name in reference.texts, name in half):
+            values = recording[name][matched]
+            deviations.append(_deviation(name, time, rows, values, reference, half[name], ticks))
+        elif reference.digests.get(name) == column_digest(recording[name]):
+            equal += 1
+        else:
+            uncompared.append(name)
+    deviations.sort(key=lambda d: -d.share)
+    if not deviations and not equal:
+        problems.append("no signal was compared")
+    if unknown := [name for name in uncompared if name in reference.units and name not in half]:
+        problems.append(
+            f"bits differ: {signal_names(unknown)}, of which the reference, of format 1, holds no "
+            "values; must be recorded again with --update"
+        )
+    problems += _tube_problems(deviations)
+    if exact:
+        problems += bit_problems(recording, reference)
+    run, made = (each.metadata.get("versions", {}) for each in (recording, reference))
+    engines = (run.get("mujoco", ""), made.get("mujoco", ""))
+    return Comparison(tuple(problems), tuple(deviations), engines, equal, tuple(uncompared))
+
+
+def _check_precision(reference: Reference, half: Mapping[str, float]) -> None:
+    """Refuse a reference whose rounding would widen its tubes noticeably."""
+    for name, quantum in reference.quanta.items():
+        unit, tolerance = reference.units[name], half[name]
+        if quantum > COARSEST * tolerance:
+            raise InputError(
+                f"{name}: the reference is rounded to {measure(quantum, unit)}, too coarse for a "
+                f"tolerance of {measure(tolerance, unit)}; must be recorded again with --update"
+            )
+
+
+def _deviation(  # noqa: PLR0913 - one column with all that it is held against
+    name: str,
+    time: Array,
+    rows: Rows,
+    values: Array,
+    reference: Reference,
+    tolerance: float,
+    ticks: int,
+) -> Deviation:
+    unit, expected = reference.units[name], reference.column(name)
+    if not len(rows):
+        nowhere = "at none of the reference's instants"
+        return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0, found=nowhere)
+    distance = distances(values, rows, expected, reference.quanta.get(name, 0.0) / 2, ticks)
+    worst = int(np.argmax(distance))
+    outside = distance > tolerance
+    found = (
+        f"{excerpt(values[worst])} at {instant(time[worst])} s, {excerpt(expected[rows[worst]])} in"
+    )
+    return Deviation(
+        name=name,
+        unit=unit,
+        tolerance=tolerance,
+        share=float(distance[worst]) / tolerance,
+        distance=float(distance[worst]),
+        time=float(time[worst]),
+        first=float(time[int(np.argmax(outside))]) if outside.any() else None,
+        outside=int(outside.sum()),
+        extent=extent_of(expected),
+        constant=holds_constant(expected, tolerance, ticks),
+        found=f"{found} the reference" if math.isinf(distance[worst]) else "",
+    )
+
+
+def matching_rows(time: Array, reference: Reference) -> Rows:
+    """Return the reference's row at each instant, -1 if it has none."""
+    ticks = np.round(np.nan_to_num(time - reference.time[0], nan=-1.0) / reference.step_size)
+    inside = (ticks >= 0) & (ticks < reference.rows)
+    return np.where(inside, ticks, -1).astype(np.int64)
+
+
+def _tube_problems(deviations: Sequence[Deviation]) -> list[str]:
+    """Describe the worst column, and name the other signals."""
+    failed = [d for d in deviations if not d.ok]
+    if not failed:
+        return []
+    worst, *others = failed
+    names = signal_names(d.name for d in others)
+    return [describe(worst) + (f"; {len(others)} more outside: {names}" if others else "")]
+
+
+def describe(deviation: Deviation) -> str:
+    """Describe where a column is furthest from its reference."""
+    verb = "is" if deviation.found else "off by"
+    return f"{deviation.name} {verb} {deviation_text(deviation)}"
+
+
+def deviation_text(deviation: Deviation) -> str:
+    """Return size and time of a deviation."""
+    return deviation.found or (
+        f"{measure(deviation.distance, deviation.unit)} at {instant(deviation.time)} s, "
+        f"{multiple(deviation.share)} times its tolerance"
+    )

@@ -1,0 +1,268 @@
+"""What differs between runs: settings and metrics side by side, and how far signals are apart.
+
+Also how reports, pages and tables write numbers and name signals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError, excerpt
+from ...result.judging.criterion import Criterion
+from ...result.judging.verdict import Summary
+from ...result.recording import Recording
+from ...task.tolerances import Tolerances, signal_of
+from .tubes import TIME_SLACK, distances, widths
+
+DASH: Final = "\u2013"  # en dash for an empty cell
+
+
+def signal_names(columns: Iterable[str], most: int = 5) -> str:
+    """List the signals of columns in one line, or the first of them."""
+    signals = list(dict.fromkeys(map(signal_of, columns)))
+    more = f" and {len(signals) - most} more" if len(signals) > most else ""
+    return ", ".join(signals[:most]) + more
+
+
+def numbers(values: Sequence[object]) -> list[str]:
+    """Format numbers with four digits, or with as many as it takes to tell them apart."""
+    texts = [number(value) for value in values]
+    for digits in range(5, 18):
+        written = zip(values, texts, strict=True)
+        if all(a == b or s != t for (a, s), (b, t) in combinations(written, 2)):
+            break
+        texts = [number(value, digits=digits) for value in values]
+    return texts
+
+
+def number(value: object, sign: str = "", digits: int = 4) -> str:
+    """Format a number with four digits; return anything else unchanged."""
+    if value is None:
+        return DASH
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    return f"{value:{sign}.{digits}g}"
+
+
+def measure(value: float, unit: str) -> str:
+    """Format a number with three digits and its unit, if any."""
+    return short(value) if unit in ("", "1") else f"{short(value)} {unit}"
+
+
+def multiple(share: float) -> str:
+    """Format a share of a tolerance with three digits, or with what tells it from 1."""
+    text = short(share)
+    return numbers((1.0, share))[1] if text == "1" else text
+
+
+def percent(share: float) -> str:
+    """Format a share in percent."""
+    return f"{short(100.0 * share)} %"
+
+
+def precise(value: float) -> str:
+    """Format a time with all digits that its tick can have, without those of rounding."""
+    return f"{value:.12g}"
+
+
+def instant(value: float) -> str:
+    """Format a time to the millisecond, or with all digits of a tick between these."""
+    text = f"{value:.3f}"
+    return text if abs(float(text) - value) < MILLISECOND else precise(value)
+
+
+def short(value: float) -> str:
+    """Format a number with three digits."""
+    rounded = float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if 1e3 <= abs(rounded) < 1e7 else f"{rounded:g}"
+
+
+Array = NDArray[np.float64]
+
+SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
+MILLISECOND: Final = 1e-9  # [s] of rounding about one
+SMALL: Final = 1e-3  # in any unit; changes of smaller numbers are judged as if they were this large
+
+# What a range counts as at least, so that noise in an element that hardly moves is a small share.
+LEAST_SHARE: Final = 1e-3  # of the largest value among the signal's elements of that unit
+LEAST: Final = 1e-9  # in any unit
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What a run recorded."""
+
+    begin: float  # time of its first row [s]
+    end: float  # time of its last row [s]
+    rows: int
+    complete: bool  # whether it ran to its end
+    reason: str | None  # why it did not
+
+    @classmethod
+    def of(cls, run: Recording) -> Extent:
+        """Return a recording's."""
+        return cls(float(run.time[0]), float(run.time[-1]), run.rows, run.complete, run.reason)
+
+
+@dataclass(frozen=True)
+class CriterionRow:
+    """One criterion in all runs."""
+
+    name: str
+    judged: tuple[Criterion | None, ...]  # in each run; None: that run does not have it
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter or metric."""
+
+    name: str  # such as `controller.kp[1]` or `tracking.rms_mm`
+    values: tuple[Any, ...]  # in each run; None: it has none
+
+    @property
+    def relative(self) -> float:
+        """Largest relative change from the first run; 1 if not numbers."""
+        first, *others = self.values
+        return max(_relative_change(first, other) for other in others)
+
+
+@dataclass(frozen=True)
+class SignalRow:
+    """Distance of one column from the first run's, for each other run."""
+
+    name: str
+    unit: str
+    largest: tuple[float, ...]  # largest distance, in the unit
+    times: tuple[float, ...]  # time of that distance [s]
+    rms: tuple[float, ...]  # RMS distance, in the unit
+    found: tuple[str, ...]  # what each is there, and the first
+    share: float = 0.0  # the largest of all, divided by the column's range in all runs
+    multiple: float = 0.0  # the largest of all, divided by the default tolerance
+
+    @property
+    def texts(self) -> list[str]:
+        """Largest distance and its time, for each other run."""
+        sizes = [measure(distance, self.unit) for distance in self.largest]
+        shown = [
+            f if math.isinf(d) else size
+            for d, f, size in zip(self.largest, self.found, sizes, strict=True)
+        ]
+        return [f"{text} at {instant(t)} s" for text, t in zip(shown, self.times, strict=True)]
+
+
+def parameters_of(recording: Recording) -> dict[str, Any]:
+    """Return the settings of a run: scenario, coupling, and each FMU's parameters."""
+    metadata = recording.metadata
+    values: dict[str, Any] = {name: metadata[name] for name in SETTINGS if name in metadata}
+    for instance, parameters in metadata.get("parameters", {}).items():
+        values |= {f"{instance}.{name}": value for name, value in parameters.items()}
+    return values
+
+
+def side_by_side(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Return the rows of tables with one value for each name."""
+    names = dict.fromkeys(name for table in tables for name in table)
+    return [Row(name, tuple(table.get(name) for table in tables)) for name in names]
+
+
+def differing(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Return the rows of the tables whose values differ."""
+    return [r for r in side_by_side(tables) if any(value != r.values[0] for value in r.values)]
+
+
+def _relative_change(before: Any, now: Any) -> float:
+    """Return the size of a change by the larger number, at least `SMALL`; 1 if not numbers."""
+    if before == now:
+        return 0.0
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in (before, now)):
+        return 1.0
+    return float(abs(now - before) / max(abs(before), abs(now), SMALL))
+
+
+def criteria_of(summaries: Sequence[Summary]) -> tuple[CriterionRow, ...]:
+    """Return all criteria of the runs."""
+    judged = [{c.name: c for c in summary.criteria} for summary in summaries]
+    names = dict.fromkeys(name for run in judged for name in run)
+    return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
+
+
+def joint_instants(names: Sequence[str], times: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """Return the instants of all runs within the spans of all, and each run's as they are there."""
+    for name, time in zip(names, times, strict=True):
+        if not len(time):
+            raise InputError(f"{name}: nothing to compare: it has no rows")
+    # Rounding of k * dt makes no second instant of one.
+    slack = TIME_SLACK * min(float(np.diff(time).min(initial=1.0)) for time in times)
+    every = np.unique(np.concatenate(times))
+    every = every[np.diff(every, prepend=-np.inf) > slack]
+    own = [every[np.searchsorted(every, time, "right") - 1] for time in times]
+    first, last = max(time[0] for time in own), min(time[-1] for time in own)
+    instants = every[(every >= first) & (every <= last)]
+    if not len(instants):
+        raise InputError(f"{', '.join(names)}: nothing to compare: no span of time in common")
+    return instants, own
+
+
+def signals_apart(
+    names: Sequence[str], runs: Sequence[Recording], instants: Array, times: Sequence[Array]
+) -> tuple[SignalRow, ...]:
+    """Return the columns that are not equal in all runs, the most default tolerances first."""
+    half = [widths(run, Tolerances()) for run in runs]
+    extents = defaultdict[tuple[str, str], float](float)
+    rows = []
+    for name in names:  # one column of each run is in memory at a time
+        unit = runs[0].units.get(name, "")
+        row, extent, size = _apart(name, unit, instants, times, runs)
+        signal = signal_of(name), unit
+        extents[signal] = max(extents[signal], LEAST_SHARE * size)
+        rows.append((row, extent, max(each[name] for each in half)))
+    apart = []
+    for row, extent, width in rows:
+        worst, least = max(row.largest), max(extents[signal_of(row.name), row.unit], LEAST)
+        share = worst / max(extent, least) if math.isfinite(worst) else math.inf
+        apart += [replace(row, share=share, multiple=worst / width)] if worst > 0.0 else []
+    return tuple(sorted(apart, key=lambda row: -row.multiple))
+
+
+def _apart(
+    name: str, unit: str, instants: Array, times: Sequence[Array], runs: Sequence[Recording]
+) -> tuple[SignalRow, float, float]:
+    """Return how far other runs' columns are from the first, and range and size in all runs."""
+    is_real = all(run.is_real(name) for run in runs)
+    columns = [run[name] for run in runs]
+    found = zip(times, columns, strict=True)
+    first, *others = (on_times(instants, own, values, is_real) for own, values in found)
+    largest, at, rms, texts = [], [], [], []
+    for other in others:
+        distance = distances(other, np.arange(len(instants)), first, 0.0, 0)
+        distance[first == other] = 0.0
+        if first.dtype.kind == "f":
+            distance[np.isnan(first) & np.isnan(other)] = 0.0
+        worst = int(np.argmax(distance))
+        largest.append(float(distance[worst]))
+        at.append(float(instants[worst]))
+        rms.append(float(np.sqrt(np.mean(distance**2))))
+        texts.append(f"{excerpt(other[worst])} instead of {excerpt(first[worst])}")
+    row = SignalRow(name, unit, tuple(largest), tuple(at), tuple(rms), tuple(texts))
+    if name in runs[0].texts:
+        return row, 1.0, 1.0
+    finite = [values[np.isfinite(values)].astype(float) for values in columns]
+    ends = [end for part in finite if len(part) for end in (part.min(), part.max())] or [0.0]
+    return row, float(max(ends) - min(ends)), float(max(map(abs, ends)))
+
+
+def on_times(time: Array, instants: Array, values: Array, is_real: bool) -> Array:
+    """Return the values of some instants at later ones: of a Real interpolated, else held."""
+    if np.array_equal(time, instants):
+        return values
+    if is_real:
+        return np.interp(time, instants, values)
+    return values[np.searchsorted(instants, time, "right") - 1]

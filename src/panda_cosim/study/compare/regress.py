@@ -1,0 +1,374 @@
+"""Runs a suite of scenarios, each in a process of its own, and compares them with references.
+
+Engines of several versions of MuJoCo that round differently are never equal to the last bit, and
+what rounding makes may grow. So each scenario runs once more with all inputs of its plant times
+1 + 1e-14. An engine has changed a signal where it is further off than `GROWTH` times what this
+noise has made of the signal so far.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, as_completed
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
+from ...result.judging.criterion import Criterion
+from ...result.judging.verdict import NO_CRITERIA, Summary
+from ...result.recording import Recording
+from ...run.options import Options
+from ...run.run import run_scenario
+from ...run.start import check_criteria, check_tolerances, start_values
+from ...task.files import scenario_files
+from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
+from ...task.tolerances import Tolerances
+from ..work import Workers
+from .compare import Comparison, compare_with_reference, describe
+from .reference import Reference, how_to_make, reference_path
+from .tubes import widths
+
+if TYPE_CHECKING:
+    from ...fmus.sources.targets import Kind
+    from ...task.values import Values
+    from ..sweep.engine import SuiteSweep
+
+Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
+
+# Wall time of a scenario beyond its duration [s]; a hanging one must not hang the others.
+TIMEOUT: Final = 600.0
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """A scenario's folder that cannot be read: it alone fails, the rest of the suite runs."""
+
+    name: str  # of the folder, or its path in the suite
+    folder: Path
+    error: str  # the problem in one line
+    purpose: str = ""
+    duration: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of one scenario, or of a sweep, which has no reference.
+
+    The verdict is `same` as the reference, `differs` from it, or `failed` to run. Without a
+    reference it is `holds` or `missed` by the criteria; `no reference` if there are none of these,
+    or the reference is damaged.
+    """
+
+    scenario: Scenario | Unusable | SuiteSweep
+    verdict: Verdict
+    run: Path  # folder of the run
+    seconds: float  # wall time of the run [s]
+    comparison: Comparison | None = None  # with the reference; None: there is none, or it failed
+    error: str = ""  # why it failed or missed, or why the reference cannot be used
+    criteria: tuple[Criterion, ...] = ()  # as judged; empty without a summary
+    difference: str = ""  # from the run with the scenario's own MuJoCo, if it is another's
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run matches its reference, or its verdict is as expected without one."""
+        return self.verdict in ("same", "holds")
+
+    @property
+    def name(self) -> str:
+        """Name of the scenario."""
+        return self.scenario.name
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """Tolerances of the comparison."""
+        assert isinstance(self.scenario, Scenario)  # an unreadable scenario has no run
+        return self.scenario.regression
+
+    @property
+    def reason(self) -> str:
+        """The problem in one line; empty if there is none."""
+        if self.comparison is not None and self.comparison.problems:
+            return "; ".join(self.comparison.problems)
+        return self.error
+
+    @property
+    def summary(self) -> Summary:
+        """The run's summary."""
+        return Summary.open(self.run)
+
+    @property
+    def reference_path(self) -> Path:
+        """Path of the scenario's reference, which need not exist."""
+        assert isinstance(self.scenario, Scenario)
+        return reference_path(self.scenario)
+
+
+def start(
+    workers: Workers,
+    scenario: Scenario | Unusable,
+    run: Path,
+    options: Options | None = None,
+    *,
+    exact: bool = False,
+) -> Future[Outcome]:
+    """Queue a scenario to be run into a folder and compared; `exact`: bit for bit."""
+    if isinstance(scenario, Unusable):
+        refused: Future[Outcome] = Future()
+        refused.set_result(Outcome(scenario, "failed", run, 0.0, error=scenario.error))
+        return refused
+    failed = partial(_failed, scenario, run, time.perf_counter())
+    judge = partial(_outcome, run=run, options=options or Options(), exact=exact)
+    limit = TIMEOUT + scenario.duration
+    return workers.submit(judge, scenario, died=failed, late=failed, time_limit=limit)
+
+
+def _outcome(scenario: Scenario, *, run: Path, options: Options, exact: bool) -> Outcome:
+    """Run a scenario in this process, and compare it."""
+    began = time.perf_counter()
+    try:
+        done = run_scenario(scenario, run, options)
+    except CosimError as error:
+        return _failed(scenario, run, began, str(error))
+    seconds = time.perf_counter() - began
+    if done.verdict.suite == "failed":  # it did not end, or the scenario asks for what is not there
+        return _failed(scenario, run, began, done.summary.detail)
+    verdict, problem, comparison = _judged(scenario, run, done.summary, exact)
+    return Outcome(scenario, verdict, run, seconds, comparison, problem, done.summary.criteria)
+
+
+def _failed(scenario: Scenario, run: Path, began: float, error: str) -> Outcome:
+    seconds = time.perf_counter() - began
+    criteria = Summary.open(run).criteria
+    return Outcome(scenario, "failed", run, seconds, None, error, criteria)
+
+
+def _judged(
+    scenario: Scenario, run: Path, summary: Summary, exact: bool
+) -> tuple[Verdict, str, Comparison | None]:
+    """Compare a run with its reference or, without one, judge it by its criteria."""
+    path = reference_path(scenario)
+    if path.is_file():
+        try:
+            reference, tolerances = Reference.read(path), scenario.regression
+            comparison = compare_with_reference(
+                Recording.open(run), summary, reference, tolerances, exact=exact
+            )
+        except CosimError as refused:
+            return "no reference", str(refused), None
+        return "same" if comparison.ok else "differs", "", comparison
+    if summary.verdict is NO_CRITERIA:
+        advice = f"{how_to_make(path)} makes it, or give the scenario a section [success]"
+        return "no reference", f"{path}: does not exist; {advice}", None
+    return summary.verdict.suite, "" if summary.as_expected else summary.detail, None
+
+
+@dataclass(frozen=True)
+class Suite:
+    """The scenarios of a suite, and how to run them."""
+
+    scenarios: Sequence[Scenario | Unusable]
+    exact: bool = False  # whether each bit must match the reference
+    jobs: int = 1  # how many run at the same time
+    kind: Kind = "auto"  # of the project's own FMUs
+
+
+def with_values(
+    scenarios: Iterable[Scenario | Unusable], values: Values
+) -> Iterator[Scenario | Unusable]:
+    """Yield the scenarios with values changed by key; refuses values that cannot be used."""
+    for scenario in scenarios:
+        if isinstance(scenario, Unusable):
+            yield scenario
+            continue
+        try:
+            changed = scenario.changed(values)
+            start_values(changed)
+        except InputError as error:
+            raise InputError(f"{scenario.name}: {error}") from error
+        yield changed
+
+
+def run_suite(
+    suite: Suite, folder: Path, tell: Callable[[Outcome], None] = lambda _: None
+) -> list[Outcome]:
+    """Run a suite into a folder, the longest first; `tell` is called with each outcome."""
+    from ...fmus.sources.targets import Target, build  # noqa: PLC0415 - imports much
+
+    usable = (each for each in suite.scenarios if isinstance(each, Scenario))
+    for engine in dict.fromkeys(scenario.mujoco for scenario in usable):
+        build(target=Target(suite.kind, mujoco=engine))  # once, not in each process
+    outcomes, options = {}, Options(kind=suite.kind)
+    with Workers(suite.jobs) as workers:
+        futures = [
+            start(workers, each, folder / each.name, options, exact=suite.exact)
+            for each in sorted(suite.scenarios, key=lambda s: -s.duration)
+        ]
+        for future in as_completed(futures):
+            outcome = future.result()
+            outcomes[outcome.name] = outcome
+            tell(outcome)
+    return [outcomes[scenario.name] for scenario in suite.scenarios]
+
+
+def headline(outcomes: Sequence[Outcome]) -> str:
+    """Say in one line how many scenarios pass."""
+    is_judged = any(outcome.verdict in ("holds", "missed") for outcome in outcomes)
+    words = "pass" if is_judged else "match their references"
+    alone = all(isinstance(outcome.scenario, Scenario | Unusable) for outcome in outcomes)
+    what = "scenarios" if alone else "scenarios and sweeps"
+    return f"{sum(outcome.ok for outcome in outcomes)} of {len(outcomes)} {what} {words}"
+
+
+def exit_code(outcomes: Iterable[Outcome]) -> int:
+    """Return 0 if all pass, 1 if one does not, 2 if one has neither reference nor criteria."""
+    verdicts = {outcome.verdict for outcome in outcomes}
+    if verdicts & {"differs", "failed", "missed"}:
+        return CosimError.exit_code
+    return InputError.exit_code if "no reference" in verdicts else 0
+
+
+def find_scenarios(
+    names: Sequence[str] = (), folder: Path | None = None
+) -> list[Scenario | Unusable]:
+    """Load scenarios by name, or all; an unusable folder becomes an `Unusable`."""
+    known = shipped_scenarios() if folder is None else _scenarios_in(folder)
+    place = "the shipped ones" if folder is None else str(folder)
+    chosen = [_choose(name, known, place) for name in names or known]
+    own = {path: name for name, path in known.items()}
+    scenarios = [read_scenario(path, own.get(path, "")) for path in chosen]
+    for name in (scenario.name for scenario in scenarios):
+        if sum(scenario.name == name for scenario in scenarios) > 1:
+            raise InputError(f"scenario {name!r}: is listed twice")
+    unusable = [scenario for scenario in scenarios if isinstance(scenario, Unusable)]
+    if len(unusable) == len(scenarios):
+        raise InputError(unusable[0].error)
+    return scenarios
+
+
+def read_scenario(folder: Path, name: str = "") -> Scenario | Unusable:
+    """Read a scenario of a suite, in which it has this name; "": that of its folder."""
+    name = name or folder.resolve().name
+    try:
+        scenario = replace(Scenario.read(folder), name=name)
+    except InputError as error:
+        return Unusable(name, folder, str(error))
+    try:
+        check_criteria(scenario)
+        start_values(scenario)
+        check_tolerances(scenario)
+    except InputError as error:
+        return Unusable(name, folder, f"{folder / SCENARIO_FILE}: {error}")
+    return scenario
+
+
+def _scenarios_in(folder: Path) -> dict[str, Path]:
+    if (folder / SCENARIO_FILE).is_file():
+        return {folder.resolve().name: folder}
+    folders = [file.parent for file in scenario_files(folder)]
+    if not folders:
+        raise InputError(f"{folder}: no scenarios there; must hold folders with {SCENARIO_FILE}")
+    counts = Counter(each.name for each in folders)  # those of one name are told by their paths
+    return {
+        each.name if counts[each.name] == 1 else each.relative_to(folder).as_posix(): each
+        for each in folders
+    }
+
+
+def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
+    if name in known:
+        return known[name]
+    if (Path(name) / SCENARIO_FILE).is_file():
+        return Path(name)
+    raise InputError(
+        f"scenario {excerpt(name)}: neither one of {place} nor a folder with {SCENARIO_FILE}; "
+        f"valid: {', '.join(known)}{did_you_mean(name, known)}"
+    )
+
+
+def candidate(outcome: Outcome) -> Reference:
+    """Make a reference from a run."""
+    if outcome.verdict == "failed":
+        raise InputError(f"the run failed, so it cannot become a reference: {outcome.error}")
+    recording = Recording.open(outcome.run)
+    return Reference.of(recording, outcome.summary, outcome.tolerances)
+
+
+def changes(outcome: Outcome, new: Reference) -> list[str]:
+    """Describe how the reference made of a run changes, one line each; none: it does not."""
+    path = outcome.reference_path
+    if not path.is_file():
+        return ["is new"]
+    try:
+        old = Reference.read(path)
+    except InputError as error:
+        return [f"replaces a reference that cannot be used: {error}"]
+    if old.digests == new.digests and old.quanta == new.quanta:
+        return []
+    lines = list(outcome.comparison.problems) if outcome.comparison else []
+    if outcome.comparison and not lines:
+        worst = outcome.comparison.worst
+        near = f"; furthest: {describe(worst)}" if worst is not None and worst.share > 0 else ""
+        lines = [f"stays within all tolerances{near}"]
+    if old.quanta != new.quanta:
+        lines.append("is rounded anew, as its tolerances have changed")
+    return lines
+
+
+NOISE: Final = 1.0 + 1e-14
+GROWTH: Final = 1000.0
+FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
+
+
+def variants(scenario: Scenario | Unusable, engines: Iterable[str]) -> list[Scenario | Unusable]:
+    """Return a scenario as it is, with noise, and with each engine."""
+    if isinstance(scenario, Unusable):
+        return [scenario]
+    name = scenario.name
+    noisy = replace(scenario, name=f"{name}-noise", input_scale=NOISE)
+    return [scenario, noisy, *(replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)]
+
+
+def engine_rows(
+    scenarios: Sequence[Scenario | Unusable], engines: int, outcomes: Iterable[Outcome]
+) -> list[list[Outcome]]:
+    """Return the outcomes of each scenario: its own engine's, then the others' with differences."""
+    rows, remaining = [], iter(outcomes)  # in the order of `variants`
+    for scenario in scenarios:
+        rows.append([next(remaining)])
+        if isinstance(scenario, Scenario):
+            own, noisy = rows[-1][0], next(remaining)
+            others = (next(remaining) for _ in range(engines))
+            rows[-1] += [replace(o, difference=_difference(own, noisy, o)) for o in others]
+    return rows
+
+
+def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
+    if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
+        return "changed"
+    own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
+    return difference_of(own_run, noisy_run, run, own.tolerances)
+
+
+def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:
+    """Tell whether rounding explains how a run differs from another, and the first such tick."""
+    rows = min(each.rows for each in (own, noisy, run))
+    apart, beyond = np.zeros((2, rows + 1), bool)
+    beyond[rows] = own.rows != run.rows
+    for name, width in widths(own, tolerances).items():
+        first, noise, other = (each[name][:rows] for each in (own, noisy, run))
+        apart[:rows] |= first != other
+        if name in own.texts:
+            beyond[:rows] |= (first != other) & (first == noise)
+            continue
+        first, noise, other = (x.astype(float) for x in (first, noise, other))
+        effect = np.maximum.accumulate(np.abs(noise - first))
+        beyond[:rows] |= ~(np.abs(other - first) <= np.maximum(GROWTH * effect, FLOOR * width))
+    if beyond.any():
+        return f"changed, tick {np.argmax(beyond)}"
+    return f"rounding, tick {np.argmax(apart)}" if apart.any() else "equal"

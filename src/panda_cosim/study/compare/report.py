@@ -1,0 +1,209 @@
+"""The report of a suite: its differences from the references on one page, the worst first.
+
+Beside it, in `runs`, are the runs that differ. `made-by-regress.json` lists their files: only these
+are replaced, as everything else there belongs to the user.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ...fmus.atomic import replacing
+from ...fmus.errors import InputError
+from ...result.judging.criterion import cells
+from ...result.recording import Recording
+from ...show.view.page import shown_run
+from ...task.scenario import Scenario
+from ...task.tolerances import flattened
+from ...task.values import Values
+from .compare import Comparison, Deviation, deviation_text, matching_rows
+from .differences import DASH, instant, measure, numbers, side_by_side
+from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
+from .reference import Reference, kept_metadata
+from .regress import Outcome, headline
+from .tubes import tube
+from .views import Views, limited, shown_reference
+
+CURVES: Final = 8  # of a scenario that differs
+CURVES_SAME: Final = 2  # of one that does not
+ALIKE: Final = 3  # curves per signal
+LISTED: Final = 12  # signals in the open table
+# What ran and differs comes before what could not be judged, so that errors hide no difference.
+ORDER: Final = {"differs": 0, "missed": 0, "failed": 1, "no reference": 2, "same": 3, "holds": 3}
+KEY: Final = (("reference", "reference"), ("tube", "tube around it"), ("r1", "this run"))
+CRITERIA: Final = ("Criterion", "Measured", "Required", "Margin", "Verdict")
+SIGNALS: Final = (
+    "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
+)  # fmt: skip
+MANIFEST_FILE: Final = "made-by-regress.json"
+
+
+def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> None:
+    """Write the report of a suite that was run with some values changed, by key."""
+    views = Views()
+    sections = [_section(outcome, views) for outcome in sorted(outcomes, key=_rank)]
+    page = Page(
+        title=headline(outcomes),
+        state="good" if all(outcome.ok for outcome in outcomes) else "bad",
+        about=_about(outcomes),
+        key=KEY,
+        sections=sections,
+        runs=views.elements,
+        settings=[f"{key} = {value}" for key, value in values.items()],
+        listed=True,
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(render(page), encoding="utf-8")
+
+
+def _rank(outcome: Outcome) -> tuple[int, float, str]:
+    """Sort key of the verdicts: the worst first."""
+    worst = outcome.comparison.worst if outcome.comparison else None
+    return ORDER[outcome.verdict], -(worst.share if worst else 0.0), outcome.name
+
+
+def _about(outcomes: Sequence[Outcome]) -> str:
+    """Return date, duration and versions in one line."""
+    facts = [time.strftime("%Y-%m-%d %H:%M"), f"{sum(o.seconds for o in outcomes):.0f} s of runs"]
+    ran = [o for o in outcomes if o.verdict != "failed" and isinstance(o.scenario, Scenario)]
+    if ran:
+        versions = Recording.open(ran[0].run).metadata.get("versions", {})
+        facts += [f"{name} {version}" for name, version in versions.items()]
+    return " · ".join(facts)
+
+
+def _section(outcome: Outcome, views: Views) -> Section:
+    comparison = outcome.comparison
+    criteria = Table(CRITERIA, [cells(criterion) for criterion in outcome.criteria])
+    compared = _compared(outcome, comparison, views) if comparison else []
+    worst = comparison.worst if comparison else None
+    unknown = outcome.verdict == "no reference"
+    return Section(
+        name=outcome.name,
+        state="good" if outcome.ok else "warn" if unknown else "bad",
+        parts=[*([Part("Success criteria", [criteria])] if criteria.rows else []), *compared],
+        word="not compared" if unknown else outcome.verdict,
+        purpose=outcome.scenario.purpose,
+        problems=comparison.problems if comparison else [outcome.error] if outcome.error else [],
+        reason="; ".join(filter(None, (outcome.difference, outcome.reason))),
+        seconds=outcome.seconds,
+        worst=worst.share if worst else None,
+    )
+
+
+def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:
+    """Return the parts of a run that was compared with its reference."""
+    reference, recording = Reference.read(outcome.reference_path), Recording.open(outcome.run)
+    failed = [d for d in comparison.deviations if not d.ok]
+    others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
+    shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
+    shown = [deviation for deviation in shown if deviation.name in reference.columns]
+    origins = (dict(flattened(each)) for each in (reference.metadata, kept_metadata(recording)))
+    metrics = (dict(each.summary.numbers()) for each in (reference, outcome))
+    tables = [
+        Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
+        Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
+    ]
+    figures = [_figure(d, outcome, recording, reference) for d in shown]
+    return [
+        _view(outcome, shown, views),
+        Part("Signals, worst first", tables, comparison.scope, figures),
+        _changes("Metrics", "Metric", *metrics),
+        _changes("Parameters, versions, FMUs", "What", *origins),
+    ]
+
+
+def _deviation(d: Deviation) -> tuple[str | float, ...]:
+    first = DASH if d.first is None else f"{instant(d.first)} s"
+    where = (measure(d.distance, d.unit), f"{instant(d.time)} s", first, str(d.outside or DASH))
+    return (d.name, d.share, *where)
+
+
+def _view(outcome: Outcome, shown: Sequence[Deviation], views: Views) -> Part:
+    """Show the run in 3D at the instant of the worst deviation."""
+    columns = [deviation.name for deviation in shown]
+    try:
+        run = shown_run(outcome.run, name=outcome.name)
+        ghost = shown_reference(outcome.reference_path, f"reference of {outcome.name}")
+        at = shown[0].time if shown else 0.0
+        return views.add(limited(run, columns), limited(ghost, columns), columns, at)
+    except InputError as error:
+        return Part("In 3D", note=f"No 3D: {error}")
+
+
+def _figure(
+    deviation: Deviation, outcome: Outcome, recording: Recording, reference: Reference
+) -> Figure:
+    """Return a column's curves at the reference's ticks, NaN where the run has no value."""
+    rows = matching_rows(recording.time, reference)
+    run = np.full(reference.rows, np.nan)
+    run[rows[rows >= 0]] = recording[deviation.name][rows >= 0]
+    expected = reference.column(deviation.name).astype(float)
+    width = deviation.tolerance + reference.quanta.get(deviation.name, 0.0) / 2
+    lines = curve(
+        deviation.unit,
+        {"reference": expected, "run": run},
+        reference.time,
+        deviation.time,
+        tube(expected, width, outcome.tolerances.ticks(reference.step_size)),
+        deviation.tolerance,
+        POINTS_INSIDE if deviation.ok else POINTS,
+    )
+    meaning = recording.descriptions.get(deviation.name, "")
+    return Figure(deviation.name, deviation_text(deviation), meaning, lines)
+
+
+def _changes(title: str, what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
+    """Return what has changed from the reference, the most first, and what has not."""
+    head = (what, "Reference", "This run")
+    changed: list[tuple[str, ...]] = []
+    same: list[tuple[str, ...]] = []
+    for row in sorted(side_by_side([before, now]), key=lambda row: -row.relative):
+        (changed if row.relative > 0.0 else same).append((row.name, *numbers(row.values)))
+    tables = [Table(head, changed), Table(head, same, f"{len(same)} unchanged")]
+    return Part(title, tables, note="" if changed else "None changed.")
+
+
+def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
+    """Check that no run would replace something that `regress` did not put there."""
+    own = {Path(file).parts[0] for file in _kept_files(folder)}
+    for place in (folder / name for name in names):
+        is_free = not place.exists() or (place.is_dir() and not any(place.iterdir()))
+        if not (is_free or place.name in own):
+            raise InputError(
+                f"{place}: was not made by regress, so it stays; move it, or choose "
+                "another folder with --report"
+            )
+
+
+def replace_kept_runs(folder: Path, runs: Iterable[Path]) -> None:
+    """Remove the previous report's runs, and move those of this one, on the same disk, here."""
+    for file in map(Path, _kept_files(folder)):
+        (folder / file).unlink(missing_ok=True)
+        with suppress(OSError):  # it holds something else
+            for parent in file.parents:
+                (folder / parent).rmdir()
+    (folder / MANIFEST_FILE).unlink(missing_ok=True)
+    with suppress(OSError):  # likewise
+        folder.rmdir()
+    files = [(run, file) for run in runs for file in run.rglob("*") if file.is_file()]
+    moves = {file: Path(run.name, file.relative_to(run)) for run, file in files}
+    if moves:
+        with replacing(folder / MANIFEST_FILE) as temporary:
+            listed = [place.as_posix() for place in moves.values()]
+            temporary.write_text(json.dumps(listed, indent=1), encoding="utf-8")
+    for file, place in moves.items():
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        file.replace(folder / place)
+
+
+def _kept_files(folder: Path) -> list[str]:
+    manifest = folder / MANIFEST_FILE
+    return json.loads(manifest.read_bytes()) if manifest.is_file() else []

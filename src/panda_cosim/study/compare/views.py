@@ -1,0 +1,92 @@
+"""Runs in 3D on a page of differences, each with its reference or another run as a ghost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from ...fmus.errors import InputError
+from ...show.view.page import Contents, contents, data_elements, show_source
+from ...show.view.run import CURVES, ROLES, RunData, Shown
+from ...task.scenario import shipped_scenarios
+from ...task.tolerances import signal_of
+from .page import Part
+from .reference import REFERENCE_FILE, Reference, how_to_make
+
+ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
+LIMITED: Final = "Curves of this report: the first ones and the worst signals; `view` shows all."
+KEPT: Final = (
+    *ROLES.values(),
+    *(column for _, columns in CURVES for column in columns),
+    "controller.grip_cmd",  # tells when the block is let go
+)
+
+
+def shown_reference(path: Path, name: str = "reference") -> Shown:
+    """Return the reference in a file for the view, under a name."""
+    reference = Reference.read(path)
+    run = show_source(reference, name, summary=reference.summary)
+    return replace(run, notes=(ROUNDED,))
+
+
+def reference_of(source: RunData) -> Path:
+    """Return the reference of a run's scenario."""
+    name, folder = (source.metadata.get(key) for key in ("scenario", "scenario_folder"))
+    place = Path(str(folder)) if folder else shipped_scenarios().get(str(name))
+    if place is None:
+        raise InputError(
+            f"--against reference: scenario {name!r} is not one of the shipped ones, and the "
+            f"recording does not say where it is; give the path of its {REFERENCE_FILE}"
+        )
+    if not (place / REFERENCE_FILE).is_file():
+        raise InputError(
+            f"--against reference: {place} has no {REFERENCE_FILE}; "
+            f"{how_to_make(place / REFERENCE_FILE)} records one"
+        )
+    return place / REFERENCE_FILE
+
+
+class Views:
+    """Collects the runs that a page shows in 3D; each stands in it once."""
+
+    def __init__(self) -> None:
+        self._documents: list[Mapping[str, Any]] = []
+        self._models: dict[str, Mapping[str, Any]] = {}
+
+    def add(self, run: Shown, ghost: Shown, columns: Sequence[str], at: float) -> Part:
+        """Add a run and its ghost, whose names are unique; the columns' curves come first."""
+        data = contents([run, ghost])
+        own, other = data.documents
+        known = {name for signal in own["signals"] for name in signal["columns"]}
+        worst = [{"title": name, "columns": [name]} for name in columns if name in known]
+        self._documents += [{**own, "curves": [*worst, *own["curves"]]}, other]
+        self._models |= data.models
+        title = f"In 3D: {run.name} at t = {at:.3f} s, {ghost.name} as a ghost"
+        return Part(title, view={"runs": [run.name, ghost.name], "at": at})
+
+    @property
+    def elements(self) -> str:
+        """The elements with the runs, as HTML; "" if there are none."""
+        return data_elements(Contents("", [], self._documents, self._models))
+
+
+class _Selected:
+    """A run with only some of its columns."""
+
+    def __init__(self, source: RunData, names: frozenset[str]) -> None:
+        self._source = source
+        self.time, self.metadata = source.time, source.metadata
+        self.units, self.descriptions = source.units, source.descriptions
+        self.columns = [c for c in source.columns if c in names or signal_of(c) in names]
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a signal, or a column."""
+        return self._source[name]
+
+
+def limited(run: Shown, columns: Iterable[str]) -> Shown:
+    """Leave out most signals, so that a page of many runs stays small."""
+    source = _Selected(run.source, frozenset((*KEPT, *columns)))
+    return replace(run, source=source, notes=(*run.notes, LIMITED))

@@ -1,0 +1,290 @@
+"""A sweep's definition, from a TOML file, Python or `--vary`: which values vary, and how."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+import numpy as np
+import scipy  # its modules are loaded as they are used, which takes time
+from numpy.typing import NDArray
+from pydantic import PlainValidator
+
+from ...fmus.errors import InputError, excerpt
+from ...fmus.interface.parameters import literal
+from ...task.fields import (
+    Choice,
+    Line,
+    Quantity,
+    Vector,
+    Whole,
+    check_keys,
+    check_rules,
+    checked,
+    field_names,
+)
+from ...task.files import read_toml
+from ...task.scenario import shipped_scenarios
+
+Array = NDArray[np.float64]
+
+DESIGNS: Final = ("grid", "random", "latin-hypercube", "sobol", "list", "search")
+SAMPLED: Final = ("random", "latin-hypercube", "sobol")  # designs whose rows are random samples
+GOALS: Final = ("fail", "best")
+KINDS: Final = ("uniform", "normal", "log-uniform", "values")
+MAX_SAMPLES: Final = 10_000_000
+MAX_STEPS: Final = 1_000_000
+SHIPPED_FOLDER: Final = (Path(__file__).parents[2] / "scenarios" / "sweeps").resolve()
+_MAX_BYTES = 65_536
+_KEEP = re.compile(r"none|failures|all|worst:[1-9]\d{0,4}")
+_RANGE = re.compile(r"[\d.]+\s*(-|\.\.)\s*[\d.]+")  # in a notation that `--vary` does not have
+_STEPS: Final = 5  # of a grid where none are given
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A distribution, given by its quantile function."""
+
+    kind: str  # one of `KINDS`
+    numbers: tuple[float, float] = (0.0, 0.0)  # both ends; of a normal, mean and deviation
+    values: tuple[float | bool | str, ...] = ()  # choices of equal probability
+    limits: tuple[float, float] | None = None  # where a normal is truncated; None: not at all
+    steps: int = _STEPS  # points of a grid
+
+    def quantiles(self, u: Array) -> Sequence[Any] | Array:
+        """Return the values at cumulative probabilities u (n,), each within (0, 1)."""
+        first, second = self.numbers
+        if self.kind == "uniform":
+            return first + (second - first) * u
+        if self.kind == "log-uniform":
+            return np.asarray(first * (second / first) ** u)
+        if self.kind == "normal":
+            mean, deviation = first, second
+            if self.limits is None:
+                return np.asarray(mean + deviation * scipy.special.ndtri(u))
+            low, high = scipy.special.ndtr((np.array(self.limits) - mean) / deviation)
+            drawn: Array = mean + deviation * scipy.special.ndtri(low + (high - low) * u)
+            return np.clip(drawn, *self.limits)
+        picked = np.minimum((u * len(self.values)).astype(int), len(self.values) - 1)
+        return [self.values[i] for i in picked]
+
+    def ends(self) -> Sequence[Any]:
+        """Return both ends of the range, or all choices; of a normal without limits, nothing."""
+        if self.kind == "normal":
+            return self.limits or ()
+        return self.values or self.numbers
+
+    def extremes(self) -> Sequence[Any] | Array:
+        """Return both ends of a search's range, or all choices; of a normal, six sigma."""
+        return self.ends() or self.quantiles(np.array([1e-9, 1.0 - 1e-9]))
+
+    def grid(self) -> Sequence[Any] | Array:
+        """Return the points of a grid: both ends included, or the middles of equal shares."""
+        if self.kind == "values":
+            return self.values
+        if self.kind == "normal":
+            return self.quantiles((np.arange(self.steps) + 0.5) / self.steps)
+        return self.quantiles(np.linspace(0.0, 1.0, self.steps))
+
+
+def read_distribution(section: object) -> Distribution:
+    """Read a section [vary."key"]; a ValueError names the key in it."""
+    if isinstance(section, Distribution):
+        return section
+    kinds = ", ".join(KINDS)
+    if not isinstance(section, Mapping):
+        raise ValueError(f"value {excerpt(section)}; must be a section with one of {kinds}")
+    if any(isinstance(each, Mapping) for each in section.values()):
+        raise ValueError("a key with dots or brackets needs quotes")
+    check_keys("", section, (*KINDS, "limits", "steps"))
+    named = [key for key in KINDS if key in section]
+    if len(named) != 1:
+        raise ValueError(f"has {', '.join(named) or 'none'}; must have exactly one of {kinds}")
+    (kind,) = named
+    if kind == "values":
+        return Distribution(kind, values=_choices(section[kind]))
+    numbers = _pair(kind, section[kind])
+    steps = Whole(2, MAX_STEPS).check("steps", section.get("steps", _STEPS))
+    if "limits" not in section:
+        return Distribution(kind, numbers, steps=steps)
+    if kind != "normal":
+        raise ValueError(f"limits: only valid with normal, not with {kind}")
+    limits = _pair("limits", section["limits"])
+    low, high = scipy.special.ndtr((np.array(limits) - numbers[0]) / numbers[1])
+    if not high - low > 1e-9:
+        raise ValueError(f"limits: hold a share of {high - low:.1g} of the distribution")
+    return Distribution(kind, numbers, (), limits, steps)
+
+
+def _choices(values: object) -> tuple[float | bool | str, ...]:
+    if not isinstance(values, list | tuple) or not values:
+        raise ValueError(f"values: value {excerpt(values)}; must be a list of at least one value")
+    return tuple(v if isinstance(v, bool | str) else Quantity().check("values", v) for v in values)
+
+
+def _pair(kind: str, value: object) -> tuple[float, float]:
+    first, second = Vector(2).check(kind, value)
+    if kind == "normal" and second <= 0.0:
+        raise ValueError(f"normal: standard deviation {second!r}; must be above 0")
+    if kind != "normal" and not first < second:
+        raise ValueError(f"{kind}: value {excerpt(value)}; must be [low, high], low below high")
+    if kind == "log-uniform" and first <= 0.0:
+        raise ValueError(f"log-uniform: value {first!r}; must be above 0")
+    return first, second
+
+
+def _names(value: object) -> tuple[str, ...]:
+    names = [value] if isinstance(value, str | Path) else value
+    if not isinstance(names, list | tuple) or not names:
+        raise ValueError(f"value {excerpt(value)}; must be a scenario's name or folder, or several")
+    if len({str(name) for name in names}) != len(names):
+        raise ValueError(f"value {excerpt(value)}; names must differ")
+    return tuple(Line()(str(name)) for name in names)
+
+
+def _vary(value: object) -> dict[str, Distribution]:
+    if not isinstance(value, Mapping):
+        raise ValueError('must be sections [vary."KEY"]')
+    varied = {}
+    for key, section in sorted(value.items()):  # whose order in the file means nothing
+        try:
+            varied[str(key)] = read_distribution(section)
+        except (ValueError, InputError) as error:
+            raise ValueError(f"{key}: {error}") from None
+    return varied
+
+
+def _keep(value: object) -> str:
+    if isinstance(value, str) and _KEEP.fullmatch(value):
+        return value
+    raise ValueError(f"value {excerpt(value)}; must be none, failures, worst:20 or all")
+
+
+@checked
+class Sweep:
+    """Which values vary, how they are drawn, and which recordings are kept.
+
+    Raises:
+        InputError: A value cannot be used; the message names key, value and bound.
+    """
+
+    scenario: Annotated[tuple[str, ...], PlainValidator(_names)]
+    vary: Annotated[Mapping[str, Distribution], PlainValidator(_vary)] = field(default_factory=dict)
+    design: Annotated[str, Choice(DESIGNS)] = "sobol"
+    samples: Annotated[int, Whole(0, MAX_SAMPLES)] = 0
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
+    keep: Annotated[str, PlainValidator(_keep)] = "none"
+    file: Path | None = None  # CSV of design "list"
+    goal: Annotated[str, Choice(GOALS)] = "fail"  # of a search
+    criterion: Annotated[str, Line()] = ""  # whose margin is searched; "": the smallest
+    min_success: Annotated[float, Quantity(0.0, 1.0)] = 0.0  # required success rate; 0: none
+    # At which the lower bound of the success rate must reach it; 0: the share of rows itself must.
+    confidence: Annotated[float, Quantity(0.0, 1.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        """Check what concerns several keys."""
+        is_list, is_search = self.design == "list", self.design == "search"
+        is_drawn = self.design not in ("grid", "list")
+        check_rules({
+            'file: required with design = "list", and only then': is_list != bool(self.file),
+            'vary: cannot be combined with design = "list"; the file has the values': (
+                is_list and self.vary
+            ),
+            'vary: nothing is varied; must have sections [vary."KEY"]': not (is_list or self.vary),
+            f'samples: cannot be combined with design = "{self.design}"': (
+                self.samples and not is_drawn
+            ),
+            f'samples: value 0; must be at least 1 for "{self.design}"': (
+                is_drawn and not self.samples
+            ),
+            'goal and criterion: only valid with design = "search"': (
+                not is_search and (self.criterion or self.goal != GOALS[0])
+            ),
+            "scenario: a search has one": is_search and len(self.scenario) > 1,
+            'min_success: cannot be combined with design = "search"': (
+                is_search and self.min_success
+            ),
+            "confidence: needs min_success": self.confidence and not self.min_success,
+            f"confidence: needs random rows; must be {', '.join(SAMPLED)}": (
+                self.confidence and self.design not in SAMPLED
+            ),
+        })  # fmt: skip
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a sweep's file; paths in it are relative to its folder.
+
+        Raises:
+            InputError: The file cannot be used.
+        """
+        path = Path(path)
+        keys = read_toml(path, _MAX_BYTES)
+        try:
+            check_keys("", keys, field_names(cls))
+            return cls(**_from_folder(keys, path.parent))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+
+def _from_folder(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Read the paths of a file as relative to its folder; names of shipped scenarios stay."""
+    shipped = shipped_scenarios()
+
+    def placed(name: Any) -> Any:
+        is_folder = isinstance(name, str) and name not in shipped and (folder / name).is_dir()
+        return str(folder / name) if is_folder else name
+
+    resolved = dict(keys)
+    if isinstance(file := keys.get("file"), str):
+        resolved["file"] = folder / file
+    if "scenario" in keys:
+        names = keys["scenario"]
+        resolved["scenario"] = [*map(placed, names)] if isinstance(names, list) else placed(names)
+    return resolved
+
+
+def shipped_sweeps() -> dict[str, Path]:
+    """Return the files of the shipped sweeps by name."""
+    return {path.stem: path for path in sorted(SHIPPED_FOLDER.glob("*.toml"))}
+
+
+def load_sweep(name_or_file: str | Path) -> Sweep:
+    """Load a shipped sweep by name, or any from its file."""
+    shipped = shipped_sweeps()
+    path = shipped.get(str(name_or_file), Path(name_or_file))
+    if not path.is_file():
+        raise InputError(
+            f"sweep {excerpt(str(name_or_file))}: no file of that name; must be a sweep's TOML "
+            f"file, one of {', '.join(shipped)}, or a scenario with --vary KEY=LOW:HIGH:STEPS"
+        )
+    return Sweep.read(path)
+
+
+def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
+    """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`."""
+    varied: dict[str, dict[str, Any]] = {}
+    for text in vary:
+        key, values = _parse_vary(text)
+        if key in varied:
+            raise InputError(f"--vary {excerpt(text)}: {key} is varied twice; must be given once")
+        varied[key] = values
+    return Sweep(scenario=(scenario,), vary=varied, design="grid")  # type: ignore[arg-type]
+
+
+def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
+    key, values = (part.strip() for part in text.partition("=")[::2])
+    parts = values.split(":")
+    with suppress(ValueError):
+        if key and len(parts) == 3:
+            low, high, steps = parts
+            return key, {"uniform": [float(low), float(high)], "steps": int(steps)}
+    if key and values and len(parts) == 1 and not _RANGE.fullmatch(values):
+        return key, {"values": [literal(part.strip()) for part in values.split(",")]}
+    raise InputError(
+        f"--vary {excerpt(text)}: must be KEY=LOW:HIGH:STEPS or KEY=V1,V2,..., such as "
+        "plant.block_mass=0.05:2:100"
+    )

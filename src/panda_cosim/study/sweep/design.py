@@ -1,0 +1,250 @@
+"""The values of each row, which depend only on the definition and the row's index, or a search.
+
+A search is for the worst or best margin: Optuna proposes rows and gets their results. The table is
+its memory: when it resumes, Optuna gets all existing rows. The rows are not a sample of any
+distribution, so their counts are not probabilities.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import scipy  # its modules are loaded as they are used, which takes time
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ...fmus.interface.parameters import ParameterValue, literal
+from ...run.prepare import CHUNK, prepare
+from ...run.start import start_values
+from ...task.files import read_text
+from ...task.scenario import Scenario
+from .definition import MAX_SAMPLES, Distribution, Sweep
+from .row import Done, Loaded, Row, Task, margin_column
+from .store import Store
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers, or a list
+Values = dict[str, ParameterValue]
+_MAX_BYTES = 1 << 30  # of a list
+COMPARED: Final = 50  # rows in which a key without effect is looked for, besides each word's
+_EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The values of all rows."""
+
+    columns: Columns  # of a search only the ends, as its points follow later
+    count: int  # rows of one scenario
+    scenarios: int = 1  # one after the other
+
+    def __len__(self) -> int:
+        """Return the number of rows of all scenarios."""
+        return self.count * self.scenarios
+
+    def values(self, index: int) -> Values:
+        """Return the values of a row by key, as plain numbers, switches or text."""
+        row = {key: column[index % len(column)] for key, column in self.columns.items()}
+        return {k: v if isinstance(v, bool | str) else float(v) for k, v in row.items()}
+
+    def scenario(self, index: int) -> int:
+        """Return which scenario a row belongs to."""
+        return index // self.count
+
+
+def make_design(sweep: Sweep) -> Design:
+    """Return the values of all rows of a sweep."""
+    columns: Columns
+    if sweep.design == "list":
+        assert sweep.file is not None  # Sweep has checked it
+        columns = _read_list(sweep.file)
+    elif sweep.design == "grid":
+        axes = [distribution.grid() for distribution in sweep.vary.values()]
+        if (size := math.prod(map(len, axes))) > MAX_SAMPLES:
+            raise InputError(f"the grid has {size} points; must be at most {MAX_SAMPLES}")
+        columns = dict(zip(sweep.vary, zip(*itertools.product(*axes), strict=True), strict=True))
+    elif sweep.design == "search":
+        columns = {key: each.extremes() for key, each in sweep.vary.items()}
+        return Design(columns, sweep.samples)
+    else:
+        u = _probabilities(sweep)
+        columns = {key: each.quantiles(u[:, i]) for i, (key, each) in enumerate(sweep.vary.items())}
+    return Design(columns, len(next(iter(columns.values()))), len(sweep.scenario))
+
+
+def _probabilities(sweep: Sweep) -> Array:
+    """Draw points in the unit cube (n, keys)."""
+    rng, dimensions = np.random.default_rng(sweep.seed), len(sweep.vary)
+    if sweep.design == "random":
+        u = rng.random((sweep.samples, dimensions))
+    elif sweep.design == "latin-hypercube":
+        u = scipy.stats.qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
+    else:
+        with warnings.catch_warnings():  # any number is allowed; a power of 2 covers the cube best
+            warnings.simplefilter("ignore", UserWarning)
+            u = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng).random(sweep.samples)
+    return np.clip(u, _EDGE, 1.0 - _EDGE)
+
+
+def _read_list(path: Path) -> dict[str, Sequence[Any]]:
+    """Read a CSV with the keys in its header; their order means nothing."""
+    reader = csv.reader(io.StringIO(read_text(path, _MAX_BYTES), newline=""))
+    cells = ([cell.strip() for cell in row] for row in reader if row)
+    header = next(cells)
+    if len(set(header)) != len(header) or not all(header):
+        raise InputError(f"{path}: line {reader.line_num}: names must differ and not be blank")
+    rows = []
+    for row in cells:
+        if len(row) != len(header) or not all(row):
+            raise InputError(f"{path}: line {reader.line_num}: must be {len(header)} values")
+        rows.append(list(map(literal, row)))
+    if not rows:
+        raise InputError(f"{path}: has no rows; must have at least one below the names")
+    return dict(sorted(zip(header, zip(*rows, strict=True), strict=True)))
+
+
+def check_keys(keys: Iterable[str]) -> None:
+    """Check that no key sets what another one sets."""
+    there: dict[str, str] = {}
+    for key in sorted(keys, key=len):
+        spelled = re.sub(r"\[0+(?=\d)", "[", key)  # [03] is [3]
+        other = there.get(spelled, there.get(re.sub(r"\[\d+\]$", "", spelled)))
+        if other is not None:
+            raise InputError(f"vary: {other} and {key} set the same value; must be one of them")
+        there[spelled] = key
+
+
+def check_design(sweep: Sweep, columns: Columns, scenarios: Sequence[Loaded]) -> None:
+    """Check that each key exists and takes its smallest and largest value, each by itself."""
+    check_keys(columns)
+    ends = {key: each.ends() for key, each in sweep.vary.items() if each.ends()}
+    for loaded in scenarios:
+        for key, column in {**columns, **ends}.items():  # the numbers of the file, if it has them
+            for value in _extremes(column):
+                try:
+                    start_values(loaded.scenario.changed({key: value}))
+                except InputError as error:
+                    raise InputError(f"vary: scenario {loaded.label}: {error}") from None
+
+
+def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str]:
+    """Return the keys that change no start value, input or criterion in the rows compared."""
+    # A key may act only beside certain values of others, as a seed does beside a preset. So each
+    # word is in one of the rows, and the others are drawn.
+    pairs = list(itertools.product(map(design.values, _compared(design.columns)), scenarios))
+    return [
+        key
+        for key, column in design.columns.items()
+        if not any(_acts(key, _extremes(column), row, loaded.scenario) for row, loaded in pairs)
+    ]
+
+
+def _compared(columns: Columns) -> list[int]:
+    count = max(map(len, columns.values()))
+    words = [list(c) for c in columns.values() if isinstance(c[0], str | bool)]
+    firsts = {column.index(word) for column in words for word in set(column)}
+    drawn = np.random.default_rng(0).permutation(count)[:COMPARED].tolist()
+    return list(dict.fromkeys((*sorted(firsts), *drawn)))
+
+
+def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> bool:
+    """Tell whether a row becomes another run as one of its values goes from end to end."""
+    variants = [{**row, key: value} for value in values]
+    if len(variants) == 1:
+        variants.append({other: value for other, value in row.items() if other != key})
+    try:
+        first, *others = (scenario.changed(each) for each in variants)
+        return any(_differ(first, other) for other in others)
+    except InputError:  # it decides whether the row can run
+        return True
+
+
+def _differ(one: Scenario, other: Scenario) -> bool:
+    """Tell whether two scenarios differ in start values, inputs or criteria."""
+    runs = prepare(one), prepare(other)
+    if runs[0].values != runs[1].values:
+        return True
+    own = ("ticks", "coupling", "success", "asked", "mujoco", "input_scale")
+    if any(getattr(one, name) != getattr(other, name) for name in own):
+        return True
+    first, second = (run.inputs() for run in runs)
+    chunks = (slice(k, k + CHUNK) for k in range(0, first.shape[0], CHUNK))
+    return first.shape != second.shape or any(
+        not np.array_equal(first[chunk], second[chunk]) for chunk in chunks
+    )
+
+
+def _extremes(column: Array | Sequence[Any]) -> list[ParameterValue]:
+    """Return the words of a column, or its smallest and its largest number."""
+    if all(isinstance(value, str | bool) for value in column):
+        return list(dict.fromkeys(column))
+    if any(isinstance(value, str | bool) for value in column):
+        raise InputError("vary: values of a key must be all numbers, all switches or all text")
+    return list(dict.fromkeys((float(min(column)), float(max(column)))))
+
+
+FIRST: Final = 10  # rows drawn at random before the search proper
+
+
+class Search:
+    """A search, with the rows so far."""
+
+    def __init__(self, sweep: Sweep, store: Store) -> None:
+        self._margin = margin_column(sweep.criterion, store.content["columns"])
+        try:
+            import optuna  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"design \"search\": {error}; pip install 'panda-cosim[search]'"
+            ) from None
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self._axes = {key: _axis(optuna, each) for key, each in sweep.vary.items()}
+        self._trials: dict[int, Any] = {}
+        known = store.table().to_pylist() if store.parts() else []
+        self._next = max((row["index"] for row in known), default=-1) + 1
+        self._left = sweep.samples - len(known)
+        sampler = optuna.samplers.TPESampler(
+            n_startup_trials=FIRST, seed=sweep.seed + self._next, constant_liar=True
+        )
+        self._study = optuna.create_study(
+            direction="minimize" if sweep.goal == "fail" else "maximize", sampler=sampler
+        )
+        for row in known:
+            params = {key: row[key] for key in self._axes}
+            self._study.add_trial(
+                optuna.trial.create_trial(
+                    params=params, distributions=self._axes, value=self._objective(row)
+                )
+            )
+
+    def tasks(self) -> Iterator[Task]:
+        """Yield Optuna's proposals until all samples are used."""
+        for index in range(self._next, self._next + self._left):
+            trial = self._trials[index] = self._study.ask(self._axes)
+            yield Task(index, 0, {key: trial.params[key] for key in self._axes})
+
+    def tell(self, done: Done) -> None:
+        """Give Optuna the result of a row."""
+        self._study.tell(self._trials.pop(done.task.index), self._objective(done.row))
+
+    def _objective(self, row: Row) -> float:
+        margin = row.get(self._margin)
+        return -math.inf if margin is None else float(margin)  # not finished or not measured
+
+
+def _axis(optuna: Any, distribution: Distribution) -> Any:
+    """Return a range, or choices, of Optuna's."""
+    if distribution.values:
+        return optuna.distributions.CategoricalDistribution(distribution.values)
+    low, high = (float(end) for end in distribution.extremes())
+    return optuna.distributions.FloatDistribution(low, high, log=distribution.kind == "log-uniform")

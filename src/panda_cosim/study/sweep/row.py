@@ -1,0 +1,278 @@
+"""One row: a run with its values and metrics, and the command that repeats it.
+
+Its scenario is packed with the files of its own FMUs, as workers share no folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import shlex
+import shutil
+import time
+import warnings
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from ...fmus.atomic import cache_folder, temporary_folder
+from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
+from ...fmus.interface.parameters import ParameterValue
+from ...result.judging.verdict import VERDICTS, Summary
+from ...run.folder import with_files
+from ...run.options import Options
+from ...run.prepare import prepare
+from ...run.result import Run
+from ...run.run import Execution
+from ...run.stopping import StopRequest
+from ...run.system.assembly import assemble
+from ...task.scenario import Scenario, load_scenario, shipped_scenarios
+from ...task.writer import settings_text, table_text
+from ..work import processor
+from .definition import Sweep
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scenario of a sweep."""
+
+    name: str  # as `panda-cosim run` takes it: a shipped name or an absolute folder
+    label: str  # its name or, where two share it, the shortest end of its path that is its own
+    scenario: Scenario
+    files: Mapping[str, bytes] = field(default_factory=dict)  # of its own FMUs, if it is packed
+
+
+def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
+    """Load a sweep's scenarios, from the folders that keep them as swept if there are any."""
+    names = scenario_names(sweep.scenario)
+    shipped = shipped_scenarios()
+    folders = [shipped.get(name, Path(name)).resolve() for name in names]
+    for i, folder in enumerate(folders):
+        if folder in folders[:i]:
+            raise InputError(f"scenario: {folder} is named twice; folders must differ")
+    places: Sequence[Path | str] = kept or names
+    return tuple(
+        Loaded(name, _label(folder, folders), load_scenario(place))
+        for name, folder, place in zip(names, folders, places, strict=True)
+    )
+
+
+def scenario_names(given: Sequence[str]) -> list[str]:
+    """Return scenarios as `run` takes them anywhere: shipped names, and absolute folders."""
+    shipped = shipped_scenarios()
+    return [name if name in shipped else str(Path(name).resolve()) for name in given]
+
+
+def _label(folder: Path, folders: Sequence[Path]) -> str:
+    """Return the shortest end of a path that no other of the paths has."""
+    ends = (folder.parts[-n:] for n in range(1, len(folder.parts) + 1))
+    own = (e for e in ends if sum(other.parts[-len(e) :] == e for other in folders) == 1)
+    return str(Path(*next(own)))
+
+
+def pack(loaded: Loaded) -> Loaded:
+    """Read the files of a scenario's own FMUs; models are sent as the FMUs built from them."""
+    # A law is sent as Python files: its FMU names the local Python, so each worker builds it.
+    if not loaded.scenario.has_own_parts:
+        return loaded
+    assembly = assemble(loaded.scenario)
+    with temporary_folder(cache_folder()) as folder:
+        scenario = with_files(loaded.scenario, assembly, folder)
+        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    return replace(loaded, scenario=replace(scenario, folder=None), files=files)
+
+
+def unpack(loaded: Loaded, folder: Path) -> Loaded:
+    """Write the files of a scenario's FMUs into a folder, where the scenario looks for them."""
+    if not loaded.files:
+        return loaded
+    folder.mkdir()
+    for name, content in loaded.files.items():
+        (folder / name).write_bytes(content)
+    return replace(loaded, scenario=replace(loaded.scenario, folder=folder), files={})
+
+
+def identity(packed: Loaded) -> str:
+    """Return the SHA-256 of all that a packed scenario consists of, but its name."""
+    content = hashlib.sha256(settings_text(packed.scenario).encode())
+    if packed.scenario.table is not None:
+        content.update(table_text(packed.scenario.table).encode())
+    for name, data in sorted(packed.files.items()):
+        content.update(f"{name} {len(data)} ".encode() + data)
+    return content.hexdigest()
+
+
+MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
+# As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is
+# expected (3), none missed and one not measured (3), a failed simulation (1), or stopped by the
+# time limit.
+STATUSES: Final = tuple(dict.fromkeys(verdict.status for verdict in VERDICTS))
+UNJUDGED: Final = ("unmeasured", "failed", "timeout")  # of which there is no margin
+JOB_FILE: Final = "job"
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all rows of a sweep share."""
+
+    scenarios: tuple[Loaded, ...]
+    fmus: Mapping[str, bytes]  # content of our own FMUs' files by instance
+    time_limit: float | None = None  # wall time of a row [s]
+    keep: str = "none"  # which recordings are kept: none, failures, all
+    engines: Mapping[str, Job] = field(default_factory=dict)  # for values of the key `mujoco`
+
+
+@dataclass(frozen=True)
+class Task:
+    """A row to run."""
+
+    index: int
+    scenario: int  # which of the sweep's
+    values: Mapping[str, ParameterValue]  # by key
+    keep: bool = False  # the recording, whatever the sweep's setting
+
+
+@dataclass(frozen=True)
+class Done:
+    """A finished row: its columns, and kept files of the run by path in its folder."""
+
+    task: Task
+    row: Row
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def unpack_job(job: Job, folder: Path) -> None:
+    """Write a job and its files into a folder, where `run_rows` finds them."""
+    for name, content in job.fmus.items():
+        (folder / f"{name}.fmu").write_bytes(content)
+    scenarios = (unpack(each, folder / f"scenario-{i}") for i, each in enumerate(job.scenarios))
+    for engine, other in job.engines.items():
+        (folder / engine).mkdir()
+        unpack_job(other, folder / engine)
+    fmus = dict.fromkeys(job.fmus, b"")
+    kept = replace(job, scenarios=tuple(scenarios), fmus=fmus, engines={})
+    kept = replace(kept, engines=dict.fromkeys(job.engines, kept))
+    (folder / JOB_FILE).write_bytes(pickle.dumps(kept))
+
+
+def run_rows(work: tuple[Path, Sequence[Task]]) -> list[Done]:
+    """Run tasks of the job in a folder, one after the other."""
+    folder, tasks = work
+    return [_run_row(folder, task) for task in tasks]
+
+
+@cache
+def _job_in(folder: Path) -> Job:
+    job: Job = pickle.loads((folder / JOB_FILE).read_bytes())  # noqa: S301 - our own
+    return job
+
+
+def _run_row(folder: Path, task: Task) -> Done:
+    """Run a row, of failures that are kept once more, to have their recording."""
+    job = _job_in(folder)
+    writes = task.keep or job.keep == "all"
+    done = _run(folder, task, writes=writes)
+    failed = done.row["status"] not in ("success", "timeout")
+    if failed and job.keep == "failures" and not writes:
+        again = _run(folder, task, writes=True)
+        # A full disk is not the row's fault.
+        return again if again.row["status"] == done.row["status"] else done
+    return done
+
+
+def _run(folder: Path, task: Task, *, writes: bool) -> Done:
+    """Run a row, in memory or in a folder whose files are kept; a failed run is a row, too."""
+    job, place = _job_in(folder), folder / f"run-{os.getpid()}"
+    row, values = first_columns(job, task), dict(task.values)
+    if job.engines:  # whose scenarios have that value
+        folder /= str(values.pop("mujoco", ""))
+        job = _job_in(folder)
+    fmus = {name: folder / f"{name}.fmu" for name in job.fmus}
+    began = time.perf_counter()
+    try:
+        with warnings.catch_warnings():  # an overflow is a failure of the run soon
+            warnings.simplefilter("ignore", RuntimeWarning)
+            scenario = job.scenarios[task.scenario].scenario.changed(values)
+            prepared = prepare(scenario, Options(fmus=fmus, time_limit=job.time_limit))
+            stop = StopRequest()
+            with Execution(prepared, place, writes=writes) as execution:
+                execution.advance(execution.ticks, stop)
+                row |= measured(execution.close(stop=stop))
+    except CosimError as error:
+        row |= {"status": "failed", "error": str(error)}
+    except Exception as error:  # reported in the row; the sweep goes on
+        reason = f"unexpected {type(error).__name__}: {one_line(error)}"
+        row |= {"status": "failed", "error": reason}
+    row["wall_s"] = time.perf_counter() - began
+    files = {
+        path.relative_to(place).as_posix(): path.read_bytes()
+        for path in sorted(place.rglob("*"))
+        if path.is_file()
+    }
+    shutil.rmtree(place, ignore_errors=True)
+    return Done(task, row, files)
+
+
+def first_columns(job: Job, task: Task) -> Row:
+    """Return the columns known before the run."""
+    loaded = job.scenarios[task.scenario]
+    return {
+        "index": task.index,
+        "scenario": loaded.label,
+        **task.values,
+        "missed": None,
+        "error": None,
+        MARGIN: None,
+        "processor": processor(),
+        "command": command(loaded.name, task.values),
+    }
+
+
+def measured(run: Run) -> Row:
+    """Return the columns measured in a run."""
+    summary, criteria = run.summary, run.summary.criteria
+    row: Row = {"status": run.verdict.status, **dict(metrics(summary))}
+    if not summary.complete:
+        return {**row, "error": summary.reason}
+    unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if not c.measured]
+    return {
+        **row,
+        "missed": next((c.name for c in criteria if c.measured and not c.ok), None),
+        "error": "; ".join(unknown) or None,
+        MARGIN: summary.margin,
+        **{f"{MARGIN}.{c.name}": c.margin for c in criteria},
+        "recording_sha256": run.recording.sha256(),
+    }
+
+
+def margin_column(criterion: str, columns: Collection[str]) -> str:
+    """Return the column with the margin of a criterion; of "", with the smallest of all."""
+    name = f"{MARGIN}.{criterion}" if criterion else MARGIN
+    if name not in columns:
+        valid = [c.partition(".")[2] for c in columns if c.startswith(f"{MARGIN}.")]
+        raise InputError(
+            f"criterion: value {excerpt(criterion)}; must be one of {', '.join(valid) or 'none'}"
+            f"{did_you_mean(criterion, valid)}"
+        )
+    return name
+
+
+def metrics(summary: Summary) -> Iterator[tuple[str, float | None]]:
+    """Yield the numbers of a summary by path, such as `summary.tracking.rms_mm`."""
+    yield from ((f"event.{name}", instant) for name, instant in summary.events.items())
+    for name, value in summary.numbers():
+        yield f"summary.{name}", None if value is None else float(value)
+
+
+def command(scenario: str, values: Mapping[str, ParameterValue]) -> str:
+    """Return the command that repeats a row; the repr of a float reads back as the same bits."""
+    words = ["panda-cosim", "run", f"./{scenario}" if scenario.startswith("-") else scenario]
+    for key, value in values.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        words += ["--set", f"{key}={text}"]
+    return shlex.join(words)

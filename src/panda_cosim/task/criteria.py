@@ -1,0 +1,369 @@
+"""Success criteria of a scenario: [success], [[success.signal]] and [[success.body]].
+
+A criterion is only data, which `judging` interprets; no code in it is run.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, Any, Final, Self
+
+from pydantic import BeforeValidator, PlainValidator
+
+from ..fmus.errors import did_you_mean, excerpt
+from .fields import Choice, Line, Quantity, Vector, checked, field_names, key_of
+from .table import POSITION
+
+# What each reduction of a window is.
+REDUCTIONS: Final[Mapping[str, str]] = {
+    "max": "largest value",
+    "min": "smallest value",
+    "peak": "largest magnitude",
+    "mean": "mean of the rows",
+    "rms": "root mean square of the rows",
+    "final": "value in the last row",
+    "range": "largest value minus the smallest",
+    "settle": "settling time [s]: from the window's first row to the row from which the signal "
+    "stays within `band` of `target`; if it ends outside the band, to the row after the last",
+    "overshoot": "largest deviation from `target` on the side away from the first value; if the "
+    "first value is the target, the largest deviation on either side; 0 if there is none",
+    "duration_above": "time [s] above `level`, summed over the steps that begin there",
+    "duration_below": "time [s] below `level`, summed over the steps that begin there",
+}
+HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
+LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
+NEVER: Final = "so that it can never hold"
+ALWAYS: Final = "so that it can never fail"
+SLACK: Final = 1e-9  # [s] rounding of k * dt; less of a run that is shorter than a second
+EVENTS: Final = (
+    "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
+    "end", "collision",
+)  # fmt: skip
+# Keys that only some reductions take, and need, but for a target.
+_TAKES: Final = {
+    "band": ("settle",),
+    "target": ("settle", "overshoot"),
+    "level": ("duration_above", "duration_below"),
+}
+# Reductions that are never negative, whatever the signal; of a length, all are.
+_NEVER_NEGATIVE: Final = frozenset(REDUCTIONS) - {"max", "min", "mean", "final"}
+_WITHIN: Final = ("settle", "duration_above", "duration_below")  # no longer than the window
+_OPERANDS: Final = {"norm": (1, 2), "difference": (2,)}  # how many signals each takes
+_INSTANT = re.compile(
+    r"(?P<event>\w+)(?: *(?P<sign>[+-]) *(?P<offset>\d{1,4}(?:\.\d{1,9})?))?", re.A
+)
+_TIME = Quantity(0.0, 3600.0, "s")
+_ANY = Quantity()
+
+Signal = str | tuple[str, tuple[str, ...]]  # a name, or an operation and its operands
+Instant = float | str
+
+
+def _signal(value: object) -> Signal:
+    """Return a signal's name, or an operation with the names of its operands."""
+    if isinstance(value, str):
+        return Line()(value)
+    if isinstance(value, Mapping) and len(value) == 1:
+        value = next(iter(value.items()))
+    if not (isinstance(value, tuple) and len(value) == 2):
+        raise ValueError(
+            f"value {excerpt(value)}; must be a signal's name, {{ norm = [...] }} or "
+            "{ difference = [...] }"
+        )
+    operation, names = Choice(tuple(_OPERANDS))(value[0]), value[1]
+    counts = _OPERANDS[operation]
+    if not isinstance(names, list | tuple) or len(names) not in counts:
+        words = " or ".join(map(str, counts))
+        raise ValueError(f"{operation}: value {excerpt(names)}; must be a list of {words} signals")
+    if len(set(names)) < len(names):
+        raise ValueError(f"{operation}: value {excerpt(names)}; must be two different signals")
+    return operation, tuple(Line()(name) for name in names)
+
+
+def check_instant(value: object) -> Instant:
+    """Return a time [s], or an event with or without an offset."""
+    if not isinstance(value, str):
+        return _TIME(value)
+    split_instant(value)
+    return value
+
+
+def split_instant(text: str) -> tuple[str, float]:
+    """Split `release + 0.5` into the event and its offset [s]."""
+    match = _INSTANT.fullmatch(text)
+    if match is None or match["event"] not in EVENTS:
+        hint = did_you_mean(match["event"] if match else text, EVENTS)
+        raise ValueError(
+            f"value {excerpt(text)}; must be seconds or one of {', '.join(EVENTS)}, with an offset "
+            f'such as "release + 0.5" if needed{hint}'
+        )
+    return match["event"], float((match["sign"] or "") + (match["offset"] or "0"))
+
+
+@checked
+class SignalCriterion:
+    """One criterion: a signal, reduced to a number over a window of time, and its bounds.
+
+    A signal of several elements is reduced element by element, and the worst one counts.
+
+    Attributes:
+        signal: A recorded signal or element; or ("norm", (a,)), the length of a vector at each
+            instant; ("norm", (a, b)), the distance of two; ("difference", (a, b)), a - b.
+        reduce: How the window is reduced to a number, one of `REDUCTIONS`.
+        from_: Start of the window [s], or an event such as "grasp" or "release + 0.5".
+        to: End of the window, in the same form.
+        below: Upper bound of the result, in the signal's unit; of a time in s.
+        above: Lower bound of the result.
+        name: Name in results; "": one made from signal and reduction.
+        band: For `settle`, in the signal's unit.
+        target: For `settle` and `overshoot`; None: the window's last value.
+        level: For the durations, in the signal's unit.
+
+    Raises:
+        InputError: A value cannot be used, or the criterion cannot fail or cannot hold.
+    """
+
+    signal: Annotated[Signal, PlainValidator(_signal)]
+    reduce: Annotated[str, Choice(tuple(REDUCTIONS))]
+    from_: Annotated[Instant, PlainValidator(check_instant)] = "start"
+    to: Annotated[Instant, PlainValidator(check_instant)] = "end"
+    below: Annotated[float, _ANY] | None = None
+    above: Annotated[float, _ANY] | None = None
+    name: Annotated[str, Line()] = ""
+    band: Annotated[float, Quantity(1e-12, 1e9)] | None = None
+    target: Annotated[float, _ANY] | None = None
+    level: Annotated[float, _ANY] | None = None
+
+    def __post_init__(self) -> None:
+        if self.below is None and self.above is None:
+            raise ValueError("below and above: both are missing; must have at least one of them")
+        for key, users in _TAKES.items():
+            is_missing = getattr(self, key) is None
+            if is_missing and self.reduce in users and key != "target":
+                raise ValueError(f"{key}: is missing; reduce = {self.reduce!r} needs it")
+            if not is_missing and self.reduce not in users:
+                raise ValueError(f"{key}: only valid with reduce = {' or '.join(map(repr, users))}")
+        self._check_bounds()
+
+    def _check_bounds(self) -> None:
+        """Refuse bounds that hold, or fail, whatever the signal."""
+        below, above = self.below, self.above
+        if below is not None and above is not None and above > below:
+            raise ValueError(f"above: value {above!r}; {NEVER}; must be at most below, {below!r}")
+        is_length = not isinstance(self.signal, str) and self.signal[0] == "norm"
+        if not (is_length or self.reduce in _NEVER_NEGATIVE):
+            return
+        what = f"{self.reduce} of {signal_text(self.signal)} is never negative"
+        if above is not None and above <= 0.0:
+            raise ValueError(f"above: value {above!r}; {what}, {ALWAYS}; must be above 0")
+        if below is not None and below < 0.0:
+            raise ValueError(f"below: value {below!r}; {what}, {NEVER}; must be at least 0")
+
+    def check_window(self, start: float, end: float) -> None:
+        """Refuse a window beyond the run from start to end [s], or shorter than a bound on time."""
+        first = check_within("from", self.from_, start, end)
+        last = check_within("to", self.to, start, end)
+        if first is not None and last is not None and first > last:
+            raise ValueError(f"to: value {self.to!r} is before from, {self.from_!r}")
+        if self.reduce not in _WITHIN:
+            return
+        longest = (end if last is None else last) - (start if first is None else first)
+        window = f"the window lasts {longest:g} s at most"
+        if self.below is not None and self.below >= longest:
+            raise ValueError(f"below: value {self.below!r}; {window}, {ALWAYS}; must be shorter")
+        if self.above is not None and self.above > longest:
+            raise ValueError(f"above: value {self.above!r}; {window}, {NEVER}; must be shorter")
+
+    @property
+    def label(self) -> str:
+        """Its name, or one made from reduction, signal and window."""
+        if self.name:
+            return self.name
+        start, end = map(_instant_text, (self.from_, self.to))
+        window = f" from {start}" if self.from_ not in ("start", 0.0) else ""
+        window += f" to {end}" if self.to != "end" else ""
+        return f"{self.reduce} {signal_text(self.signal)}{window}"
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Name in results of each of its bounds, by where the value must be."""
+        bounds = {"below": self.below, "above": self.above}
+        given = [name for name, bound in bounds.items() if bound is not None]
+        return {name: f"{self.label} {name}" if len(given) > 1 else self.label for name in given}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the recorded signals that it needs."""
+        return (self.signal,) if isinstance(self.signal, str) else self.signal[1]
+
+
+def check_within(key: str, instant: Instant, start: float, end: float) -> float | None:
+    """Return an instant [s] within a run; None: it is that of an event which only the run knows."""
+    at = instant
+    if isinstance(instant, str):
+        event, offset = split_instant(instant)
+        if event not in ("start", "end"):
+            return None
+        at = offset + (start if event == "start" else end)
+    slack = SLACK * min(end - start, 1.0)
+    if not start - slack <= float(at) <= end + slack:
+        raise ValueError(
+            f"{key}: value {instant!r}; must be within the run, from {start:g} to {end:g} s"
+        )
+    return float(at)
+
+
+def _instant_text(instant: Instant) -> str:
+    return instant if isinstance(instant, str) else f"{instant:g} s"
+
+
+def signal_text(signal: Signal) -> str:
+    """Format a signal or an operation, such as `|a - b|`."""
+    if isinstance(signal, str):
+        return signal
+    operation, names = signal
+    text = " - ".join(names)
+    return f"|{text}|" if operation == "norm" else text
+
+
+def from_toml(value: object) -> object:
+    """Rename the key `from` to the field's name."""
+    if not isinstance(value, Mapping) or "from" not in value:
+        return value
+    return {("from_" if key == "from" else key): each for key, each in value.items()}
+
+
+def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
+    """Return a criterion's keys and values for scenario.toml."""
+    values = {key_of(name): getattr(criterion, name) for name in field_names(criterion)}
+    if not isinstance(criterion.signal, str):
+        operation, names = criterion.signal
+        values["signal"] = {operation: names}
+    return {key: value for key, value in values.items() if value not in (None, "")}
+
+
+BLOCK: Final = "obj"  # the body of PandaPlant's block
+# Bounds of a body's criteria, with their units.
+BOUNDS: Final = {"tolerance": "m", "max_tilt": "deg", "max_shift": "m", "min_lift": "m"}
+_LENGTH = Quantity(0.0, 10.0, "m")
+_ANGLE = Quantity(0.0, 180.0, "deg")
+
+
+@checked
+class BodyCriterion:
+    """A criterion on one free body at one instant."""
+
+    body: Annotated[str, Line()]  # its name in the scene
+    # Where its origin must be, world frame [m], and how near.
+    position: Annotated[tuple[float, float, float], Vector(3, POSITION)] | None = None
+    tolerance: Annotated[float, _LENGTH] | None = None  # [m]
+    # Largest angle of its z axis to the world's [deg].
+    max_tilt: Annotated[float, _ANGLE] | None = None
+    max_shift: Annotated[float, _LENGTH] | None = None  # of its origin from where it started [m]
+    min_lift: Annotated[float, Quantity(-10.0, 10.0, "m")] | None = None  # above the start [m]
+    at: Annotated[Instant, PlainValidator(check_instant)] = "end"  # [s], or an event
+
+    def __post_init__(self) -> None:
+        if (self.position is None) != (self.tolerance is None):
+            raise ValueError("position and tolerance: one is missing; must be both or neither")
+        if not self.bounds:
+            raise ValueError(f"no bound; must have at least one of {', '.join(BOUNDS)}")
+
+    def check_window(self, start: float, end: float) -> None:
+        """Check that the instant, unless it is an event's, lies within a run [s]."""
+        check_within("at", self.at, start, end)
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """The bounds that are given."""
+        values = {name: getattr(self, name) for name in BOUNDS}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def label(self, bound: str) -> str:
+        """Name of one of the bounds in results."""
+        at = "" if self.at == "end" else f" at {_instant_text(self.at)}"
+        return f"{self.body} {'position' if bound == 'tolerance' else bound}{at}"
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Recorded signals that hold its pose: position and quaternion, or qpos of the block."""
+        if self.body == BLOCK:
+            return ("plant.qpos",)
+        return (f"plant.{self.body}_xpos", f"plant.{self.body}_xquat")
+
+
+@checked
+class Success:
+    """Conditions for a run to count as a success; those that are None are not judged.
+
+    Raises:
+        InputError: A bound is out of range, or a position has no tolerance.
+    """
+
+    # Where the block's centre must be half a second after its release (at the end, if it is not
+    # released by then), in world [m], and how near [m]. Yaw and tilt are of that instant, too.
+    block_position: Annotated[tuple[float, float, float], Vector(3, POSITION)] | None = None
+    position_tolerance: Annotated[float, _LENGTH] | None = None
+    # Block about z against the world's axes, modulo 90 deg as it is square [deg].
+    max_yaw_error: Annotated[float, Quantity(0.0, 45.0, "deg")] | None = None
+    # Block's z axis against the world's [deg].
+    max_tilt: Annotated[float, _ANGLE] | None = None
+    # Distance between hand and command over all ticks, root mean square and maximum [m].
+    tracking_rms: Annotated[float, _LENGTH] | None = None
+    tracking_max: Annotated[float, _LENGTH] | None = None
+    # Angle between hand and command over all ticks, root mean square [deg].
+    orientation_rms: Annotated[float, _ANGLE] | None = None
+    # How far the block was lifted while it was held [m].
+    min_lift: Annotated[float, Quantity(0.0, 2.0, "m")] | None = None
+    # How far the block moved in the hand while it was carried [m].
+    max_slip: Annotated[float, Quantity(0.0, 1.0, "m")] | None = None
+    # How far it fell when it was released [m], and how hard it was set down [N].
+    max_drop: Annotated[float, Quantity(0.0, 10.0, "m")] | None = None
+    max_set_down_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
+    # Largest share of any limit of the robot; 1 is the limit. See `limits` in summary.json.
+    max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
+    # Largest sum of the forces of unwanted contacts, `plant.unwanted_contact_force` [N].
+    max_unwanted_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
+    # What the real robot that `preflight` names would refuse, see there.
+    max_refusals: Annotated[float, Quantity(0.0, 100.0, "1")] | None = None
+
+    # Criteria over recorded signals, [[success.signal]].
+    signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
+    # Criteria about free bodies by name, [[success.body]].
+    body: tuple[BodyCriterion, ...] = ()
+
+    def __post_init__(self) -> None:
+        if (self.block_position is None) != (self.position_tolerance is None):
+            raise ValueError(
+                "block_position and position_tolerance: one is missing; must be both or neither"
+            )
+        taken = set(field_names(Success))
+        bodies = (each.label(bound) for each in self.body for bound in each.bounds)
+        for label in (*(n for each in self.signal for n in each.labels.values()), *bodies):
+            if label in taken:
+                raise ValueError(f"name {excerpt(label)} is taken; must be unique")
+            taken.add(label)
+
+    def within(self, start: float, end: float) -> Self:
+        """Return the criteria that a run from `start` to `end` [s] can measure."""
+
+        def fits(criterion: SignalCriterion | BodyCriterion) -> bool:
+            try:
+                criterion.check_window(start, end)
+            except ValueError:
+                return False
+            return True
+
+        body = tuple(each for each in self.body if fits(each))
+        return replace(self, body=body, signal=tuple(each for each in self.signal if fits(each)))
+
+    def check_windows(self, start: float, end: float) -> None:
+        """Check that all instants lie within a run from `start` to `end` [s]."""
+        for section in ("signal", "body"):
+            for number, criterion in enumerate(getattr(self, section), 1):
+                try:
+                    criterion.check_window(start, end)
+                except ValueError as error:
+                    raise ValueError(f"[[success.{section}]] {number}: {error}") from None

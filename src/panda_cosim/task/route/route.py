@@ -1,0 +1,318 @@
+"""A route: the block is grasped where it stands, carried past everything, and set down.
+
+Its motions come one after the other, as fast as the robot's limits allow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...assets.franka import QD_MAX, ROBOTS
+from ...controller.limits import APPROACH_RATE
+from ...fmus.errors import InputError
+from ...plant.parameters import BLOCK_HALF_HEIGHT, block_start_height
+from ..scenario import Scenario
+from ..table import TableRow, TrajectoryTable
+from ..timing.demand import JointReference, demands
+from ..timing.optimal import ORDERS
+from ..trajectory import Trajectory
+from .scene import HOME, PLANNED, SEED, Lines, Load, RouteScene, spacing
+
+Array = NDArray[np.float64]
+
+SPACING: Final = 0.02  # [s] between the knots of a motion, before it is slowed down
+SPEED: Final = 0.5  # [1] of the joints' velocity limits along a path, before it is slowed down
+WINDOWS: Final = (0.22, 0.12, 0.06)  # [s] a path's corners are rounded by averages over them
+ROUNDS: Final = 12
+SPARE: Final = 1.01
+
+
+class Motion(NamedTuple):
+    """Knots from rest to rest, evenly spaced in time."""
+
+    name: str  # of the place where it begins
+    knots: Array  # joint positions (n, 7) [rad]
+    grip: float  # opening between the fingertips [m]
+    share: float = 1.0  # of what may be used of the limits, but those of the torques [1]
+
+
+def rounded(corners: Array, rounding: float) -> tuple[Array, Array]:
+    """Return a path (m, 7) [rad] along corners (n, 7), one point each ms, and knots along it.
+
+    A constant speed is averaged three times, which rounds the corners, and begins and ends at rest.
+    `rounding` scales the averages [1].
+    """
+    spans = np.maximum(np.abs(np.diff(corners, axis=0) / QD_MAX).max(axis=1) / SPEED, STEP_SIZE)
+    ends = np.concatenate(([0.0], np.cumsum(spans)))
+    ticks = STEP_SIZE * np.arange(np.ceil(ends[-1] / STEP_SIZE) + 1.0)
+    path = np.column_stack([np.interp(ticks, ends, joint) for joint in corners.T])
+    for window in WINDOWS:
+        count = max(round(rounding * window / STEP_SIZE), 1)
+        padded = np.pad(path, ((count, count - 1), (0, 0)), mode="edge")
+        sums = np.cumsum(padded - path[0], axis=0)
+        path = path[0] + (sums[count:] - sums[:-count]) / count
+    knots = max(int(len(path) * STEP_SIZE / (rounding * SPACING)), 5)
+    return path, path[np.linspace(0, len(path) - 1, knots + 1).round().astype(int)]
+
+
+def timed(
+    scene: RouteScene, motions: Sequence[Motion], load: float, share: float
+) -> TrajectoryTable:
+    """Return the table of motions that use at most a share of each limit [1].
+
+    `load` is what the closed fingers carry [kg].
+    """
+    motion = np.repeat(np.arange(len(motions)), [len(each.knots) - 1 for each in motions])
+    knots = np.vstack([*(each.knots[:-1] for each in motions), motions[-1].knots[-1:]])
+    poses = np.array([scene.hand(q) for q in knots])
+    grips = np.array([each.grip for each in motions])[np.append(motion, -1)]
+    slower = np.ones(len(motions))
+    for _ in range(ROUNDS):
+        times = np.concatenate(([0.0], np.cumsum(SPACING * slower[motion]))).round(9)
+        trajectory = Trajectory(times, poses[:, :3], poses[:, 3:], grips, "spline", knots)
+        ticks = STEP_SIZE * np.arange(round(times[-1] / STEP_SIZE) + 1)
+        at = motion[np.clip(np.searchsorted(times, ticks) - 1, 0, len(motion) - 1)]
+        before = slower.copy()
+        for name, used in _demands(trajectory, ticks, load, scene.robot).items():
+            for number, each in enumerate(motions):
+                limit = share * (1.0 if "torque" in name else each.share)
+                excess = float(used[at == number].max(initial=0.0)) / limit
+                if excess > 1.0:
+                    factor = SPARE * excess ** (1.0 / min(ORDERS.get(name, 1.0), 2.0))
+                    slower[number] = max(slower[number], before[number] * factor)
+        if (slower == before).all():
+            columns = np.column_stack((times, poses, grips, knots))
+            begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
+            names = {row: each.name for row, each in zip(begins, motions, strict=True)}
+            rows = (
+                TableRow(n[0], "world", n[1:4], n[8], n[4:8], name=names.get(i, ""), posture=n[9:])
+                for i, n in enumerate(columns.tolist())
+            )
+            return TrajectoryTable(tuple(rows))
+    raise InputError(f"no times within {share:.0%} of the limits were found")
+
+
+def _demands(trajectory: Trajectory, ticks: Array, load: float, robot: str) -> dict[str, Array]:
+    """Return the largest share of each limit at each tick (n,)."""
+    q, rate = np.split(trajectory.sample(ticks)[:, 14:], 2, axis=1)
+    reference = JointReference(ticks, q, rate, np.zeros(len(ticks)), robot)
+    used = demands(trajectory, reference, load)
+    ends = ROBOTS[robot]
+    room = np.where(rate > 0.0, ends.q_max - q, q - ends.q_min)  # where the law brakes a joint
+    used["joint end"] = rate / (APPROACH_RATE * room)
+    return {name: np.abs(shares).max(axis=1) for name, shares in used.items()}
+
+
+GRASP: Final = BLOCK_HALF_HEIGHT + 0.085  # [m] of the hand over the block, where the fingers close
+LIFT, RETREAT = 0.13, 0.06  # [m] straight up with the block, and without it
+LOWER: Final = GRASP - 0.012  # [m] a deeper grasp, with which the arm reaches a little further
+# Random postures for each side of the block, and the hand over the block, in turn.
+TRIES: Final = ((8, GRASP), (32, GRASP), (32, LOWER))
+CHOICE: Final = 4  # of grasps, and of postures at the place
+DROP: Final = 0.0007  # [m] above the place where the block is let go, as it creeps in the hand
+OPEN, READY, CLOSED = 0.08, 0.07, 0.035  # [m] between the fingertips
+CLOSING, OPENING = 0.3, 0.35  # [s]
+CARRY: Final = 0.4  # of the share of the limits: faster, the block slips in the fingers
+CLEARANCES: Final = (PLANNED, 0.5 * PLANNED, 0.25 * PLANNED)  # [m] less in narrow places
+ITERATIONS: Final = (300, 3000)  # of the planner: to the best goal, then to any
+SHORTCUTS: Final = 60  # of a path, that are tried
+ROUNDINGS: Final = (1.0, 0.5, 0.25, 0.1)  # of corners, from the fastest to the closest
+RINGS: Final = 0.05 * np.arange(1, 9)  # [m] distances at which other places are tried
+ANGLES: Final = np.arange(0.0, 2.0 * math.pi, math.pi / 4.0)
+SETTLING: Final = 0.5  # [s] after the last row
+
+
+class NoRouteError(InputError):
+    """Nothing leads to the block; the message says why."""
+
+
+class NoPlaceError(NoRouteError):
+    """Nothing leads from the block to its place."""
+
+
+def route(scenario: Scenario, scene: RouteScene, load: float) -> Scenario:
+    """Return the scenario with a table that leads to its block, of mass `load` [kg], and on."""
+    place = np.array(scenario.success.block_position)
+    try:
+        motions = _motions(scene, place)
+    except NoRouteError as error:
+        raise InputError(f"{scenario.name}: {error}{_nearest(scene, place, error)}") from None
+    table = timed(scene, motions, load, scenario.timing_share)
+    ticks = math.ceil((table.rows[-1].time + SETTLING) / STEP_SIZE)
+    duration = round(ticks * STEP_SIZE, 9)
+    return replace(scenario, route="", table=table, timing="table", interpolation="spline",
+                   duration=duration)  # fmt: skip
+
+
+def _motions(
+    scene: RouteScene, place: Array, tries: Sequence[tuple[int, float]] = TRIES
+) -> list[Motion]:
+    """Return all motions, or raise the reason of the last attempt that had a grasp."""
+    block, reason = scene.block, NoRouteError("no posture of the arm grasps and lifts the block")
+    for starts, height in tries:
+        scene.block, scene.opening = block, READY
+        above, loads = block[:3] + np.array([0.0, 0.0, height]), (Load.GRASPED, Load.SET_DOWN)
+        yaw = 2.0 * math.atan2(block[6], block[3])
+        picks = [*islice(scene.lines(above, yaw, LIFT, loads, scene.grasp, starts), CHOICE)]
+        while picks:
+            scene.block, scene.opening = block, OPEN
+            to_block = _way(scene, HOME, [down[0] for down, _ in picks], Load.STANDS)
+            if to_block is None:
+                reason = NoRouteError("no way leads to the block")
+                break
+            down, lift = picks.pop(_reached(to_block, picks))
+            try:
+                carried = _carried(scene, place, starts, height, down, lift)
+            except NoPlaceError as error:
+                reason = error
+                continue
+            finally:
+                scene.block = block
+            return [
+                Motion("home", to_block, OPEN),
+                Motion("approach", down, READY),
+                Motion("grasp", _dwell(down[-1], CLOSING), CLOSED),
+                Motion("lift", lift, CLOSED, CARRY),
+                *carried,
+            ]
+    raise reason
+
+
+def _carried(  # noqa: PLR0913 - all that the rest depends on
+    scene: RouteScene, place: Array, starts: int, height: float, down: Array, lift: Array
+) -> list[Motion]:
+    """Return the motions from above the block to the end, with the block in the hand."""
+    scene.grasp(down[-1])
+    scene.opening = READY
+    above, loads = place + np.array([0.0, 0.0, height + DROP]), (Load.SET_DOWN, Load.GRASPED)
+    places = [*islice(scene.lines(above, 0.0, RETREAT, loads, scene.release, starts), CHOICE)]
+    reason = "no posture of the arm sets the block down at its place"
+    while places:
+        scene.opening = READY
+        carry = _way(scene, lift[-1], [lower[0] for lower, _ in places], Load.HELD)
+        if carry is None:
+            raise NoPlaceError("no way leads to the place")
+        lower, retreat = places.pop(_reached(carry, places))
+        scene.release(lower[-1])
+        scene.opening = OPEN
+        back = _way(scene, retreat[-1], [HOME], Load.STANDS)
+        if back is not None:
+            return [
+                Motion("carry", carry, CLOSED, CARRY),
+                Motion("lower", lower, CLOSED, CARRY),
+                Motion("release", _dwell(lower[-1], OPENING), READY),
+                Motion("retreat", retreat, READY),
+                Motion("return", back, OPEN),
+            ]
+        reason = "no way leads back from the place"
+    raise NoPlaceError(reason)
+
+
+def _reached(way: Array, choice: Sequence[Lines]) -> int:
+    """Return which lines a way leads to."""
+    return int(np.argmin([np.abs(down[0] - way[-1]).max() for down, _ in choice]))
+
+
+def _way(scene: RouteScene, start: Array, goals: Sequence[Array], load: Load) -> Array | None:
+    """Return knots (n, 7) [rad] of a free way to a goal, with rounded corners; None: none found."""
+    for clearance in CLEARANCES:
+        is_free = partial(scene.is_free, load=load, clearance=clearance)
+        ends = [goal for goal in goals if is_free(goal)]
+        if not (ends and is_free(start)):
+            continue
+        for nearest, iterations in zip((ends[:1], ends), ITERATIONS, strict=True):
+            corners = _path(scene, is_free, start, nearest, clearance, iterations)
+            if corners is None:
+                continue
+            for path, knots in (rounded(corners, rounding) for rounding in ROUNDINGS):
+                if scene.are_free(path, load):
+                    return knots
+    return None
+
+
+def _path(  # noqa: PLR0913 - all that it depends on
+    scene: RouteScene, is_free: Callable[[Array], bool], start: Array, goals: Sequence[Array],
+    clearance: float, iterations: int,
+) -> Array | None:  # fmt: skip
+    """Return corners (n, 7) [rad] of a path to one of the goals with a clearance [m]; None: none.
+
+    The seed is fixed and the budget is counted in iterations: the same input gives the same path.
+    """
+    try:
+        from ompl import base, geometric, util  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise InputError(
+            "route needs ompl, which is not installed; pip install 'panda-cosim[route]'"
+        ) from None
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(SEED)
+    space, bounds = base.RealVectorStateSpace(7), base.RealVectorBounds(7)
+
+    def state_of(q: Array) -> Any:
+        state = space.allocState()
+        for joint in range(7):
+            state[joint] = float(q[joint])
+        return state
+
+    for joint in range(7):
+        bounds.setLow(joint, float(scene.low[joint]))
+        bounds.setHigh(joint, float(scene.high[joint]))
+    space.setBounds(bounds)
+    setup = geometric.SimpleSetup(space)
+    setup.setStateValidityChecker(lambda state: is_free(_joints(state)))
+    information = setup.getSpaceInformation()
+    step = spacing(clearance) / space.getMaximumExtent()
+    information.setStateValidityCheckingResolution(step)
+    setup.setStartState(state_of(start))
+    ends = base.GoalStates(information)
+    for goal in goals:
+        ends.addState(state_of(goal))
+    setup.setGoal(ends)
+    setup.setPlanner(geometric.RRTConnect(information))
+    left = iter(range(iterations))
+    setup.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
+    if not setup.haveExactSolutionPath():
+        return None
+    path, simplifier = setup.getSolutionPath(), geometric.PathSimplifier(information)
+    simplifier.reduceVertices(path)
+    simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS)
+    simplifier.reduceVertices(path)
+    return np.array([_joints(state) for state in path.getStates()])
+
+
+def _joints(state: Any) -> Array:
+    return np.array([state[joint] for joint in range(7)])
+
+
+def _dwell(q: Array, duration: float) -> Array:
+    return np.tile(q, (round(duration / SPACING) + 1, 1))
+
+
+def _nearest(scene: RouteScene, place: Array, error: NoRouteError) -> str:
+    """Name the nearest place for the block, at the start or at the end, to which a route leads."""
+    standing, moves_place = scene.block, isinstance(error, NoPlaceError)
+    x, y = (place if moves_place else standing)[:2]
+    for distance, angle in ((d, a) for d in RINGS for a in ANGLES):
+        at = x + distance * math.cos(angle), y + distance * math.sin(angle)
+        other = np.array([*at, block_start_height(*at)]).round(3)
+        block = np.concatenate((other, standing[3:]))
+        if not scene.can_stand(block):
+            continue
+        scene.block = standing if moves_place else block
+        try:
+            _motions(scene, other if moves_place else place, TRIES[:1])
+        except NoRouteError:
+            continue
+        key, numbers = ("success.block_position", 3) if moves_place else ("plant.block_pos", 2)
+        value = ",".join(f"{number:g}" for number in other[:numbers])
+        return f"; the nearest that was found to work is {key}={value}"
+    return ""

@@ -1,0 +1,291 @@
+"""Demands of a trajectory on the robot: shares of its limits, and what is beyond them.
+
+The joint reference is what the controller computes for the trajectory, with an ideal arm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...assets.franka import BLOCK_WIDTH, HOME_Q, ROBOTS, SERVO_DAMPING
+from ...controller.gains import RANGES, Gains
+from ...controller.model import ArmModel, load_arm
+from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST, POSTURE_COMMANDS
+from ...fmus.interface.parameters import expand
+from ...fmus.interface.variables import Interface
+from ...fmus.master.system import System, open_system
+from ...fmus.sources.targets import Target, build_fmu, own_fmu
+from ..limits import LIMITS, LIMITS_OF, shares
+from ..table import TrajectoryTable
+from ..trajectory import TIME_TOLERANCE, Trajectory
+
+Array = NDArray[np.float64]
+Shares = dict[str, float]
+
+HALF_OPEN: Final = 0.02  # [m] finger position, away from the ends of the range
+_STEP_DAMPING: Final = STEP_SIZE * np.array(SERVO_DAMPING)  # [kg.m^2]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """A trajectory with new times, and the shares of the limits that it uses."""
+
+    trajectory: Trajectory  # commands at those times
+    shares: Shares  # the largest of each limit [1]
+    # New rows, in the world, to be interpolated by `spline`; None: the old ones, at the
+    # trajectory's times.
+    table: TrajectoryTable | None = None
+
+    @property
+    def cycle(self) -> float:
+        """Time of the last row [s]."""
+        return float(self.trajectory.times[-1])
+
+
+class ArmDynamics:
+    """Torques of a robot's arm, with a point mass `load` [kg] between the fingertips."""
+
+    def __init__(self, load: float, robot: str) -> None:
+        self.robot = ROBOTS[robot]
+        self._model: Any = load_arm(load, robot)
+        self._data: Any = mujoco.MjData(self._model)
+        self._data.qpos[7:] = HALF_OPEN
+
+    def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torques (7,) [N.m] that the servos show, the joints' damping included.
+
+        A servo's torque is measured with the velocity at the beginning of a step, but acts with
+        the one at its end: what is measured has damping times the change between them on top.
+        Dry friction is left out: its sign would change at once here, however slow the joint is.
+        """
+        data = self._data
+        data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, qd, qdd
+        mujoco.mj_inverse(self._model, data)
+        torque: Array = data.qfrc_inverse[:7] + data.qfrc_constraint[:7] + _STEP_DAMPING * qdd
+        return torque
+
+
+def joint_demands(
+    trajectory: Trajectory, reference: JointReference, load: float
+) -> dict[str, Array]:
+    """Return the share of each limit of the joints at each tick (n, 7).
+
+    `load` is the mass of what the closed fingers carry [kg].
+    """
+    rates = reference.derivatives()
+    closed = trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH
+    # The block's weight is taken up gradually, so the switch of loads is not a torque rate.
+    empty = _torques(reference, rates["acceleration"], 0.0, ~closed)
+    full = _torques(reference, rates["acceleration"], load, closed)
+    torque = np.where(closed[:, None], full, empty)
+    torque_rate = np.where(closed[:, None], _rates(full), _rates(empty))
+    used = {**rates, "torque": torque, "torque rate": torque_rate}
+    robot = reference.robot
+    demanded = {quantity: shares(quantity, values, robot) for quantity, values in used.items()}
+    velocity = reference.velocity / ROBOTS[robot].speed(reference.position, reference.velocity)
+    return demanded | {"velocity": velocity}
+
+
+def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:
+    """Return the share of each limit at each tick (n, 7), or (n, 1) for the hand's."""
+    commands = trajectory.sample(reference.time)
+    velocity = commands[:, 7:10]
+    return {
+        **joint_demands(trajectory, reference, load),
+        "hand speed": shares("hand speed", _lengths(velocity), reference.robot),
+        "hand acceleration": shares(
+            "hand acceleration", _lengths(_rates(velocity)), reference.robot
+        ),
+        "hand turn": shares("hand turn", _lengths(commands[:, 10:13]), reference.robot),
+    }
+
+
+def _lengths(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return lengths
+
+
+def _rates(values: Array) -> Array:
+    """Rate of change of values (n, k) per second; 0 in the first row."""
+    return np.diff(values, axis=0, prepend=values[:1]) / STEP_SIZE
+
+
+def _torques(
+    reference: JointReference, acceleration: Array, load: float, asked: NDArray[np.bool_]
+) -> Array:
+    """Return the torques (n, 7) [N.m] that a joint reference needs, at accelerations (n, 7).
+
+    They are computed for the instants (n,) that are asked for and those before them.
+    """
+    arm, torques = ArmDynamics(load, reference.robot), np.zeros_like(acceleration)
+    for i in np.flatnonzero(asked | np.append(asked[1:], False)):
+        torques[i] = arm.torque(reference.position[i], reference.velocity[i], acceleration[i])
+    return torques
+
+
+def largest(demanded: dict[str, Array]) -> Shares:
+    """Return the largest share of each limit over all ticks [1]."""
+    return {name: float(np.abs(share).max()) for name, share in demanded.items()}
+
+
+REACH_TOLERANCE: Final = 0.001  # [m] by which the hand may miss the command
+# [m] The same on the way, where new times are made: near singularities the damping makes the hand
+# lag, and more time does not always help.
+WAY_TOLERANCE: Final = 0.005
+
+
+@dataclass(frozen=True)
+class LimitViolation:
+    """One limit that one segment exceeds."""
+
+    row: int  # that the segment leads to, from 1
+    time: float  # when it is exceeded most [s]
+    joint: int  # from 1; 0 for the hand as a whole
+    quantity: str  # one of `LIMITS`, or `reach`: the hand misses the command
+    value: float  # largest magnitude, in the limit's unit; [m] for `reach`
+    limit: float  # what is allowed
+
+    @property
+    def share(self) -> float:
+        """Value over limit [1]."""
+        return self.value / self.limit
+
+    def __str__(self) -> str:
+        """Describe it in one line."""
+        if self.quantity == "reach":
+            return (
+                f"row {self.row}: the hand is {self.value:.3g} m off the command at "
+                f"t = {self.time:.3f} s; it must be within the arm's reach and joint ranges"
+            )
+        unit = LIMITS[self.quantity].unit
+        return (
+            f"row {self.row}: {self.quantity} of joint {self.joint} is {self.value:.3g} {unit} "
+            f"at t = {self.time:.3f} s; must be at most {self.limit:.3g} {unit} "
+            f"({100 * self.share:.0f} %)"
+        )
+
+
+def find_violations(
+    trajectory: Trajectory,
+    reference: JointReference,
+    load: float,
+    share: float,
+    reach: float = REACH_TOLERANCE,
+) -> tuple[list[LimitViolation], Shares]:
+    """Return the worst violation of each kind in each row, and the largest share of each limit.
+
+    The closed fingers carry `load` [kg], `share` is what may be used of each limit [1], and the
+    hand may miss the command by `reach` [m].
+    """
+    segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
+    demanded = joint_demands(trajectory, reference, load)
+    violations = []
+    for row in np.unique(segment):
+        ticks = np.flatnonzero(segment == row)
+        for quantity, demand in demanded.items():
+            part = np.abs(demand[ticks])
+            tick, joint = np.unravel_index(part.argmax(), part.shape)
+            if part[tick, joint] > share:
+                bound = float(LIMITS_OF[reference.robot][quantity].bound[joint])
+                if quantity == "velocity":  # it may depend on the position
+                    bound = abs(float(reference.velocity[ticks[tick], joint]) / part[tick, joint])
+                limit, value = share * bound, float(part[tick, joint] * bound)
+                time = float(reference.time[ticks[tick]])
+                violations.append(
+                    LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
+                )
+        worst = ticks[reference.miss[ticks].argmax()]
+        if reference.miss[worst] > reach:
+            miss, time = float(reference.miss[worst]), float(reference.time[worst])
+            violations.append(LimitViolation(int(row), time, 0, "reach", miss, reach))
+    # What is out of reach makes the joints jump: the cause comes first.
+    violations.sort(key=lambda v: (v.row, v.quantity != "reach", -v.share))
+    return violations, largest(demanded)
+
+
+LAW = "controller"
+MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos")
+REFERENCE = ("qpos_ref", "qvel_ref")
+WITHOUT_LIMITS = {  # gains far beyond what any command asks for
+    "limit_share": 100.0, "reference_lead": math.pi, "linear_correction": 100.0,
+    "angular_correction": 100.0, "linear_braking": 100.0, "angular_braking": 100.0,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class JointReference:
+    """Joint reference for a trajectory, of an arm that follows it exactly."""
+
+    time: Array  # (n,) [s]
+    position: Array  # (n, 7) [rad]
+    velocity: Array  # (n, 7) [rad/s]
+    # Distance of hand and command (n,) [m], less the lag behind commands without velocity (linear
+    # interpolation).
+    miss: Array
+    robot: str
+
+    def derivatives(self) -> dict[str, Array]:
+        """Return velocity, acceleration and jerk, each (n, 7), of the same instants."""
+        acceleration = _rates(self.velocity)
+        return {
+            "velocity": self.velocity, "acceleration": acceleration, "jerk": _rates(acceleration),
+        }  # fmt: skip
+
+
+@cache
+def _law() -> tuple[Path, Interface]:
+    """Build the controller's FMU, but with limits that can be put out of the way."""
+    free = tuple(
+        replace(variable, maximum=RANGES[variable.name][1]) if variable.name in MOST else variable
+        for variable in CONTROLLER.variables
+    )
+    interface = replace(CONTROLLER, variables=free)
+    law = own_fmu(LAW, Target().kind_of(LAW))
+    return build_fmu(replace(law, interface=interface)), interface
+
+
+def joint_reference(
+    trajectory: Trajectory, times: Array, gains: Gains, *, limited: bool = False
+) -> JointReference:
+    """Compute the joint reference of commands at instants (n,), one a tick, starting at `home`.
+
+    Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
+    """
+    # Readings are of their instant here.
+    values = asdict(gains) | {"reading_delay": 0.0} | ({} if limited else WITHOUT_LIMITS)
+    path, interface = _law()
+    commanded = COMMANDS if trajectory.postures is None else (*COMMANDS, *POSTURE_COMMANDS)
+    signals = (*commanded, *MEASURED)
+    inputs = [name for each in signals for name in interface.variable(each).names()]
+    system = System({LAW: path}, (), [(LAW, name) for name in inputs])
+    start = {LAW: expand(LAW, interface, values)}
+    arm, still, q = ArmModel(gains.robot), np.zeros(7), np.array(HOME_Q)
+    commands = trajectory.sample(times)
+    position, velocity = np.empty((2, len(times), 7))
+    miss, given, answer = np.empty(len(times)), np.empty((1, len(inputs))), np.empty((1, 14))
+    with open_system(system, start, stop=len(times) * STEP_SIZE) as session:
+        law = session.slaves[LAW]
+        put = law.bind_set(inputs, given)
+        get = law.bind_get([f"{n}[{i}]" for n in REFERENCE for i in range(1, 8)], answer)
+        for tick, command in enumerate(commands):
+            hand = arm.hand(q, still)
+            measured = (command, hand.position, hand.orientation, hand.jacobian.ravel(), q)
+            np.concatenate(measured, out=given[0])
+            put(0)
+            law.step(tick * STEP_SIZE, STEP_SIZE)
+            get(0)
+            position[tick], velocity[tick] = q, answer[0, 7:]
+            miss[tick] = np.linalg.norm(command[:3] - hand.position)
+            q = answer[0, :7] + STEP_SIZE * velocity[tick]
+    untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
+    lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
+    return JointReference(times, position, velocity, np.maximum(miss - lag, 0.0), gains.robot)

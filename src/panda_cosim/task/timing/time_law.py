@@ -1,0 +1,344 @@
+"""The time-optimal law of a motion along its path, with bounded jerk.
+
+The path is the hand's, without times: straight lines between rows, with corners rounded if allowed.
+A place on it is the length s [m] from its start. Where the hand turns more than it moves, the
+rotation counts, with `TURN_LENGTH` metres per radian.
+
+Where the joint path has kinks, as where the controller's damping sets in near singularities, the
+joints' acceleration jumps from one tick to the next. A longer window does not help there, as it
+does elsewhere: only a lower speed at that place does, see `lowered`.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE, franka
+from ...fmus.errors import InputError
+from .. import rotations
+from ..trajectory import Trajectory
+from .demand import WAY_TOLERANCE, ArmDynamics, Shares
+
+Array = NDArray[np.float64]
+
+TURN_LENGTH = 0.25  # [m/rad]
+STILL = 1e-9  # [m] shorter segments are dwells
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The path from one stop to the next, through rows whose corners are rounded."""
+
+    rows: NDArray[np.intp]  # indices of its rows, both stops included (n,)
+    places: Array  # of the rows on the path, from 0 (n,) [m]
+    positions: Array  # of the hand at the rows, world (n, 3) [m]
+    orientations: Array  # hand to world at the rows, (w, x, y, z) (n, 4)
+    blends: Array  # distance within which a corner is rounded (n,) [m]; 0 at both ends
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(self.places[-1])
+
+    def passed(self, places: Array) -> NDArray[np.intp]:
+        """Return the row (m,) passed last at places (m,)."""
+        last = np.searchsorted(self.places, places + STILL, side="right") - 1
+        passed: NDArray[np.intp] = self.rows[last]
+        return passed
+
+    def poses(self, places: Array) -> Array:
+        """Return position and orientation at places (m,) on the path, shape (m, 7)."""
+        row = np.clip(np.searchsorted(self.places, places, side="right") - 1, 0, len(self.rows) - 2)
+        poses = self._from_row(row, places - self.places[row], row)
+        for corner in np.flatnonzero(self.blends > 0.0):
+            near = np.abs(places - self.places[corner]) < self.blends[corner]
+            poses[near] = self._rounded(int(corner), places[near])
+        return poses
+
+    def _from_row(self, row: NDArray[np.intp], way: Array, segment: NDArray[np.intp]) -> Array:
+        """Return the poses at distances (m,) [m] from rows along segments; negative: backwards."""
+        length = np.diff(self.places)[segment]
+        share = (way / length)[:, None]
+        turn = rotations.exp(share * _turns(self.orientations)[segment])
+        return np.hstack(
+            (
+                self.positions[row] + share * np.diff(self.positions, axis=0)[segment],
+                rotations.multiply(turn, self.orientations[row]),
+            )
+        )
+
+    def _rounded(self, corner: int, places: Array) -> Array:
+        """Return the poses on a rounded corner, a blend from one line to the next.
+
+        With u from 0 to 1 over the corner, the length along a line is b h(u), h = 2 u^3 - u^4: the
+        curve joins the lines in its first two derivatives.
+        """
+        blend = self.blends[corner]
+        u = 0.5 * ((places - self.places[corner]) / blend + 1.0)
+        at = np.full(len(u), corner)
+        before = self._from_row(at, -blend * _fade(1.0 - u), at - 1)
+        after = self._from_row(at, blend * _fade(u), at)
+        own = self.orientations[corner]
+        turn = rotations.multiply(after[:, 3:], rotations.conjugate(own[None, :]))
+        position = before[:, :3] + after[:, :3] - self.positions[corner]
+        return np.hstack((position, rotations.multiply(turn, before[:, 3:])))
+
+
+def _fade(u: Array) -> Array:
+    faded: Array = u**3 * (2.0 - u)
+    return faded
+
+
+def _turns(orientations: Array) -> Array:
+    """Rotation vector from each row to the next, world axes (n - 1, 3) [rad]."""
+    return rotations.log(
+        rotations.multiply(orientations[1:], rotations.conjugate(orientations[:-1]))
+    )
+
+
+def motions(trajectory: Trajectory, blends: Array) -> list[Motion]:
+    """Split a trajectory at its stops: both ends, dwells, and rows whose blend (n,) [m] is 0."""
+    lengths = segment_lengths(trajectory)
+    return [
+        _motion(trajectory, lengths, blends, first, last) for first, last in _spans(lengths, blends)
+    ]
+
+
+def segment_lengths(trajectory: Trajectory) -> Array:
+    """Return the length of each segment between two rows (n - 1,) [m]; below `STILL`: a dwell."""
+    shifts = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
+    turns = np.linalg.norm(_turns(trajectory.orientations), axis=1)
+    lengths: Array = np.maximum(shifts, TURN_LENGTH * turns)
+    return lengths
+
+
+def _spans(lengths: Array, blends: Array) -> Iterator[tuple[int, int]]:
+    """Yield the first and last row of each motion."""
+    first = 0
+    for row in range(1, len(lengths) + 1):
+        if lengths[row - 1] < STILL:
+            first = row
+        elif row == len(lengths) or blends[row] == 0.0 or lengths[row] < STILL:
+            yield first, row
+            first = row
+
+
+def _motion(trajectory: Trajectory, lengths: Array, blends: Array, first: int, last: int) -> Motion:
+    own = lengths[first:last]
+    inner = np.zeros(last - first + 1)
+    inner[1:-1] = blends[first + 1 : last]
+    # Neighbouring corners share the segment between them.
+    room = np.where((inner[:-1] > 0.0) & (inner[1:] > 0.0), 0.5, 1.0) * own
+    inner[1:-1] = np.minimum(inner[1:-1], np.minimum(room[:-1], room[1:]))
+    return Motion(
+        np.arange(first, last + 1),
+        np.concatenate(([0.0], np.cumsum(own))),
+        trajectory.positions[first : last + 1],
+        trajectory.orientations[first : last + 1],
+        inner,
+    )
+
+
+NODES: Final = 80  # of the joint path, between which it is interpolated
+GRID: Final = 300  # intervals of the time law
+FIRST_WINDOW: Final = 0.04  # [s]
+MOST: Final = 1.4  # largest bound, as a multiple of the wanted share
+TINY: Final = 1e-9
+FREE: Final = 1e6  # a bound that never binds
+SPIKE: Final = 9  # [ticks] up to half as many are a spike
+SPIKY: Final = 2.0  # times as high as without spikes
+NEAR: Final = 40  # [ticks] around a spike; the law is averaged over about as many
+SLACK: Final = 0.95  # of the speed that is allowed, so that few rounds suffice
+CRAWL: Final = 2e-4  # [m/s] no slower
+LAG_ORDER: Final = 0.7  # the hand's lag falls more slowly than its speed
+# Directions in which the hand's acceleration is bounded: faces, edges and corners of a cube.
+_CUBE = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+DIRECTIONS: Final = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Share of each limit that a time law may use [1], and the window it is averaged over.
+
+    Averaging bounds jerk and torque rate, which toppra does not limit. It also lowers peaks of the
+    acceleration, so that shares above the wanted one can be right here.
+    """
+
+    velocity: float
+    acceleration: float
+    torque: float
+    hand_speed: float
+    hand_acceleration: float
+    hand_turn: float
+    window: float = FIRST_WINDOW  # [s]
+    # Largest speed at each grid point of the path (`GRID` + 1,) [m/s].
+    ceiling: Array = field(default_factory=lambda: np.full(GRID + 1, FREE))
+
+    def corrected(self, shares: Shares, share: float) -> Bounds:
+        """Return bounds that bring the measured shares closer to the wanted one."""
+        used = {name.replace(" ", "_"): max(value, TINY) for name, value in shares.items()}
+        rates = max(used.pop("jerk"), used.pop("torque_rate"))
+        changed = {
+            name: min(getattr(self, name) * _step(share / value), MOST * share)
+            for name, value in used.items()
+        }
+        return replace(self, window=self.window * _step(rates / share), **changed)
+
+
+def _step(ratio: float) -> float:
+    """Damp a correction, so that the rounds converge."""
+    return math.sqrt(min(max(ratio, 0.7), 1.4))
+
+
+class NoTimingError(Exception):
+    """No time law keeps the limits along a path."""
+
+
+def time_law(motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics) -> Array:
+    """Return the place on the path at each tick, from rest to rest (m,) [m].
+
+    The joint positions (n, 7) [rad] are those at `NODES` evenly spaced points of the path.
+    """
+    places, speeds = _parametrized(motion, joints, bounds, dynamics)
+    between = 2.0 * np.diff(places) / (speeds[1:] + speeds[:-1])
+    times = np.concatenate(([0.0], np.cumsum(between)))
+    return _averaged(_sampled(times, places, speeds), bounds.window)
+
+
+def _sampled(times: Array, places: Array, speeds: Array) -> Array:
+    """Return the place at each tick, with constant acceleration between grid points."""
+    t = np.append(np.arange(0.0, times[-1], STEP_SIZE), times[-1])
+    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    rate = np.diff(speeds)[k] / np.diff(times)[k]
+    since = t - times[k]
+    law: Array = places[k] + since * (speeds[k] + 0.5 * rate * since)
+    return law
+
+
+def _averaged(law: Array, window: float) -> Array:
+    """Average a law over a window and over a third of it, so that the acceleration has no steps."""
+    for length in (window, window / 3.0):
+        ticks = max(round(length / STEP_SIZE), 1)
+        padded = np.concatenate((np.zeros(ticks), law, np.full(ticks, law[-1])))
+        law = np.convolve(padded, np.full(ticks, 1.0 / ticks), mode="valid")
+    law[0], law[-1] = 0.0, padded[-1]
+    return law
+
+
+def _parametrized(
+    motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics
+) -> tuple[Array, Array]:
+    """Return places (m,) [m] on the path and the speeds there [m/s]."""
+    try:
+        from toppra import SplineInterpolator, algorithm  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise InputError(
+            "time-optimal timing needs toppra, which is not installed; pip install "
+            "'panda-cosim[retime]'"
+        ) from None
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)
+    nodes = np.linspace(0.0, motion.length, len(joints))
+    path = SplineInterpolator(nodes, np.hstack((joints, _hand(motion, nodes))))
+    grid = np.linspace(0.0, motion.length, GRID + 1)
+    solver = algorithm.TOPPRA(
+        _constraints(bounds, grid, dynamics, lambda place: path(place)[:7]),
+        path,
+        gridpoints=grid,
+        parametrizer="ParametrizeSpline",
+    )
+    _, speeds, _ = solver.compute_parameterization(0.0, 0.0)
+    if speeds is None or not np.isfinite(speeds).all():
+        raise NoTimingError
+    return grid, speeds
+
+
+def _hand(motion: Motion, places: Array) -> Array:
+    """Coordinates besides the joints: position, way, turn and place (m, 6) [m, m, rad, m]."""
+    poses = motion.poses(np.linspace(0.0, motion.length, 20 * len(places)))
+    steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    cosines = np.abs((poses[1:, 3:] * poses[:-1, 3:]).sum(axis=1))
+    turns = 2.0 * np.arccos(np.clip(cosines, 0.0, 1.0))
+    fine = np.linspace(0.0, motion.length, len(poses))
+    sums = (np.concatenate(([0.0], np.cumsum(part))) for part in (steps, turns))
+    along = [np.interp(places, fine, part) for part in sums]
+    return np.column_stack((motion.poses(places)[:, :3], *along, places))
+
+
+def _constraints(
+    bounds: Bounds, grid: Array, dynamics: ArmDynamics, joints_at: Callable[[float], Array]
+) -> list[Any]:
+    """Limits as toppra takes them, over the seven joints and the six of `_hand`."""
+    from toppra import constraint  # noqa: PLC0415 - an extra
+
+    robot = dynamics.robot
+    hand = bounds.hand_speed * robot.translation[0], bounds.hand_turn * robot.rotation[0]
+
+    def speeds_at(place: float) -> Array:
+        q, other_way = joints_at(place), -np.ones(7)
+        down, up = (bounds.velocity * robot.speed(q, way) for way in (other_way, -other_way))
+        others = np.array([FREE, FREE, FREE, *hand, np.interp(place, grid, bounds.ceiling)])
+        return np.column_stack((np.append(-down, -others), np.append(up, others)))
+
+    rows = np.zeros((28 + len(DIRECTIONS), 17))
+    rows[:14, :7] = np.vstack((np.eye(7), -np.eye(7)))
+    rows[14:28, 7:14] = rows[:14, :7]
+    rows[28:, 14:] = DIRECTIONS
+    most = np.concatenate(
+        (
+            np.tile(bounds.acceleration * robot.acceleration, 2),
+            np.tile(bounds.torque * franka.TORQUE_MAX, 2),
+            np.full(len(DIRECTIONS), bounds.hand_acceleration * robot.translation[1]),
+        )
+    )
+
+    def forces(p: Array, rate: Array, change: Array) -> Array:
+        """Joint accelerations, torques and the hand's acceleration."""
+        torque = dynamics.torque(p[:7], rate[:7], change[:7])
+        return np.concatenate((change[:7], torque, change[7:10]))
+
+    bounded = constraint.SecondOrderConstraint(
+        forces, lambda _: rows, lambda _: most, dof=13,
+        discretization_scheme=constraint.DiscretizationType.Collocation,
+    )  # fmt: skip
+    return [constraint.JointVelocityConstraintVarying(speeds_at), bounded]
+
+
+def without_spikes(rates: Array) -> Array:
+    """Return the largest of rates (n, joints) at each tick, without what lasts a few ticks only."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415 - slow, and rarely needed
+
+    smooth: Array = median_filter(np.abs(rates), size=(SPIKE, 1)).max(axis=1)
+    return smooth
+
+
+def is_spiky(rates: Array) -> bool:
+    """Tell whether rates (n, joints) have spikes."""
+    return bool(np.abs(rates).max() > SPIKY * without_spikes(rates).max())
+
+
+def lowered(ceiling: Array, law: Array, rates: Array, miss: Array, aim: float) -> Array:
+    """Lower the ceiling of a path's speed (g,) [m/s] where a law (n,) [m] asks too much.
+
+    `rates` are the shares of the limits of jerk and torque rate at each tick (n, joints) [1],
+    `miss` the distance of hand and command (n,) [m], and `aim` the share that may be used [1].
+    """
+    from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - slow, and rarely needed
+
+    speed = np.gradient(law) / STEP_SIZE
+    kink = np.sqrt(np.abs(rates).max(axis=1) / aim)
+    lag = (miss / WAY_TOLERANCE) ** (1.0 / LAG_ORDER)
+    excess = np.maximum(kink, lag)
+    allowed = np.where(excess > 1.0, SLACK * speed / np.maximum(excess, 1.0), np.inf)
+    allowed = minimum_filter1d(allowed, 2 * NEAR + 1)
+    places = np.linspace(0.0, law[-1], len(ceiling))
+    ticks = np.interp(places, law, np.arange(len(law))).round().astype(int)
+    lower: Array = np.minimum(ceiling, np.maximum(allowed[ticks], CRAWL))
+    return lower

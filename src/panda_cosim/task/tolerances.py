@@ -1,0 +1,142 @@
+"""Tolerances of a run against its reference: a tube around each signal, in value and in time.
+
+Each recorded signal has a half-width in its unit. A signal of our own FMUs has that of `OURS`,
+which suits an arm that touches nothing. Any other Real has one of its own size: `OF_RANGE` of its
+range in the reference, but no less than `OF_SIZE` of its largest value or its nominal one. What is
+no Real must be equal. Changing one start value by 1e-10 moves a run by a thousandth of these
+half-widths; a proportional gain that is 5 % too low moves it by ten times their size, most visibly
+in `controller.dq`, the joint error. Grasping and releasing amplify rounding; `scale` widens all
+tubes of such a scenario.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from ..fmus.errors import InputError, did_you_mean, excerpt
+from .fields import Quantity
+
+_TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide real differences
+_SCALE = Quantity(1e-3, 1e6)
+_VALUE = Quantity(1e-15, 1e15)  # in any unit
+
+OF_RANGE: Final = 1e-5  # the largest of a signal's elements of one unit
+OF_SIZE: Final = 1e-9
+LEAST_SIZE: Final = 1e-3  # in any unit, so that rounding about 0 is no difference
+EQUAL: Final = 0.5  # of Integers, Booleans and Enumerations; a text is at 0 or at infinity
+
+# Half-widths of the tubes of our own FMUs' signals, by unit. An FMU is one of these if it has all
+# of these signals in these units, as one has whose model extends PandaPlant.
+OURS: Final[Sequence[Mapping[str, Mapping[str, float]]]] = (
+    {  # commands
+        "pos_cmd": {"m": 1e-6},
+        "quat_cmd": {"1": 1e-6},
+        "vel_cmd": {"m/s": 1e-5},
+        "omega_cmd": {"rad/s": 1e-5},
+        "grip_cmd": {"m": 1e-6},
+    },
+    {
+        "dq": {"rad": 3e-7},
+        "ctrl": {"rad": 1e-5, "1": 0.1},  # joints; gripper, 0 to 255
+        "qpos_ref": {"rad": 5e-6},
+        "qvel_ref": {"rad/s": 5e-5},
+        "manipulability": {"1": 1e-6},
+        "singular": {"1": 0.5},
+        "limit": {"1": 0.5},
+    },
+    {
+        "hand_xpos": {"m": 1e-6},
+        "hand_xquat": {"1": 1e-6},
+        "qpos": {"rad": 5e-6, "m": 2e-5, "1": 2e-4},  # joints; fingers and block
+        "qvel": {"rad/s": 1e-3, "m/s": 2e-4},
+        "target_xpos": {"m": 2e-5},
+        "target_xmat": {"1": 2e-4},
+        "jac": {"m/rad": 5e-6, "1": 5e-6},
+        "qfrc_bias": {"N.m": 2e-4},
+        "actuator_force": {"N.m": 0.1, "N": 0.3},
+        "contact_force": {"N": 1.0},
+        "support_force": {"N": 1.0},
+        "unwanted_contact_force": {"N": 1.0},
+    },
+)
+_OWN: Final = ("time", "scale")
+_ELEMENT = re.compile(r"(?P<signal>.+)\[[\d,]+\]", re.A)
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """A scenario's section [regression]."""
+
+    time: float | None = None  # half-width of all tubes in time [s]; None: a step of the scenario
+    scale: float = 1.0  # factor on the defaults [1]
+    # Half-widths in value that replace the defaults, by signal (`plant.hand_xpos`) or element
+    # (`plant.qpos[10]`), in the signal's own unit.
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.time is not None:
+            object.__setattr__(self, "time", _TIME.check("[regression] time", self.time))
+        object.__setattr__(self, "scale", _SCALE.check("[regression] scale", self.scale))
+        checked = {n: _VALUE.check(f"[regression] {n}", value) for n, value in self.values.items()}
+        object.__setattr__(self, "values", checked)
+
+    @classmethod
+    def of(cls, section: object) -> Tolerances:
+        """Make them from a scenario file's section: `time`, `scale`, and the values by name."""
+        if isinstance(section, cls):
+            return section
+        if not isinstance(section, Mapping):
+            raise InputError("key regression: must be a section [regression]")
+        values = {name: value for name, value in flattened(section) if name not in _OWN}
+        own: dict[str, Any] = {name: section[name] for name in _OWN if name in section}
+        return cls(**own, values=values)
+
+    def check_names(self, columns: Iterable[str]) -> None:
+        """Refuse a tolerance of what is not among the columns of numbers that are recorded."""
+        known = dict.fromkeys(n for each in columns for n in (signal_of(each), each) if n != "time")
+        for name in self.values:
+            if name not in known:
+                signals = dict.fromkeys(signal_of(each) for each in known)
+                raise InputError(
+                    f"[regression] key {excerpt(name)}: no such number is recorded; valid: "
+                    f"{', '.join((*_OWN, *signals))}, or an element of these"
+                    f"{did_you_mean(name, (*_OWN, *known))}"
+                )
+
+    def ticks(self, step_size: float) -> int:
+        """Return the half-width of all tubes in time, in steps."""
+        return 1 if self.time is None else round(self.time / step_size)
+
+
+def of_ours(units: Mapping[str, str]) -> dict[str, Mapping[str, float]]:
+    """Return the signals of our own FMUs among columns, each with its half-widths by unit."""
+    signals = defaultdict[str, set[str]](set)
+    for column, unit in units.items():
+        signals[signal_of(column)].add(unit)
+    found: dict[str, Mapping[str, float]] = {}
+    for table in OURS:
+        first = next(iter(table))
+        for instance in [each.removesuffix(first) for each in signals if each.endswith(first)]:
+            own = {f"{instance}{name}": by_unit for name, by_unit in table.items()}
+            if all(signals.get(name, {""}) <= by_unit.keys() for name, by_unit in own.items()):
+                found |= own
+    return found
+
+
+def signal_of(column: str) -> str:
+    """Return the signal of a column: its name without the indices of an element."""
+    match = _ELEMENT.fullmatch(column)
+    return column if match is None else match["signal"]
+
+
+def flattened(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield what nested tables hold, by names with dots."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

@@ -1,0 +1,214 @@
+"""Computes the controller's commands at any time from a table."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..fmus.interface import controller
+from ..fmus.interface.controller import CONTROLLER
+from . import rotations
+from .fields import Quantity, Vector, check_choice, checked
+from .table import POSITION, TrajectoryTable
+
+Array = NDArray[np.float64]
+
+INTERPOLATIONS = ("linear", "quintic", "spline")
+
+# The controller's command inputs, the columns that `Trajectory.sample` returns.
+COMMANDS = tuple(n for v in controller.COMMANDS for n in CONTROLLER.variable(v).names())
+# The further columns, if the rows have a posture.
+POSTURE_COMMANDS = tuple(
+    n for v in controller.POSTURE_COMMANDS for n in CONTROLLER.variable(v).names()
+)
+
+TIME_TOLERANCE = 1e-9  # s; k * dt reaches a row's time even if rounding makes it a little less
+UNIT_TOLERANCE = 1e-9  # of a quaternion's length
+
+Position = Annotated[tuple[float, float, float], Vector(3, POSITION)]
+
+
+@checked
+class StartPose:
+    """Poses of hand and block when a table is resolved, in world axes."""
+
+    hand_position: Position  # hand origin at the keyframe `home` [m]
+    hand_orientation: Annotated[tuple[float, float, float, float], Vector(4)]  # to world, at `home`
+    target_position: Position  # centre of the block's top face [m]
+    block_yaw: Annotated[float, Quantity()] = 0.0  # rotation of the block about z [rad]
+
+    @property
+    def grasp_yaw(self) -> float:
+        """Smallest rotation about z that aligns the hand with the square block's sides [rad]."""
+        return math.remainder(self.block_yaw, math.pi / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of the hand in the world at given times, and the path between them.
+
+    Between rows the hand moves in a straight line and turns about one axis, the shortest way:
+
+        p(t) = p_k + s(u) (p_k+1 - p_k),  q(t) = exp(s(u) r_k) q_k,  u = (t - t_k) / T_k
+
+    with s = u for `linear` (its velocity commands are zero) and s = 10 u^3 - 15 u^4 + 6 u^5 for
+    `quintic`, which starts and ends each segment at rest. `spline` passes all rows without a stop,
+    on polynomials of degree 5 with four continuous derivatives, from rest to rest. Before the
+    first row and after the last the hand does not move. A grip applies from its row's time on.
+    Postures go from row to row as positions do.
+
+    Attributes:
+        times: Shape (n,) [s].
+        positions: Hand origin in world, shape (n, 3) [m].
+        orientations: Hand to world, (w, x, y, z), shape (n, 4).
+        grips: Opening between the fingertips, shape (n,) [m].
+        interpolation: One of `INTERPOLATIONS`.
+        postures: Joint positions, shape (n, 7) [rad]; None: the rows have no posture.
+        untils: What ends each row early, see `TableRow`; may be empty if nothing does. `sample`
+            does not know of it.
+
+    Raises:
+        ValueError: Shapes do not match, times do not increase, or a quaternion's length is not 1.
+    """
+
+    times: Array
+    positions: Array
+    orientations: Array
+    grips: Array
+    interpolation: str = "quintic"
+    postures: Array | None = None
+    untils: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_choice("interpolation", self.interpolation, INTERPOLATIONS)
+        n = len(self.times)
+        shapes = {"times": (n,), "positions": (n, 3), "orientations": (n, 4), "grips": (n,)}
+        if self.postures is not None:
+            shapes["postures"] = (n, 7)
+        for name, shape in shapes.items():
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ValueError(f"{name}: must be finite, of shape {shape}; is {values.shape}")
+            if name == "orientations":
+                values = rotations.same_sign_chain(values)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        if n < 1 or not (np.diff(self.times) > 0.0).all():
+            raise ValueError("times: must be strictly increasing")
+        lengths = np.linalg.norm(self.orientations, axis=1)
+        if not np.allclose(lengths, 1.0, rtol=0.0, atol=UNIT_TOLERANCE):
+            raise ValueError("orientations: must be of length 1")
+
+    @classmethod
+    def from_table(
+        cls,
+        table: TrajectoryTable,
+        start: StartPose,
+        *,
+        interpolation: str = "quintic",
+        align: bool = False,
+    ) -> Self:
+        """Resolve a table once, from the poses at the start.
+
+        Args:
+            table: The rows, relative to their frames.
+            start: The frames `home` and `target`.
+            interpolation: One of `INTERPOLATIONS`.
+            align: Turn offset and orientation of rows of frame `target` about z with the block,
+                by at most 45 deg.
+        """
+        rows = table.rows
+        offsets = np.array([row.position for row in rows])
+        orientations = np.array([row.orientation or start.hand_orientation for row in rows])
+        orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
+        if align:
+            turned = np.array([row.frame == "target" for row in rows])
+            cosine, sine = np.cos(start.grasp_yaw), np.sin(start.grasp_yaw)
+            to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+            offsets[turned] = offsets[turned] @ to_world.T
+            yaw = rotations.about_z(start.grasp_yaw)
+            orientations[turned] = rotations.multiply(yaw, orientations[turned])
+        origins = {
+            "world": (0.0, 0.0, 0.0),
+            "home": start.hand_position,
+            "target": start.target_position,
+        }
+        return cls(
+            times=np.array([row.time for row in rows]),
+            positions=np.array([origins[row.frame] for row in rows]) + offsets,
+            orientations=orientations,
+            grips=np.array([row.opening for row in rows]),
+            interpolation=interpolation,
+            postures=np.array([row.posture for row in rows]) if table.has_posture else None,
+            untils=tuple(row.until for row in rows),
+        )
+
+    def sample(self, times: ArrayLike) -> Array:
+        """Return the commands at the given times.
+
+        Args:
+            times: Shape (m,) [s].
+
+        Returns:
+            Shape (m, 14), columns as in `COMMANDS`: hand origin [m], hand to world
+            (w, x, y, z), its velocity [m/s] and angular velocity [rad/s], all in world axes,
+            and the opening between the fingertips [m]. With postures, shape (m, 28): their joint
+            positions [rad] and velocities [rad/s] follow, as in `POSTURE_COMMANDS`.
+        """
+        t = np.asarray(times, dtype=np.float64).reshape(-1)
+        row = np.searchsorted(self.times, t + TIME_TOLERANCE, side="right") - 1
+        row = np.clip(row, 0, None)
+        if self.interpolation == "spline" and len(self.times) > 1:
+            return self._sample_spline(t, row)
+        # The last row gets a segment of zero length that takes 1 s.
+        duration = np.append(np.diff(self.times), 1.0)[row]
+        u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
+        s, rate = self.time_law(u, duration)
+        shift = np.diff(self.positions, axis=0, append=self.positions[-1:])[row]
+        turn = _turns(self.orientations)[row]
+        commands = np.empty((len(t), len(COMMANDS)))
+        commands[:, 0:3] = self.positions[row] + s * shift
+        commands[:, 3:7] = rotations.multiply(rotations.exp(s * turn), self.orientations[row])
+        commands[:, 7:10] = rate * shift
+        commands[:, 10:13] = rate * turn
+        commands[:, 13] = self.grips[row]
+        if self.postures is None:
+            return commands
+        change = np.diff(self.postures, axis=0, append=self.postures[-1:])[row]
+        return np.hstack((commands, self.postures[row] + s * change, rate * change))
+
+    def _sample_spline(self, t: Array, row: NDArray[np.intp]) -> Array:
+        """Return the commands on the spline of degree 5 from rest to rest, as `sample` does."""
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow, and rarely needed
+
+        within = np.clip(t, self.times[0], self.times[-1])
+        moving = (t >= self.times[0]) & (t <= self.times[-1])
+        postures = np.empty((len(self.times), 0)) if self.postures is None else self.postures
+        rows = np.hstack((self.positions, self.orientations, postures))
+        at_rest = [(order, np.zeros(rows.shape[1])) for order in (1, 2)]
+        path = make_interp_spline(self.times, rows, k=5, bc_type=(at_rest, at_rest))
+        values, rates = path(within), path(within, 1) * moving[:, None]
+        # The parts of the quaternion leave the unit sphere between rows: q = p / |p|.
+        p, p_rate = values[:, 3:7], rates[:, 3:7]
+        square = (p * p).sum(axis=1, keepdims=True)
+        spin = rotations.multiply(p_rate, rotations.conjugate(p)) / square
+        pose, twist = (values[:, :3], p / np.sqrt(square)), (rates[:, :3], 2.0 * spin[:, 1:])
+        return np.hstack((*pose, *twist, self.grips[row, None], values[:, 7:], rates[:, 7:]))
+
+    def time_law(self, u: Array, duration: Array) -> tuple[Array, Array]:
+        """Return share of the way and its rate [1/s] that is commanded, each of shape (m, 1)."""
+        if self.interpolation == "linear":
+            return u[:, None], np.zeros((len(u), 1))
+        s = u**3 * (10.0 + u * (6.0 * u - 15.0))
+        rate = 30.0 * (u * (1.0 - u)) ** 2 / duration
+        return s[:, None], rate[:, None]
+
+
+def _turns(orientations: Array) -> Array:
+    """Return each segment's rotation vector in world axes, and zero. Shape (n, 3) [rad]."""
+    following = np.concatenate([orientations[1:], orientations[-1:]])
+    turns = rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
+    turns[(following == orientations).all(axis=1)] = 0.0  # exactly, instead of about 1e-17
+    return turns
