@@ -219,7 +219,8 @@ def pulses(stepper: str, scenario: str) -> str:
     """In Python, there is no library for the kernel."""
     if stepper == "Python":
         kernel.load_stepper = lambda: None
-    responses = analyze(scenario.changed({"coupling": "jacobi"}), 0.05).responses
+    jacobi = load_scenario(scenario).changed({"coupling": "jacobi"})
+    responses = analyze(jacobi, 0.05).responses
     return responses.pulses.tobytes().hex()
 
 

@@ -18,7 +18,7 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 from typer.testing import CliRunner
 
-from forked import command, script
+from forked import command
 from panda_cosim.cli.app import app
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
@@ -30,7 +30,6 @@ from panda_cosim.run.prepare import Prepared, prepare
 from panda_cosim.run.run import run_scenario
 from panda_cosim.run.start import start_values
 from panda_cosim.task.scenario import load_scenario
-from panda_cosim.task.writer import make_scenario
 
 pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
 STEP = 0.001  # [s]
@@ -289,50 +288,6 @@ def test_what_pythonfmu_cannot_make_is_refused(words: Sequence[str], tmp_path: P
     assert done.exit_code == 2
     assert "kind pythonfmu: PythonFMU makes FMUs of FMI 2.0" in done.output
     assert not (tmp_path / "new").exists()
-
-
-WITHOUT = """
-import sys
-from importlib import metadata
-sys.modules["pythonfmu"] = None
-def distribution(name):
-    if name == "pythonfmu":
-        raise metadata.PackageNotFoundError(name)
-    return metadata.Distribution.from_name(name)
-metadata.distribution = distribution
-sys.argv[0] = "panda-cosim"
-from panda_cosim.cli import main
-main()
-"""
-
-
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        ("run push --kind python --out OUT", 2),
-        ("run push --kind pythonfmu --out OUT", 2),
-        ("run sensor_offset --out OUT", 2),
-        ("build --kind pythonfmu --out OUT", 2),
-        ("build --slave SLAVE --out OUT", 2),
-        ("regress push --kind python", 2),
-        ("check sensor_offset", 2),
-        ("check GUST", 2),
-        ("run tutorial --duration 0.05 --no-video --no-view --out OUT", 3),
-        ("check push", 0),
-    ],
-)
-def test_without_the_package_only_what_needs_it_fails_in_one_line(
-    words: str, code: int, tmp_path: Path
-) -> None:
-    places = {"OUT": tmp_path / "new", "SLAVE": Path(__file__).parent / "slaves" / "decay.py"}
-    places["GUST"] = make_scenario(tmp_path / "gust", ["slave"])[0].parent
-    done = script(WITHOUT, *(str(places.get(word, word)) for word in words.split()))
-    assert done.returncode == code, done.stderr
-    if code == 2:
-        told = " ".join((done.stdout + done.stderr).split())
-        assert told.count("the package pythonfmu is not installed") == 1
-        assert "Traceback" not in told
-        assert not (tmp_path / "new").exists()
 
 
 # Our own FMUs as parts.

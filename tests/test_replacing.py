@@ -88,7 +88,7 @@ def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path: Path) -> No
 
 def test_every_page_carries_the_mark() -> None:
     pages = [path for path in PAGES.rglob("*.html") if "<!DOCTYPE" in path.read_text()]
-    assert len(pages) >= 3
+    assert pages
     for page in pages:
         assert f"<!-- {MARK} -->" in page.read_text(), page
 

@@ -39,7 +39,9 @@ def test_describing_an_fmu_runs_nothing_in_it(
 
 # Modules that `python -m` itself imports from the working directory, before any of ours.
 _LOADED = "import runpy, sys; print(*sys.modules)"
-_SAID = subprocess.run([sys.executable, "-I", "-c", _LOADED], stdout=-1, text=True, check=True)
+_SAID = subprocess.run(
+    [sys.executable, "-I", "-c", _LOADED], stdout=-1, text=True, check=True, timeout=60
+)
 STARTERS = {"sitecustomize", "usercustomize", *_SAID.stdout.split()}
 OTHERS = {"numpy", "mujoco", "fmpy", "pythonfmu", "panda_cosim_user", "typer", "rich", "lxml"}
 
