@@ -242,7 +242,7 @@ def _apart(
     first, *others = (on_times(instants, own, values, is_real) for own, values in found)
     largest, at, rms, texts = [], [], [], []
     for other in others:
-        distance = distances(other, np.arange(len(instants)), first, 0.0, 0)
+        distance = distances(other, slice(None), first, 0.0, 0)
         distance[first == other] = 0.0
         if first.dtype.kind == "f":
             distance[np.isnan(first) & np.isnan(other)] = 0.0
@@ -254,7 +254,7 @@ def _apart(
     row = SignalRow(name, unit, tuple(largest), tuple(at), tuple(rms), tuple(texts))
     if name in runs[0].texts:
         return row, 1.0, 1.0
-    finite = [values[np.isfinite(values)].astype(float) for values in columns]
+    finite = (values[np.isfinite(values)].astype(float, copy=False) for values in columns)
     ends = [end for part in finite if len(part) for end in (part.min(), part.max())] or [0.0]
     return row, float(max(ends) - min(ends)), float(max(map(abs, ends)))
 

@@ -74,17 +74,21 @@ def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
     return lower, upper
 
 
-def distances(values: Array, rows: Rows, reference: Array, half: float, ticks: int) -> Array:
+def distances(
+    values: Array, rows: Rows | slice, reference: Array, half: float, ticks: int
+) -> Array:
     """Return how far values are from their rows of a reference, or those within some ticks."""
     # Beyond `half`, the reference's rounding; the distance of texts is 0 or infinite.
     if reference.dtype == object:
         last, shifts = len(reference) - 1, range(-ticks, ticks + 1)
-        apart = [values != reference[np.clip(rows + shift, 0, last)] for shift in shifts]
+        own = np.arange(len(reference))[rows]
+        apart = [values != reference[np.clip(own + shift, 0, last)] for shift in shifts]
         return np.asarray(np.where(np.all(apart, axis=0), np.inf, 0.0))
     numbers = _numbers(values, reference)
-    lower, upper = tube(_numbers(reference, reference), half, ticks)
-    distance = np.maximum(numbers - upper[rows], lower[rows] - numbers)
-    np.maximum(distance, 0.0, out=distance)
+    lower, upper = (edge[rows] for edge in tube(_numbers(reference, reference), half, ticks))
+    np.subtract(numbers, upper, out=upper)  # in place, as above
+    np.subtract(lower, numbers, out=lower)
+    distance: Array = np.maximum(upper, lower, out=upper).clip(0.0, out=upper)
     distance[~np.isfinite(numbers)] = np.inf
     return distance
 
