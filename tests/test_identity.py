@@ -63,7 +63,7 @@ def test_only_what_the_contracts_have_above_is_left_out() -> None:
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Changed, dict[str, list[str]]]:
     """What the digests change with, in a copy of the package, and what its modules import."""
     package = tmp_path_factory.mktemp("copy") / "panda_cosim"
-    ignored = shutil.ignore_patterns("__pycache__", "*.parquet", "lib")
+    ignored = shutil.ignore_patterns("__pycache__", "node_modules", "*.parquet", "lib")
     shutil.copytree(ROOT / "src" / "panda_cosim", package, ignore=ignored)  # links as folders
     files = [p.relative_to(package).as_posix() for p in package.rglob("*") if p.is_file()]
     done = subprocess.run(

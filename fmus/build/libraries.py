@@ -175,6 +175,7 @@ MUJOCO: Final = "mujoco-core" if int(package_version("mujoco").split(".")[0]) >=
 # What no FMU depends on, as the contracts on imports have it above: all else is hashed.
 ABOVE: Final = ("cli", "study", "run", "show", "result", "task", "fmus/master")
 _MADE: Final = (".pyc", ".bin")  # made from what is hashed
+_NOT_OURS: Final = ("__pycache__", "node_modules")  # folders
 
 
 def digest(*parts: str | bytes | Mapping[str, bytes]) -> str:
@@ -200,7 +201,7 @@ def code_digest(above: tuple[str, ...] = ABOVE) -> str:
                 continue
             for entry in os.scandir(root / place):
                 if entry.is_dir():
-                    left += [f"{place}/{entry.name}"] * (entry.name != "__pycache__")
+                    left += [f"{place}/{entry.name}"] * (entry.name not in _NOT_OURS)
                 elif not entry.name.endswith(_MADE):
                     code[f"{place}/{entry.name}"] = Path(entry.path).read_bytes()
     return digest(code, package_version("panda-cosim"), mujoco_version())

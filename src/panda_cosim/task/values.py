@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.tables import INTERFACES
-from .fields import Line, check_keys, field_names
+from .fields import Line, check_keys, check_rules, field_names
 from .mismatch import Mismatch, default_of
 from .table import QUATERNION_COLUMNS, InputTable
 
@@ -78,9 +78,16 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
     fmus = {*scenario.fmus, *(key[5:] for key in values if key.startswith("fmus."))}
     ours = () if scenario.is_system else ("plant", "controller", "sensors")
     instances = None if scenario.system else tuple(dict.fromkeys((*ours, *sorted(fmus))))
+    parts = [key for key in values if key.startswith("fmus.")]
+    check_rules({
+        f"{', '.join(parts[:1])}: cannot be combined with system = {scenario.system!r}": (
+            scenario.system and parts
+        ),
+        "gains: acts only on the project's own controller; must be left out here": (
+            "gains" in values and "controller" in fmus
+        ),
+    })  # fmt: skip
     changes: dict[Steps, Any] = {}
-    if scenario.system and (part := next((k for k in values if k.startswith("fmus.")), "")):
-        raise InputError(f"{part}: cannot be combined with system = {scenario.system!r}")
     for key, value in values.items():
         if key in _OF_SCENE and "plant" in ours and "plant" not in fmus:
             changes.setdefault((key.partition(".")[2],), value)
@@ -88,8 +95,6 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
             changes["fmus", key[5:]] = _from_here(Line().check(key, value))
         else:
             changes[_steps(key, instances)] = value
-    if "gains" in values and "controller" in fmus:
-        raise InputError("gains: acts only on the project's own controller; must be left out here")
     if scenario.is_system and any(steps[0] == "table" for steps in changes):
         raise InputError("the scenario is a system, which has no trajectory.csv")
     if "inputs.file" in values:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import typer
@@ -33,7 +35,9 @@ from ...study.compare.regress import (
 from ...study.compare.report import check_kept_runs, replace_kept_runs, write_report
 from ...study.sweep.engine import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores
+from ...task.fields import check_rules
 from ...task.scenario import Scenario
+from ...task.values import Values
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..options import (
     ENGINES,
@@ -116,56 +120,95 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
     ```
     """
-    if update and (assignments or exact or json):
-        raise InputError(
-            "--update: cannot be combined with --set, --exact or --json; references are made of "
-            "unchanged scenarios"
-        )
-    engines = list(dict.fromkeys(mujoco.split(","))) if mujoco else []
-    if engines and (update or exact or kind != "auto"):
-        raise InputError("--mujoco: cannot be combined with --update, --exact or --kind")
-    if yes and not update:
-        raise InputError("--yes: needs --update")
-    if overwrite and report is None:
-        raise InputError("--overwrite: needs --report")
-    chosen = find_scenarios(scenarios or (), folder)
-    runs_of = [v for s in chosen for v in (variants(s, engines) if engines else [s])]
-    values = values_of(assignments)
-    suite = Suite(list(with_values(runs_of, values)), exact, jobs or cores(), kind)
-    # A reference is made of a scenario, so that `--update` has nothing to do with sweeps.
-    alone = update or engines or kind != "auto"
-    swept = _swept(chosen, folder) if sweeps and not alone else []
-    if swept and assignments:
-        raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
+    asked = _Request(
+        find_scenarios(scenarios or (), folder), kind, values_of(assignments),
+        tuple(dict.fromkeys(filter(None, mujoco.split(",")))), exact=exact, update=update,
+    )  # fmt: skip
+    check_rules({
+        "--update: cannot be combined with --set, --exact or --json; references are made of "
+        "unchanged scenarios": update and (assignments or exact or json),
+        "--yes: needs --update": yes and not update,
+        "--overwrite: needs --report": overwrite and report is None,
+    })  # fmt: skip
+    suite = asked.suite(jobs or cores())
+    swept = _swept(asked, folder) if sweeps and asked.takes_sweeps else []
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
-        check_kept_runs(report / "runs", (each.name for each in (*runs_of, *swept)))
+        check_kept_runs(report / "runs", (each.name for each in (*asked.runs, *swept)))
+    announce_python(kind)
     with ExitStack() as stack:
-        # Beside the report's, so that runs can be moved there.
-        parent = report or cache_folder()
-        try:
-            runs = stack.enter_context(temporary_folder(parent))
-        except OSError as error:
-            raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
-        announce_python(kind)
+        runs = stack.enter_context(_folder_of_runs(report))
         outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
-        rows = engine_rows(chosen, len(engines), outcomes) if engines else []
-        outcomes = [outcome for row in rows for outcome in row] or outcomes
+        rows = asked.by_engine(outcomes)
+        outcomes = [*chain.from_iterable(rows)] or outcomes
         if report is not None:
-            write_report(outcomes, report / REPORT_FILE, values)
-            write_junit(outcomes, report / JUNIT_FILE)
-            if not json:
-                show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
+            _write_reports(outcomes, report, asked.values, quiet=json)
             wrong = [outcome.run for outcome in outcomes if not outcome.ok]
-            stack.callback(replace_kept_runs, report / "runs", wrong)
+            stack.callback(replace_kept_runs, report / "runs", wrong)  # once references are made
         if update:
             return _update(outcomes, yes=yes)
     if json:
         show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
     else:
         _show_result(outcomes)
-        _show_engines(engines, rows)
+        _show_engines(asked.engines, rows)
     raise typer.Exit(exit_code(outcomes))
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What is to be run: scenarios, with which values, FMUs and versions of MuJoCo."""
+
+    scenarios: Sequence[Scenario | Unusable]
+    kind: Kind
+    values: Values
+    engines: Sequence[str]
+    exact: bool
+    update: bool
+
+    def __post_init__(self) -> None:
+        if self.engines and (self.update or self.exact or self.kind != "auto"):
+            raise InputError("--mujoco: cannot be combined with --update, --exact or --kind")
+
+    @property
+    def runs(self) -> list[Scenario | Unusable]:
+        """The scenarios, and each with other engines."""
+        if not self.engines:
+            return [*self.scenarios]
+        return [run for each in self.scenarios for run in variants(each, self.engines)]
+
+    @property
+    def takes_sweeps(self) -> bool:
+        """Whether sweeps belong to it: a reference is made of a scenario alone, for instance."""
+        return not (self.update or self.engines or self.kind != "auto")
+
+    def suite(self, jobs: int) -> Suite:
+        """Return the runs with their values; raises InputError for those that none takes."""
+        return Suite(list(with_values(self.runs, self.values)), self.exact, jobs, self.kind)
+
+    def by_engine(self, outcomes: list[Outcome]) -> list[list[Outcome]]:
+        """Return a row a scenario, with an outcome each engine; nothing without engines."""
+        return engine_rows(self.scenarios, len(self.engines), outcomes) if self.engines else []
+
+
+@contextmanager
+def _folder_of_runs(report: Path | None) -> Iterator[Path]:
+    """Yield a folder for the runs, beside the report's, so that they can be moved there."""
+    parent = report or cache_folder()
+    with ExitStack() as stack:
+        try:
+            folder = stack.enter_context(temporary_folder(parent))
+        except OSError as error:
+            raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
+        yield folder
+
+
+def _write_reports(outcomes: list[Outcome], report: Path, values: Values, *, quiet: bool) -> None:
+    """Write the page and the JUnit file, and name them unless `quiet`."""
+    write_report(outcomes, report / REPORT_FILE, values)
+    write_junit(outcomes, report / JUNIT_FILE)
+    if not quiet:
+        show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
 
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
@@ -185,11 +228,14 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
         return run_suite(suite, folder, on_outcome)
 
 
-def _swept(chosen: Sequence[Scenario | Unusable], folder: Path | None) -> list[SuiteSweep]:
+def _swept(asked: _Request, folder: Path | None) -> list[SuiteSweep]:
     """Return the sweeps of the scenarios, and name those in the folder that are of none."""
     for text in stray_sweeps(folder) if folder is not None else ():
         warn(text)
-    return find_sweeps(chosen)
+    swept = find_sweeps(asked.scenarios)
+    if swept and asked.values:
+        raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
+    return swept
 
 
 def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
@@ -237,7 +283,7 @@ def _show_result(outcomes: list[Outcome]) -> None:
         show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
 
 
-def _show_engines(engines: list[str], rows: list[list[Outcome]]) -> None:
+def _show_engines(engines: Sequence[str], rows: list[list[Outcome]]) -> None:
     """Print what each MuJoCo changes, and the signal that leaves its tube first."""
     cells = []
     for row in rows:

@@ -133,23 +133,12 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     """
     if not others:
         raise InputError("compare: only one run; must be at least two")
-    runs = (first, *others)
-    recordings = tuple(
-        run.recording if isinstance(run, Run) else Recording.open(run, in_order=True)
-        for run in runs
-    )
-    summaries = [
-        run.summary if isinstance(run, Run) else Summary.of(recording)
-        for run, recording in zip(runs, recordings, strict=True)
-    ]
-    paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
+    opened = [_opened(run) for run in (first, *others)]
+    paths, recordings, summaries = (list(each) for each in zip(*opened, strict=True))
     short = [path.resolve().name for path in paths]
     names = tuple(short if len(set(short)) == len(short) else map(str, paths))
     instants, own = differences.joint_instants(names, [each.time for each in recordings])
-    every = dict.fromkeys(name for r in recordings for name in r.types if name != "time")
-    common = [name for name in every if all(name in r.types for r in recordings)]
-    # The unit of a number, None of a text.
-    compared = [name for name in common if len({r.units.get(name) for r in recordings}) == 1]
+    compared, other_units, missing = _columns(recordings)
     if not compared:
         raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
     metrics = differences.differing([dict(summary.numbers()) for summary in summaries])
@@ -165,10 +154,28 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         criteria=differences.criteria_of(summaries),
         metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
         signals=differences.signals_apart(compared, recordings, instants, own),
-        missing=tuple(name for name in every if name not in common),
-        other_units=tuple(name for name in common if name not in compared),
-        recordings=recordings,
+        missing=missing,
+        other_units=other_units,
+        recordings=tuple(recordings),
     )
+
+
+def _columns(runs: Sequence[Recording]) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
+    """Return the columns that can be compared, those of other units, and those not in all runs."""
+    every = dict.fromkeys(name for run in runs for name in run.types if name != "time")
+    common = [name for name in every if all(name in run.types for run in runs)]
+    # The unit of a number, None of a text.
+    compared = [name for name in common if len({run.units.get(name) for run in runs}) == 1]
+    other_units = (name for name in common if name not in compared)
+    return compared, tuple(other_units), tuple(name for name in every if name not in common)
+
+
+def _opened(run: Run | str | Path) -> tuple[Path, Recording, Summary]:
+    """Return a run's folder, recording and summary."""
+    if isinstance(run, Run):
+        return run.folder, run.recording, run.summary
+    recording = Recording.open(run, in_order=True)
+    return Path(run), recording, Summary.of(recording)
 
 
 def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
