@@ -256,7 +256,7 @@ class RowBuffer:
 
     def set_held(self, columns: Sequence[int]) -> None:
         """Choose the output columns that `hold` copies, besides the external inputs."""
-        self._held = [*range(1, 1 + self.external), *columns]
+        self._held = np.array([*range(1, 1 + self.external), *columns], np.intp)
 
     def begin(self, sink: Callable[[Array], None]) -> None:
         """Start a recording; the sink is called with complete rows (n, columns)."""
@@ -300,7 +300,9 @@ class RowBuffer:
 
     def non_finite(self, row: int) -> SimulationError | None:
         """Return the error that names the first value of a row that is not finite, if one is."""
-        values = self.rows[row, self.checked].astype(np.float64)
+        values = self.rows[row]
+        if len(self.checked) < len(values):  # a choice of columns takes time
+            values = values[self.checked].astype(np.float64)
         is_finite = np.isfinite(values)
         if is_finite.all():
             return None
