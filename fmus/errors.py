@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 from unicodedata import category
 
 EXCERPT_LENGTH: Final = 60  # [character] a longer value would bury the message
@@ -91,6 +91,29 @@ class InputError(CosimError):
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message))
+
+
+def refuse(
+    place: str,
+    value: object,
+    must: str,
+    near: Iterable[str] = (),
+    error: type[Exception] = InputError,
+) -> NoReturn:
+    """Refuse a value in the words of every such message: place, value, what it must be.
+
+    Args:
+        place: Where it stands, from the outside in: "file: section: key".
+        value: What was found there; it is shown on one line, shortened.
+        must: What would be valid, with bound and unit: "must be above 0 s".
+        near: The valid names; the one that is nearest to the value is proposed.
+        error: ValueError where the caller adds file and section.
+
+    Raises:
+        InputError: Always, or `error`.
+    """
+    hint = did_you_mean(str(value), near)
+    raise error(f"{place}: value {excerpt(value)}; {must}{hint}")
 
 
 class SimulationError(CosimError):
