@@ -17,7 +17,7 @@ from panda_cosim.fmus.interface.types import is_lossless
 from panda_cosim.fmus.interface.units import PLAIN, Unit, conversion, doubt
 from panda_cosim.fmus.interface.variables import Variable
 from panda_cosim.run.prepare import prepare
-from panda_cosim.study.check.check import check_folder, rehearse
+from panda_cosim.study.check.diagnosis import check_folder, rehearse
 from toy_fmu import UNITS, toy_fmu
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")

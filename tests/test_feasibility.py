@@ -9,7 +9,7 @@ from panda_cosim import load_scenario
 from panda_cosim.cli.commands.retime import retime
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.run.start import start_values
-from panda_cosim.study.check.check import feasibility
+from panda_cosim.study.check.diagnosis import feasibility
 from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_in_memory

@@ -13,7 +13,7 @@ from panda_cosim import InputError, Recording, Scenario, load_scenario, run_scen
 from panda_cosim.assets import asset_path
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.plant import Plant, PlantParameters
-from panda_cosim.study.check.check import feasibility
+from panda_cosim.study.check.diagnosis import feasibility
 from panda_cosim.task.scenario import shipped_scenarios
 from random_tasks import run_plain
 

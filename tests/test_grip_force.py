@@ -10,7 +10,7 @@ from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.run.prepare import prepare
-from panda_cosim.study.check.check import rehearse, weakest_grip
+from panda_cosim.study.check.diagnosis import rehearse, weakest_grip
 from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_plain

@@ -20,7 +20,7 @@ from panda_cosim.fmus.master.order import stepping_order
 from panda_cosim.fmus.master.system import System, open_system
 from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
-from panda_cosim.study.check.check import rehearse
+from panda_cosim.study.check.diagnosis import rehearse
 from toy_fmu import library
 
 pytestmark = [

@@ -21,7 +21,7 @@ from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.master.order import late, stepping_order
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.run.prepare import prepare
-from panda_cosim.study.check.check import rehearse
+from panda_cosim.study.check.diagnosis import rehearse
 from toy_fmu import toy_fmu
 
 

@@ -25,7 +25,7 @@ from panda_cosim.run.start import resolve, start_values
 from panda_cosim.run.system.assembly import assemble
 from panda_cosim.run.system.connector import Connector
 from panda_cosim.run.system.parts import Part
-from panda_cosim.study.check.check import check_folder
+from panda_cosim.study.check.diagnosis import check_folder
 from panda_cosim.task.scenario import load_scenario
 from panda_cosim.task.writer import make_scenario
 from parts_jobs import run_folder, same_bits, write_arm

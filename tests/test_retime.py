@@ -15,7 +15,7 @@ from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.cli.commands.retime import retime
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.run.start import resolve, start_values
-from panda_cosim.study.check.check import feasibility
+from panda_cosim.study.check.diagnosis import feasibility
 from panda_cosim.task import rotations
 from panda_cosim.task.scenario import Scenario, load_scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable

@@ -9,7 +9,7 @@ import typer
 
 from ...fmus.errors import InputError
 from ...result.judging.verdict import MISSED
-from ...study.check.check import check_folder
+from ...study.check.diagnosis import check_folder
 from ...study.check.experiments import check_experiments
 from ...task.scenario import shipped_scenarios
 from ..console import show, show_json

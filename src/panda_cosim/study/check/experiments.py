@@ -40,7 +40,7 @@ from ...task.scenario import SCENARIO_FILE, Scenario
 from ...task.table import MAX_BYTES, InputTable
 from ...task.writer import check_name, write_scenario
 from ..compare.tubes import distances
-from .check import rehearse
+from .diagnosis import rehearse
 
 Array = NDArray[np.float64]
 Series = dict[str, Array]  # scalar variables over time (n,), after "time" [s]
