@@ -18,7 +18,7 @@ from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.task.table import TableRow, TrajectoryTable
-from panda_cosim.task.timing.demand import joint_reference
+from panda_cosim.task.timing.reference import joint_reference
 from panda_cosim.task.trajectory import StartPose
 from panda_cosim.task.writer import write_scenario
 

@@ -35,7 +35,8 @@ from panda_cosim.show.pictures.motion import (
     slerp,
 )
 from panda_cosim.show.pictures.offscreen import OffscreenRenderer, describe_gl
-from panda_cosim.show.pictures.video import contact_sheet, find_ffmpeg, render_video
+from panda_cosim.show.pictures.sheet import contact_sheet
+from panda_cosim.show.pictures.video import find_ffmpeg, render_video
 from panda_cosim.task.criteria import HELD_FORCE
 from regress_support import record
 

@@ -19,7 +19,7 @@ from panda_cosim.study.check.diagnosis import feasibility
 from panda_cosim.task import rotations
 from panda_cosim.task.scenario import Scenario, load_scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable
-from panda_cosim.task.timing.time_law import motions
+from panda_cosim.task.timing.path import motions
 from panda_cosim.task.trajectory import Trajectory
 from panda_cosim.task.writer import write_scenario
 

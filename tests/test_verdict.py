@@ -21,7 +21,8 @@ from panda_cosim.cli import outcome as door
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.result.judging.verdict import INCOMPLETE, SUMMARY_FILE, VERDICTS, Summary
 from panda_cosim.run.result import Run
-from panda_cosim.show.view.run import Shown, criteria_of, describe, limits_of, refusals_of
+from panda_cosim.show.view.facts import criteria_of, limits_of, refusals_of
+from panda_cosim.show.view.run import Shown, describe
 from panda_cosim.study.compare import regress
 from panda_cosim.study.compare.between_runs import compare
 from panda_cosim.study.compare.junit import write_junit

@@ -43,7 +43,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
 from panda_cosim.task import rotations
 from panda_cosim.task.limits import shares, torque_rates
-from panda_cosim.task.timing.optimal import stretched
+from panda_cosim.task.timing.stretched import stretched
 from panda_cosim.task.trajectory import Trajectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))

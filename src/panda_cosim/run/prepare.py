@@ -140,7 +140,7 @@ def _routed(prepared: Prepared) -> Scenario:
     """Return the scenario with its table, for the block where the camera sees it."""
     from ..fmus.sources.model_fmu import load_binary  # noqa: PLC0415 - few scenarios need it
     from ..plant.scene import load_scene  # noqa: PLC0415 - see above
-    from ..task.route.route import route  # noqa: PLC0415 - see above
+    from ..task.route.planner import route  # noqa: PLC0415 - see above
     from ..task.route.scene import RouteScene  # noqa: PLC0415 - see above
 
     scenario, plant = prepared.scenario, prepared.values["plant"]

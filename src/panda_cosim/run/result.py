@@ -110,7 +110,7 @@ class Run:
         Args:
             path: Where to; None: `contact_sheet.png` in the run's folder.
         """
-        from ..show.pictures.video import contact_sheet  # noqa: PLC0415 - slow to import
+        from ..show.pictures.sheet import contact_sheet  # noqa: PLC0415 - slow to import
 
         return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
 

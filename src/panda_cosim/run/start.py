@@ -156,7 +156,7 @@ def _timed(  # noqa: PLR0913 - all that new times depend on
 
         blends = np.array([row.blend for row in table.rows])
         return retimed(trajectory, blends, gains, load, share)
-    from ..task.timing.optimal import stretched  # noqa: PLC0415 - few scenarios need it
+    from ..task.timing.stretched import stretched  # noqa: PLC0415 - few scenarios need it
 
     return stretched(trajectory, gains, load, share)
 

@@ -13,7 +13,8 @@ from ...result.recording import Recording
 from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
 from ...show.pictures.motion import position_columns
 from ...show.pictures.plot import plot_recording
-from ...show.pictures.video import check_video, contact_sheet
+from ...show.pictures.sheet import contact_sheet
+from ...show.pictures.video import check_video
 from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...show.view.run import Shown
 from ...study.compare.between_runs import (

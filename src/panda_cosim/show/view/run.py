@@ -2,131 +2,36 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ...fmus.errors import InputError
 from ...fmus.master.order import shown
-from ...result.judging.definitions import DEFINITIONS
-from ...result.judging.limits import CHECKS, outcome
-from ...result.judging.verdict import Summary, json_values
+from ...result.judging.verdict import Summary
 from ...result.recording import Recording, by_rows
 from ...task import rotations
 from ...task.files import model_file
-from ...task.limits import METRICS, robot_of
-from ..pictures.motion import Signals, describe_run, key_moments
+from ...task.limits import robot_of
+from ..pictures.motion import Signals, describe_run
 from .columns import Thinning, describe_time, encode
-
-MOMENTS: Final = 8  # most marks on the timeline
-PARTS: Final = 6  # most FMUs, and the stepper, of which the header says what ran
-JOINTS: Final = range(1, 8)
-CURVES: Final = (
-    ("Tracking error", ["tracking error"]),
-    ("Fingers on the block", ["plant.contact_force"]),
-    ("Joint velocities", [f"plant.qvel[{i}]" for i in JOINTS]),
-    ("Joint torques", [f"plant.actuator_force[{i}]" for i in JOINTS]),
+from .facts import (
+    CURVES,
+    PARTS,
+    column_bounds,
+    criteria_of,
+    limits_of,
+    moments,
+    refusals_of,
+    shown_curves,
+    waypoints,
 )
-
-
-def criteria_of(summary: Summary) -> list[dict[str, Any]]:
-    """Return the success criteria with measured values, in their units."""
-    return [
-        {
-            **json_values(asdict(each)),
-            "least": each.direction == "above",
-            "words": meaning(f"success.{each.name}"),
-        }
-        for each in summary.criteria
-    ]
-
-
-def meaning(key: str) -> str:
-    """Return what a criterion or number means, for a tooltip, or ""."""
-    return DEFINITIONS[key].text if key in DEFINITIONS else ""
-
-
-def limits_of(summary: Summary) -> list[dict[str, Any]]:
-    """Return the largest shares of the robot's limits that the run used."""
-    rows = [("limits", key, name, summary.limits) for key, name in METRICS.items()]
-    real = summary.preflight
-    judged = (real.get("interface"), "arm") if real else ()
-    rows += [
-        ("preflight", f"{key}_share", f"{real.get('robot')}: {key.replace('_', ' ')}", real)
-        for key, check in CHECKS.items()
-        if check.interface in judged
-    ]
-    return [
-        {"name": name, "words": meaning(f"{group}.{key}"), "shares": list(map(number, used[key]))}
-        for group, key, name, used in rows
-        if isinstance(used.get(key), list)
-    ]
-
-
-def refusals_of(summary: Summary) -> list[str]:
-    """Return what the real robot would refuse, in lines."""
-    try:
-        lines = outcome(summary.preflight, complete=summary.complete)
-        return [text for level, text in lines if level == "refused"]
-    except (
-        AttributeError,
-        LookupError,
-        TypeError,
-        ValueError,
-    ):  # none, or another's
-        return []
-
-
-def column_bounds(name: str) -> dict[str, list[float]]:
-    """Return a robot's lower and upper limits of single columns, for curves."""
-    robot = ROBOTS[name]
-    lines: dict[str, list[float]] = {"controller.grip_cmd": [0.0, OPENING_MAX]}
-    for i in JOINTS:
-        lines[f"plant.qpos[{i}]"] = [float(robot.q_min[i - 1]), float(robot.q_max[i - 1])]
-        lines[f"plant.qvel[{i}]"] = [-float(robot.velocity[i - 1]), float(robot.velocity[i - 1])]
-        torque = float(TORQUE_MAX[i - 1])
-        lines[f"plant.actuator_force[{i}]"] = [-torque, torque]
-    return lines
-
-
-def moments(signals: Signals) -> list[dict[str, Any]]:
-    """Return the key instants: start, grasp, lift ..."""
-    return [{"time": m.time, "label": m.label} for m in key_moments(signals, MOMENTS) if m.label]
-
-
-def waypoints(metadata: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of the scenario's table: their instants [s], and names or numbers."""
-    times = metadata.get("row_times", ())
-    names = metadata.get("row_names") or [""] * len(times)
-    return [
-        {"time": time, "label": name or str(index)}
-        for index, (time, name) in enumerate(zip(times, names, strict=False), start=1)
-    ]
-
-
-def number(value: object) -> float | None:
-    """Return a finite number, or None."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
-        return None
-    return float(value) if math.isfinite(value) else None
-
-
-def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, str]) -> list[Any]:
-    """Return the curves whose columns a run has, in one plot per unit."""
-    return [
-        {"title": title, "columns": [name for name in names if units.get(name) == unit]}
-        for title, names in curves
-        for unit in dict.fromkeys(units[name] for name in names if name in units)
-    ]
-
 
 Array = NDArray[np.float64]
 

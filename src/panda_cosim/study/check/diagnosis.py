@@ -55,7 +55,8 @@ from ...task.criteria import HELD_FORCE
 from ...task.files import as_argument
 from ...task.limits import LIMITS, saturated, shares, torque_rates
 from ...task.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
-from ...task.timing.demand import LimitViolation, find_violations, joint_reference
+from ...task.timing.demand import LimitViolation, find_violations
+from ...task.timing.reference import joint_reference
 from ...task.trajectory import TIME_TOLERANCE
 from ...task.values import Values
 

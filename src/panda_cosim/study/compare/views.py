@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.errors import InputError
+from ...show.view.facts import CURVES
 from ...show.view.page import Contents, contents, data_elements, show_source
-from ...show.view.run import CURVES, ROLES, RunData, Shown
+from ...show.view.run import ROLES, RunData, Shown
 from ...task.scenario import shipped_scenarios
 from ...task.tolerances import signal_of
 from .page import Part

@@ -18,9 +18,10 @@ from ...plant.scene import load_scene
 from ...run.folder import SCENARIO_FOLDER
 from ...run.session import Session
 from ...show.pictures.meshes import load_model
+from ...show.view.facts import column_bounds, shown_curves
 from ...show.view.model import describe as describe_model
 from ...show.view.page import live_page
-from ...show.view.run import ROLES, column_bounds, shown_curves
+from ...show.view.run import ROLES
 from ...task.files import MODEL_FILE
 from ...task.rotations import about_z, rotate
 

@@ -1,14 +1,8 @@
-"""Demands of a trajectory on the robot: shares of its limits, and what is beyond them.
-
-The joint reference is what the controller computes for the trajectory, with an ideal arm.
-"""
+"""Demands of a trajectory on the robot: shares of its limits, and what is beyond them."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, replace
-from functools import cache
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Final
 
 import mujoco
@@ -16,21 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import BLOCK_WIDTH, HOME_Q, ROBOTS, SERVO_DAMPING
-from ...controller.gains import RANGES, Gains
-from ...controller.model import ArmModel, load_arm
-from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST, POSTURE_COMMANDS
-from ...fmus.interface.parameters import expand
-from ...fmus.interface.variables import Interface
-from ...fmus.master.system import System, open_system
-from ...fmus.sources.targets import Target, build_fmu, own_fmu
+from ...assets.franka import BLOCK_WIDTH, ROBOTS, SERVO_DAMPING
+from ...controller.model import load_arm
 from ..limits import LIMITS, LIMITS_OF, shares
 from ..table import TrajectoryTable
 from ..trajectory import TIME_TOLERANCE, Trajectory
+from .reference import JointReference, rates
 
 Array = NDArray[np.float64]
 Shares = dict[str, float]
 
+REACH_TOLERANCE: Final = 0.001  # [m] by which the hand may miss the command
+# [m] The same on the way, where new times are made: near singularities the damping makes the hand
+# lag, and more time does not always help.
+WAY_TOLERANCE: Final = 0.005
+SPEED: Final = 0.5  # [m/s] a segment's mean speed, unless the table is slower
+SLOWEST: Final = 12.0  # times slower than that: what takes more is no matter of time
+AWAY: Final = "the path must stay away from singularities, such as the stretched arm"
 HALF_OPEN: Final = 0.02  # [m] finger position, away from the ends of the range
 _STEP_DAMPING: Final = STEP_SIZE * np.array(SERVO_DAMPING)  # [kg.m^2]
 
@@ -81,14 +77,14 @@ def joint_demands(
 
     `load` is the mass of what the closed fingers carry [kg].
     """
-    rates = reference.derivatives()
+    derivatives = reference.derivatives()
     closed = trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH
     # The block's weight is taken up gradually, so the switch of loads is not a torque rate.
-    empty = _torques(reference, rates["acceleration"], 0.0, ~closed)
-    full = _torques(reference, rates["acceleration"], load, closed)
+    empty = _torques(reference, derivatives["acceleration"], 0.0, ~closed)
+    full = _torques(reference, derivatives["acceleration"], load, closed)
     torque = np.where(closed[:, None], full, empty)
-    torque_rate = np.where(closed[:, None], _rates(full), _rates(empty))
-    used = {**rates, "torque": torque, "torque rate": torque_rate}
+    torque_rate = np.where(closed[:, None], rates(full), rates(empty))
+    used = {**derivatives, "torque": torque, "torque rate": torque_rate}
     robot = reference.robot
     demanded = {quantity: shares(quantity, values, robot) for quantity, values in used.items()}
     velocity = reference.velocity / ROBOTS[robot].speed(reference.position, reference.velocity)
@@ -103,7 +99,7 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
         **joint_demands(trajectory, reference, load),
         "hand speed": shares("hand speed", _lengths(velocity), reference.robot),
         "hand acceleration": shares(
-            "hand acceleration", _lengths(_rates(velocity)), reference.robot
+            "hand acceleration", _lengths(rates(velocity)), reference.robot
         ),
         "hand turn": shares("hand turn", _lengths(commands[:, 10:13]), reference.robot),
     }
@@ -112,11 +108,6 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
 def _lengths(vectors: Array) -> Array:
     lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
     return lengths
-
-
-def _rates(values: Array) -> Array:
-    """Rate of change of values (n, k) per second; 0 in the first row."""
-    return np.diff(values, axis=0, prepend=values[:1]) / STEP_SIZE
 
 
 def _torques(
@@ -132,15 +123,19 @@ def _torques(
     return torques
 
 
+def remedy(quantity: str) -> str:
+    """Return what helps where time does not."""
+    if quantity != "torque":  # so slowly, that is gravity's
+        return AWAY
+    return (
+        "gravity alone needs it; allow a larger share, carry a lighter load, or keep closer to the "
+        "base"
+    )
+
+
 def largest(demanded: dict[str, Array]) -> Shares:
     """Return the largest share of each limit over all ticks [1]."""
     return {name: float(np.abs(share).max()) for name, share in demanded.items()}
-
-
-REACH_TOLERANCE: Final = 0.001  # [m] by which the hand may miss the command
-# [m] The same on the way, where new times are made: near singularities the damping makes the hand
-# lag, and more time does not always help.
-WAY_TOLERANCE: Final = 0.005
 
 
 @dataclass(frozen=True)
@@ -210,82 +205,3 @@ def find_violations(
     # What is out of reach makes the joints jump: the cause comes first.
     violations.sort(key=lambda v: (v.row, v.quantity != "reach", -v.share))
     return violations, largest(demanded)
-
-
-LAW = "controller"
-MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos")
-REFERENCE = ("qpos_ref", "qvel_ref")
-WITHOUT_LIMITS = {  # gains far beyond what any command asks for
-    "limit_share": 100.0, "reference_lead": math.pi, "linear_correction": 100.0,
-    "angular_correction": 100.0, "linear_braking": 100.0, "angular_braking": 100.0,
-}  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class JointReference:
-    """Joint reference for a trajectory, of an arm that follows it exactly."""
-
-    time: Array  # (n,) [s]
-    position: Array  # (n, 7) [rad]
-    velocity: Array  # (n, 7) [rad/s]
-    # Distance of hand and command (n,) [m], less the lag behind commands without velocity (linear
-    # interpolation).
-    miss: Array
-    robot: str
-
-    def derivatives(self) -> dict[str, Array]:
-        """Return velocity, acceleration and jerk, each (n, 7), of the same instants."""
-        acceleration = _rates(self.velocity)
-        return {
-            "velocity": self.velocity, "acceleration": acceleration, "jerk": _rates(acceleration),
-        }  # fmt: skip
-
-
-@cache
-def _law() -> tuple[Path, Interface]:
-    """Build the controller's FMU, but with limits that can be put out of the way."""
-    free = tuple(
-        replace(variable, maximum=RANGES[variable.name][1]) if variable.name in MOST else variable
-        for variable in CONTROLLER.variables
-    )
-    interface = replace(CONTROLLER, variables=free)
-    law = own_fmu(LAW, Target().kind_of(LAW))
-    return build_fmu(replace(law, interface=interface)), interface
-
-
-def joint_reference(
-    trajectory: Trajectory, times: Array, gains: Gains, *, limited: bool = False
-) -> JointReference:
-    """Compute the joint reference of commands at instants (n,), one a tick, starting at `home`.
-
-    Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
-    """
-    # Readings are of their instant here.
-    values = asdict(gains) | {"reading_delay": 0.0} | ({} if limited else WITHOUT_LIMITS)
-    path, interface = _law()
-    commanded = COMMANDS if trajectory.postures is None else (*COMMANDS, *POSTURE_COMMANDS)
-    signals = (*commanded, *MEASURED)
-    inputs = [name for each in signals for name in interface.variable(each).names()]
-    system = System({LAW: path}, (), [(LAW, name) for name in inputs])
-    start = {LAW: expand(LAW, interface, values)}
-    arm, still, q = ArmModel(gains.robot), np.zeros(7), np.array(HOME_Q)
-    commands = trajectory.sample(times)
-    position, velocity = np.empty((2, len(times), 7))
-    miss, given, answer = np.empty(len(times)), np.empty((1, len(inputs))), np.empty((1, 14))
-    with open_system(system, start, stop=len(times) * STEP_SIZE) as session:
-        law = session.slaves[LAW]
-        put = law.bind_set(inputs, given)
-        get = law.bind_get([f"{n}[{i}]" for n in REFERENCE for i in range(1, 8)], answer)
-        for tick, command in enumerate(commands):
-            hand = arm.hand(q, still)
-            measured = (command, hand.position, hand.orientation, hand.jacobian.ravel(), q)
-            np.concatenate(measured, out=given[0])
-            put(0)
-            law.step(tick * STEP_SIZE, STEP_SIZE)
-            get(0)
-            position[tick], velocity[tick] = q, answer[0, 7:]
-            miss[tick] = np.linalg.norm(command[:3] - hand.position)
-            q = answer[0, :7] + STEP_SIZE * velocity[tick]
-    untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
-    lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
-    return JointReference(times, position, velocity, np.maximum(miss - lag, 0.0), gains.robot)

@@ -10,107 +10,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import QD_MAX, ROBOTS
-from ...controller.limits import APPROACH_RATE
 from ...fmus.errors import InputError
 from ...plant.parameters import BLOCK_HALF_HEIGHT, block_start_height
 from ..scenario import Scenario
-from ..table import TableRow, TrajectoryTable
-from ..timing.demand import JointReference, demands
-from ..timing.optimal import ORDERS
-from ..trajectory import Trajectory
+from .motions import SPACING, Motion, rounded, timed
 from .scene import HOME, PLANNED, SEED, Lines, Load, RouteScene, spacing
 
 Array = NDArray[np.float64]
-
-SPACING: Final = 0.02  # [s] between the knots of a motion, before it is slowed down
-SPEED: Final = 0.5  # [1] of the joints' velocity limits along a path, before it is slowed down
-WINDOWS: Final = (0.22, 0.12, 0.06)  # [s] a path's corners are rounded by averages over them
-ROUNDS: Final = 12
-SPARE: Final = 1.01
-
-
-class Motion(NamedTuple):
-    """Knots from rest to rest, evenly spaced in time."""
-
-    name: str  # of the place where it begins
-    knots: Array  # joint positions (n, 7) [rad]
-    grip: float  # opening between the fingertips [m]
-    share: float = 1.0  # of what may be used of the limits, but those of the torques [1]
-
-
-def rounded(corners: Array, rounding: float) -> tuple[Array, Array]:
-    """Return a path (m, 7) [rad] along corners (n, 7), one point each ms, and knots along it.
-
-    A constant speed is averaged three times, which rounds the corners, and begins and ends at rest.
-    `rounding` scales the averages [1].
-    """
-    spans = np.maximum(np.abs(np.diff(corners, axis=0) / QD_MAX).max(axis=1) / SPEED, STEP_SIZE)
-    ends = np.concatenate(([0.0], np.cumsum(spans)))
-    ticks = STEP_SIZE * np.arange(np.ceil(ends[-1] / STEP_SIZE) + 1.0)
-    path = np.column_stack([np.interp(ticks, ends, joint) for joint in corners.T])
-    for window in WINDOWS:
-        count = max(round(rounding * window / STEP_SIZE), 1)
-        padded = np.pad(path, ((count, count - 1), (0, 0)), mode="edge")
-        sums = np.cumsum(padded - path[0], axis=0)
-        path = path[0] + (sums[count:] - sums[:-count]) / count
-    knots = max(int(len(path) * STEP_SIZE / (rounding * SPACING)), 5)
-    return path, path[np.linspace(0, len(path) - 1, knots + 1).round().astype(int)]
-
-
-def timed(
-    scene: RouteScene, motions: Sequence[Motion], load: float, share: float
-) -> TrajectoryTable:
-    """Return the table of motions that use at most a share of each limit [1].
-
-    `load` is what the closed fingers carry [kg].
-    """
-    motion = np.repeat(np.arange(len(motions)), [len(each.knots) - 1 for each in motions])
-    knots = np.vstack([*(each.knots[:-1] for each in motions), motions[-1].knots[-1:]])
-    poses = np.array([scene.hand(q) for q in knots])
-    grips = np.array([each.grip for each in motions])[np.append(motion, -1)]
-    slower = np.ones(len(motions))
-    for _ in range(ROUNDS):
-        times = np.concatenate(([0.0], np.cumsum(SPACING * slower[motion]))).round(9)
-        trajectory = Trajectory(times, poses[:, :3], poses[:, 3:], grips, "spline", knots)
-        ticks = STEP_SIZE * np.arange(round(times[-1] / STEP_SIZE) + 1)
-        at = motion[np.clip(np.searchsorted(times, ticks) - 1, 0, len(motion) - 1)]
-        before = slower.copy()
-        for name, used in _demands(trajectory, ticks, load, scene.robot).items():
-            for number, each in enumerate(motions):
-                limit = share * (1.0 if "torque" in name else each.share)
-                excess = float(used[at == number].max(initial=0.0)) / limit
-                if excess > 1.0:
-                    factor = SPARE * excess ** (1.0 / min(ORDERS.get(name, 1.0), 2.0))
-                    slower[number] = max(slower[number], before[number] * factor)
-        if (slower == before).all():
-            columns = np.column_stack((times, poses, grips, knots))
-            begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
-            names = {row: each.name for row, each in zip(begins, motions, strict=True)}
-            rows = (
-                TableRow(n[0], "world", n[1:4], n[8], n[4:8], name=names.get(i, ""), posture=n[9:])
-                for i, n in enumerate(columns.tolist())
-            )
-            return TrajectoryTable(tuple(rows))
-    raise InputError(f"no times within {share:.0%} of the limits were found")
-
-
-def _demands(trajectory: Trajectory, ticks: Array, load: float, robot: str) -> dict[str, Array]:
-    """Return the largest share of each limit at each tick (n,)."""
-    q, rate = np.split(trajectory.sample(ticks)[:, 14:], 2, axis=1)
-    reference = JointReference(ticks, q, rate, np.zeros(len(ticks)), robot)
-    used = demands(trajectory, reference, load)
-    ends = ROBOTS[robot]
-    room = np.where(rate > 0.0, ends.q_max - q, q - ends.q_min)  # where the law brakes a joint
-    used["joint end"] = rate / (APPROACH_RATE * room)
-    return {name: np.abs(shares).max(axis=1) for name, shares in used.items()}
-
 
 GRASP: Final = BLOCK_HALF_HEIGHT + 0.085  # [m] of the hand over the block, where the fingers close
 LIFT, RETREAT = 0.13, 0.06  # [m] straight up with the block, and without it
