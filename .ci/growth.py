@@ -23,8 +23,8 @@ from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.interface.variables import Interface, input_, output
 from panda_cosim.fmus.master.wiring import BLOCK_ROWS
 from panda_cosim.fmus.sources.targets import build_fmu
+from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import prepare
-from panda_cosim.run.run import Execution
 from panda_cosim.run.stopping import StopRequest
 from panda_cosim.study.benchmark import OURS, cost_of
 from panda_cosim.study.sweep.definition import shipped_sweeps

@@ -138,7 +138,7 @@ RUN = """
 import json, sys, time
 from pathlib import Path
 from panda_cosim.run.options import Options
-from panda_cosim.run.run import run_scenario
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.fmus.errors import CosimError
 from panda_cosim.fmus.sources.targets import build
 

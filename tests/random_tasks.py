@@ -23,8 +23,8 @@ from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import Prepared, prepare
-from panda_cosim.run.run import Execution
 from panda_cosim.run.start import instants, resolve, start_values
 from panda_cosim.run.stopping import StopRequest
 from panda_cosim.task.scenario import Scenario

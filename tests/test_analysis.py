@@ -22,7 +22,7 @@ from panda_cosim import InputError, Options, Push, analyze, load_scenario, run_s
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.master import kernel
 from panda_cosim.run.prepare import prepare
-from panda_cosim.study.analysis.analysis import frequencies
+from panda_cosim.study.analysis.margins import frequencies
 from panda_cosim.study.analysis.sensitivity import scaled_norms
 from panda_cosim.task.mismatch import Mismatch
 

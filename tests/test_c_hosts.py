@@ -17,8 +17,8 @@ from fmu_support import compiler, in_process
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library, slave_fmu
 from panda_cosim.result.recording import Recording
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
-from panda_cosim.run.run import run_scenario
 
 SCENARIO = "pick_and_place"
 FIRST_INSTANCE = 0.050  # [s] from opening the library to the end of its initialization

@@ -235,7 +235,7 @@ def test_a_failed_simulation_tells_when_also_to_ci(
     def fail(*_: object, **__: object) -> None:
         raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
 
-    monkeypatch.setattr("panda_cosim.run.run.Execution.advance", fail)
+    monkeypatch.setattr("panda_cosim.run.execution.Execution.advance", fail)
     file = tmp_path / "junit.xml"
     result = call("run", scenario, "--out", tmp_path / "run", "--junit", file)
     assert result.exit_code == SimulationError.exit_code

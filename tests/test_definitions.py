@@ -23,7 +23,7 @@ from panda_cosim.result.judging.holds import find_holds
 from panda_cosim.result.recording import Recording
 from panda_cosim.result.recording.storage import open_parquet
 from panda_cosim.run.summary import summarize
-from panda_cosim.study.analysis.analysis import Loop, Margins
+from panda_cosim.study.analysis.margins import Loop, Margins
 from panda_cosim.task.criteria import EVENTS, Success
 from panda_cosim.task.fields import field_names
 from panda_cosim.task.scenario import Scenario

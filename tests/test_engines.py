@@ -21,9 +21,9 @@ from panda_cosim.controller.ik import scaled_least_squares
 from panda_cosim.fmus.atomic import cache_folder
 from panda_cosim.fmus.build.libraries import made_with
 from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
-from panda_cosim.run.run import run_scenario
 from panda_cosim.study.compare.compare import compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.regress import difference_of

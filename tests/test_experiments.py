@@ -18,7 +18,7 @@ from fmpy.validation import validate_fmu
 from fmu_support import REFERENCE_FMUS, compiler, needs_reference_fmus
 from forked import command
 from panda_cosim.result.recording import Recording
-from panda_cosim.run.run import run_scenario
+from panda_cosim.run.execution import run_scenario
 from toy_fmu import toy_fmu
 
 pytestmark = pytest.mark.fmu

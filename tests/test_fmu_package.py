@@ -37,8 +37,8 @@ from panda_cosim.fmus.sources.targets import (
 )
 from panda_cosim.plant import plant as plant_module
 from panda_cosim.result.recording import Recording
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
-from panda_cosim.run.run import run_scenario
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 SCHEMAS = Path(fmpy.__file__).parent / "schema"

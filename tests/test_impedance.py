@@ -17,9 +17,9 @@ from panda_cosim.assets.franka import TORQUE_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import OF_IMPEDANCE, OF_SERVOS, Gains, preset
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
-from panda_cosim.run.run import run_scenario
 from panda_cosim.task.scenario import Push, load_scenario
 
 Array = NDArray[np.float64]

@@ -20,9 +20,9 @@ from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.kernel import load_stepper
 from panda_cosim.fmus.master.step import Stepper
 from panda_cosim.fmus.master.system import System, open_system
+from panda_cosim.run.execution import Execution
 from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
-from panda_cosim.run.run import Execution
 from panda_cosim.run.stopping import StopRequest
 from panda_cosim.task.scenario import load_scenario, shipped_scenarios
 from toy_fmu import INDICES, toy_fmu

@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from panda_cosim.study.analysis.analysis import judge
+from panda_cosim.study.analysis.margins import judge
 from panda_cosim.study.analysis.responses import Responses
 from panda_cosim.study.analysis.sensitivity import Sensitivity, disk_margin, limits
 

@@ -12,7 +12,7 @@ from fmu_support import in_process
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.recording import Recording
-from panda_cosim.run.run import run_scenario
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.start import resolve, start_values
 from panda_cosim.run.system.assembly import assemble
 from panda_cosim.task.criteria import Success

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from panda_cosim import shipped_scenarios
 from panda_cosim.cli.app import app
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.run.run import run_scenario
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.study.check.diagnosis import check_folder
 from panda_cosim.study.sweep.definition import load_sweep
 from panda_cosim.study.sweep.engine import check_sweep

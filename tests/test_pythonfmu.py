@@ -25,9 +25,9 @@ from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.fmu_file import Fmu, described_interface
 from panda_cosim.fmus.sources.targets import OWN, Target, build, build_fmu, own_code, own_fmu
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import Prepared, prepare
-from panda_cosim.run.run import run_scenario
 from panda_cosim.run.start import start_values
 from panda_cosim.task.scenario import load_scenario
 

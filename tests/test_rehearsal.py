@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from panda_cosim import Run, load_scenario
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.prepare import Prepared, prepare
-from panda_cosim.run.run import run_scenario
 from panda_cosim.study.check.diagnosis import check_folder, findings, rehearse, weakest_grip
 from panda_cosim.task.scenario import shipped_scenarios
 from panda_cosim.task.trajectory import StartPose

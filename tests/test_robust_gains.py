@@ -11,8 +11,8 @@ import pytest
 from panda_cosim.assets.franka import HOME_Q, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
+from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.prepare import prepare
-from panda_cosim.run.run import run_scenario
 from panda_cosim.task.scenario import load_scenario
 
 APPROACH = load_scenario("pick_and_place").changed({"duration": 1.4})  # s, before the grasp

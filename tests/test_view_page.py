@@ -19,7 +19,7 @@ from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.verdict import Summary
 from panda_cosim.result.recording import Recording
-from panda_cosim.run.run import Run
+from panda_cosim.run.execution import Run
 from panda_cosim.run.summary import summarize
 from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.page import shown_run, write_view

@@ -16,12 +16,12 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
     from panda_cosim.result.recording.reader import Recording
+    from panda_cosim.run.execution import run_scenario
     from panda_cosim.run.options import Options
     from panda_cosim.run.replay import replay
     from panda_cosim.run.result import Run
-    from panda_cosim.run.run import run_scenario
     from panda_cosim.run.session import Session
-    from panda_cosim.study.analysis.analysis import Analysis, analyze
+    from panda_cosim.study.analysis.margins import Analysis, analyze
     from panda_cosim.study.compare.between_runs import RunComparison, compare
     from panda_cosim.study.sweep.definition import Sweep
     from panda_cosim.study.sweep.engine import sweep
@@ -65,13 +65,13 @@ __all__ = [
 
 _NAMES = {
     "fmus.errors": "CosimError InputError SimulationError",
-    "study.analysis.analysis": "Analysis analyze",
+    "study.analysis.margins": "Analysis analyze",
     "study.compare.between_runs": "RunComparison compare",
     "result.recording.reader": "Recording",
     "run.options": "Options",
     "run.replay": "replay",
     "run.result": "Run",
-    "run.run": "run_scenario",
+    "run.execution": "run_scenario",
     "run.session": "Session",
     "task.criteria": "SignalCriterion Success",
     "task.scenario": "Push Scenario load_scenario shipped_scenarios",

@@ -36,11 +36,11 @@ from ..task.scenario import Push, Scenario, load_scenario
 from ..task.table import TrajectoryTable
 from ..task.trajectory import StartPose, Trajectory
 from ..task.values import Values
+from .execution import Execution, Progress
 from .folder import keep_scenario, refuse_existing
 from .journal import Act, Action, Adjustments, MoveWaypoint, Release, Set, SetCoupling
 from .options import Options
 from .prepare import Inputs, Prepared, prepare
-from .run import Execution, Progress
 from .start import resolve, start_pose
 from .stopping import stopping_on_signals
 

@@ -14,7 +14,7 @@ from pydantic_core import to_json
 
 from ...fmus.atomic import MARK, check_replaceable, replacing
 from ...fmus.master.step import SWITCHED
-from ...study.analysis.analysis import Analysis, Margins, analyze
+from ...study.analysis.margins import Analysis, Margins, analyze
 from ...study.analysis.plot import plot_analysis
 from ...task.files import marked_json
 from ...task.scenario import Scenario

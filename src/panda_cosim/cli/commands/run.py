@@ -9,10 +9,10 @@ from pathlib import Path
 from ...fmus.errors import InputError
 from ...fmus.master.step import Coupling, Stepper
 from ...fmus.sources.targets import Kind
+from ...run.execution import Execution
 from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
-from ...run.run import Execution
 from ...run.stopping import stopping_on_signals
 from ...task.scenario import Scenario
 from ..options import (

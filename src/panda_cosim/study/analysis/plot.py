@@ -11,7 +11,7 @@ import numpy as np
 
 from ...show.pictures.panels import COLOURS, DPI, GREY
 from ...show.pictures.plot import own_style
-from .analysis import Analysis, Margins, frequencies, steps
+from .margins import Analysis, Margins, frequencies, steps
 
 WANTED_PHASE_DEG, WANTED_DELAY_MS = 45.0, 3.0
 GAINS: Final = ("kp", "ki", "kd", "ik_gain")  # of our own law

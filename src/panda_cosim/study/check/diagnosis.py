@@ -32,9 +32,9 @@ from ...result.judging.limits import Level, outcome
 from ...result.judging.verdict import MISSED, NOT_MEASURED, UNEXPECTED
 from ...result.recording import Recording
 from ...result.recording.reader import shapes_of
+from ...run.execution import Execution
 from ...run.prepare import Prepared, prepare
 from ...run.result import Run
-from ...run.run import Execution
 from ...run.start import (
     StartValues,
     carried_mass,

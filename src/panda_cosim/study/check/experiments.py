@@ -30,9 +30,9 @@ from ...fmus.master.wiring import Name
 from ...fmus.reading import file_inside, finite_number, read_xml
 from ...result.judging.limits import Level
 from ...result.recording import Recording
+from ...run.execution import Execution
 from ...run.options import Options
 from ...run.prepare import prepare
-from ...run.run import Execution
 from ...run.stopping import StopRequest
 from ...task.criteria import SignalCriterion, Success
 from ...task.files import as_argument, check_new, read_text

@@ -23,8 +23,8 @@ from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ...result.judging.criterion import Criterion
 from ...result.judging.verdict import NO_CRITERIA, Summary
 from ...result.recording import Recording
+from ...run.execution import run_scenario
 from ...run.options import Options
-from ...run.run import run_scenario
 from ...run.start import check_criteria, check_tolerances, start_values
 from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios

@@ -24,8 +24,8 @@ from ...fmus.errors import InputError, legible, printable
 from ...fmus.interface.tables import INTERFACES
 from ...result.judging.definitions import DEFINITIONS, Definition
 from ...result.judging.verdict import SUMMARY_FILE
+from ...run.execution import run_scenario
 from ...run.folder import SCENARIO_FOLDER, refuse_existing
-from ...run.run import run_scenario
 from ...show.view.page import (
     TITLE,
     VIEW_FILE,

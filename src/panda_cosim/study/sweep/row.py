@@ -22,11 +22,11 @@ from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
 from ...fmus.interface.parameters import ParameterValue
 from ...result.judging.verdict import VERDICTS, Summary
+from ...run.execution import Execution
 from ...run.folder import with_files
 from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
-from ...run.run import Execution
 from ...run.stopping import StopRequest
 from ...run.system.assembly import assemble
 from ...task.scenario import Scenario, load_scenario, shipped_scenarios

@@ -21,9 +21,9 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.variables import Value
 from ...result.judging.signals import time_of
+from ...run.execution import Execution
 from ...run.options import Options
 from ...run.prepare import Inputs, Prepared, prepare
-from ...run.run import Execution
 from ...run.stopping import StopRequest
 from ...task.criteria import check_instant, check_within
 from ...task.fields import field_names
