@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from hypothesis import settings
 
 import forked
-from browser import Page, browser, find_browser
+from browser import browser, find_browser
 from fmu_support import JobError, in_fork
 
 settings.register_profile("tests", deadline=None)  # a machine may be busy
@@ -80,14 +79,14 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
 
 
 @pytest.fixture(scope="module")
-def forked_workers() -> Iterator[None]:
+def forked_workers():
     """Have the tests of a file fork the workers of their sweeps."""
     with forked.workers():
         yield
 
 
 @pytest.fixture(scope="session")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+def page(tmp_path_factory):
     """A page in Chromium; all tests show theirs in it, one after another."""
     if find_browser() is None:
         pytest.skip("no Chromium here")

@@ -1,7 +1,5 @@
 """Texts that try to be more than text in a page, and what tests look for there."""
 
-from __future__ import annotations
-
 CRAFTED = "</script><script>window.ran=1</script><img src=x onerror=window.ran=1>\"'`${1}"
 ODD = f"{CRAFTED}\u202e\0\x1b[31m\r\u2028{'W' * 10_000}"  # not in XML
 HEBREW = "\u05e9\u05dc\u05d5\u05dd"

@@ -63,7 +63,7 @@ SYSTEM = 'duration = 0.1\n[fmus]\ncontroller = "laws.py:Pull"\nplant = "slide.xm
 
 
 @pytest.fixture
-def slide(tmp_path: Path) -> Path:
+def slide(tmp_path):
     (tmp_path / "slide.xml").write_text(SLIDE)
     (tmp_path / "laws.py").write_text(LAWS)
     (tmp_path / "scenario.toml").write_text(SYSTEM)
@@ -114,9 +114,7 @@ def array(parts: Any) -> Any:
     ("spring", "law", "step"),
     [(400.0, 0.001, 0.001), (1000.0, 0.004, 0.001), (400.0, 0.001, 0.002)],
 )
-def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(
-    slide: Path, spring: float, law: float, step: float
-) -> None:
+def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(slide, spring, law, step):
     """v+ = v + T f, x+ = x + T v+, with the force held for a period."""
     (slide / "slide.xml").write_text(SLIDE.replace('step="0.001"', f'step="{step}"'))
     period = max(law, step)
@@ -165,9 +163,7 @@ def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(
         ),
     ],
 )
-def test_our_law_has_the_loops_of_its_linearisation(
-    coupling: str, changes: dict[str, Any], gains: dict[str, Any], linear: dict[str, Any]
-) -> None:
+def test_our_law_has_the_loops_of_its_linearisation(coupling, changes, gains, linear):
     import control  # noqa: PLC0415 - takes a second, in each of xdist's processes
 
     one = in_process(measured, "pick_and_place", "start", changes | {"coupling": coupling})
@@ -224,11 +220,11 @@ def pulses(stepper: str, scenario: str) -> str:
     return responses.pulses.tobytes().hex()
 
 
-def test_responses_that_are_stepped_in_c_have_the_bits_of_those_in_python(slide: Path) -> None:
+def test_responses_that_are_stepped_in_c_have_the_bits_of_those_in_python(slide):
     assert in_process(pulses, "C", str(slide)) == in_process(pulses, "Python", str(slide))
 
 
-def test_the_margins_at_the_default_gains_are_wide_also_in_the_grasp(tmp_path: Path) -> None:
+def test_the_margins_at_the_default_gains_are_wide_also_in_the_grasp(tmp_path):
     grasp = in_process(grasp_of, "pick_and_place", str(tmp_path / "run"))
     # At the first touch itself, a pulse decides whether one finger presses or both.
     for at, instant in (("start", 0.0), ("grasp + 0.1", grasp + 0.1)):
@@ -264,8 +260,8 @@ def swing(folder: str) -> tuple[float, float]:
     ],
 )
 def test_late_readings_are_called_unstable_where_a_simulation_swings_up(
-    tmp_path: Path, coupling: str, delay: float, known: float
-) -> None:
+    tmp_path, coupling, delay, known
+):
     """Delays beyond the margin and within; Jacobi adds two ticks. Known ones are borne longer."""
     (tmp_path / "trajectory.csv").write_text(HOLD)
     (tmp_path / "scenario.toml").write_text(
@@ -305,9 +301,7 @@ def growth_along(scenario: str, delay: float, payload: float) -> float:
     ("payload", "common", "borne"),
     [(0.0, 8.72, 8), pytest.param(3.0, 7.32, 7, marks=pytest.mark.long)],
 )
-def test_at_a_moving_instant_the_delay_margin_is_what_runs_bear(
-    payload: float, common: float, borne: int
-) -> None:
+def test_at_a_moving_instant_the_delay_margin_is_what_runs_bear(payload, common, borne):
     one = in_process(measured, "pick_and_place", 0.7, {"plant.payload": payload})
     assert one["reason"] == ""
     assert one["delay_margin_ms"] == pytest.approx(common, rel=AGREEMENT)
@@ -319,7 +313,7 @@ def test_at_a_moving_instant_the_delay_margin_is_what_runs_bear(
     assert late[0] < 1.0 < late[1]
 
 
-def test_shortly_before_a_contact_there_are_no_margins() -> None:
+def test_shortly_before_a_contact_there_are_no_margins():
     """The fingers touch the block at 1.938 s; the responses need some 70 ms."""
     one = in_process(measured, "pick_and_place", 1.9)
     assert one["loops"] == []
@@ -331,7 +325,7 @@ def test_shortly_before_a_contact_there_are_no_margins() -> None:
     )
 
 
-def test_inputs_without_effect_are_no_loops(tmp_path: Path) -> None:
+def test_inputs_without_effect_are_no_loops(tmp_path):
     (tmp_path / "trajectory.csv").write_text(HOLD)
     (tmp_path / "scenario.toml").write_text(
         'duration = 1.0\nscene = "motors"\ngains = "impedance"\n'
@@ -344,7 +338,7 @@ def test_inputs_without_effect_are_no_loops(tmp_path: Path) -> None:
 WILD = {"controller.period": 0.01, "controller.kp": 4000.0}
 
 
-def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path: Path) -> None:
+def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path):
     wild = in_process(measured, "pick_and_place", 0.0, WILD)
     assert not wild["stable"]
     assert not wild["linear"]  # its swings are as large as the limits let them be
@@ -354,9 +348,7 @@ def test_what_is_unstable_or_not_linear_has_no_margins(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("at", [0.048, 0.05])  # s, at the begin and in the middle of such a step
-def test_a_law_with_steps_of_its_own_has_the_loop_of_one_that_updates_as_often(
-    slide: Path, at: float
-) -> None:
+def test_a_law_with_steps_of_its_own_has_the_loop_of_one_that_updates_as_often(slide, at):
     rare = in_process(measured, str(slide), at, {"controller.period": 0.004})
     (slide / "scenario.toml").write_text(f"{SYSTEM}[steps]\ncontroller = 4\n")
     slow = in_process(measured, str(slide), at)
@@ -364,7 +356,7 @@ def test_a_law_with_steps_of_its_own_has_the_loop_of_one_that_updates_as_often(
     assert slow["disk_margin"] == pytest.approx(rare["disk_margin"], rel=1e-12)
 
 
-def test_an_unstable_own_loop_is_named_unstable(slide: Path) -> None:
+def test_an_unstable_own_loop_is_named_unstable(slide):
     one = in_process(measured, str(slide), 0.0, {"controller.damper": -5.0})
     assert not one["stable"]
     assert one["linear"]
@@ -373,7 +365,7 @@ def test_an_unstable_own_loop_is_named_unstable(slide: Path) -> None:
     assert one["loops"] == []
 
 
-def test_the_disk_margin_of_one_loop_is_the_known_one() -> None:
+def test_the_disk_margin_of_one_loop_is_the_known_one():
     """L = 25 / (s^3 + 10 s^2 + 10 s + 10): 0.46 (Seiler, Packard and Gahinet 2020, example)."""
     s = 1j * np.geomspace(0.01, 100.0, 4000)
     loop = 25.0 / (s**3 + 10.0 * s**2 + 10.0 * s + 10.0)
@@ -384,7 +376,7 @@ def test_the_disk_margin_of_one_loop_is_the_known_one() -> None:
 
 
 @pytest.mark.own_process
-def test_what_cannot_be_analysed_is_refused_in_one_line(slide: Path) -> None:
+def test_what_cannot_be_analysed_is_refused_in_one_line(slide):
     def with_law(name: str) -> str:
         (slide / "scenario.toml").write_text(SYSTEM.replace("Pull", name))
         return refused(slide)
@@ -399,7 +391,7 @@ def test_what_cannot_be_analysed_is_refused_in_one_line(slide: Path) -> None:
 
 
 @pytest.mark.own_process
-def test_an_fmu_that_cannot_go_back_is_named(slide: Path) -> None:
+def test_an_fmu_that_cannot_go_back_is_named(slide):
     built = prepare(load_scenario(slide)).assembly.system.fmus["plant"]
     memory = io.BytesIO()
     with zipfile.ZipFile(built) as old, zipfile.ZipFile(memory, "w") as new:
@@ -413,7 +405,7 @@ def test_an_fmu_that_cannot_go_back_is_named(slide: Path) -> None:
     assert "\n" not in message
 
 
-def test_the_command_writes_what_python_control_takes(slide: Path, tmp_path: Path) -> None:
+def test_the_command_writes_what_python_control_takes(slide, tmp_path):
     import control  # noqa: PLC0415 - as above
 
     out = tmp_path / "out"

@@ -16,7 +16,7 @@ Write = Callable[[zipfile.ZipFile], object]
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache" / "unpacked"
 
@@ -46,7 +46,7 @@ def link(file: zipfile.ZipFile) -> None:
 
 
 @pytest.mark.parametrize("name", ["../evil", "a/../../evil", "/evil"])
-def test_a_member_outside_the_archive_is_written_inside(tmp_path: Path, name: str) -> None:
+def test_a_member_outside_the_archive_is_written_inside(tmp_path, name):
     path = make(tmp_path / "bad.fmu", named("good", name))
     folder, _ = unpack(path)
     assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == ["evil", "good"]
@@ -59,7 +59,7 @@ def check_message(error: InputError, path: Path) -> None:
     assert message.isprintable(), message
 
 
-def test_a_link_in_an_archive_is_no_link_when_unpacked(tmp_path: Path) -> None:
+def test_a_link_in_an_archive_is_no_link_when_unpacked(tmp_path):
     folder, _ = unpack(make(tmp_path / "x.fmu", link))
     assert not (folder / "out").is_symlink()
     assert (folder / "out").read_text() == "/etc"
@@ -90,9 +90,7 @@ DAMAGED: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("kind", DAMAGED)
-def test_a_damaged_archive_is_refused_and_nothing_is_written(
-    tmp_path: Path, cache: Path, kind: str
-) -> None:
+def test_a_damaged_archive_is_refused_and_nothing_is_written(tmp_path, cache, kind):
     path = tmp_path / "bad.fmu"
     DAMAGED[kind](path)
     with pytest.raises(InputError) as refused:
@@ -103,8 +101,8 @@ def test_a_damaged_archive_is_refused_and_nothing_is_written(
 
 @pytest.mark.parametrize("members", [1, 20], ids=["one large member", "many"])
 def test_an_archive_that_grows_too_much_is_refused_before_anything_is_written(
-    tmp_path: Path, cache: Path, members: int
-) -> None:
+    tmp_path, cache, members
+):
     zeros, path = bytes(ANY_SIZE // members + 1), tmp_path / "bomb.fmu"
     make(path, lambda f: [f.writestr(f"{i}", zeros) for i in range(members)])
     assert MOST_TIMES * path.stat().st_size < members * len(zeros)
@@ -114,9 +112,7 @@ def test_an_archive_that_grows_too_much_is_refused_before_anything_is_written(
     assert list(cache.iterdir()) == []
 
 
-def test_the_hash_of_a_folder_is_that_of_what_is_in_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_hash_of_a_folder_is_that_of_what_is_in_it(tmp_path, monkeypatch):
     path, archives = tmp_path / "x.fmu", {}
     for word in (b"first", b"other"):
         make(tmp_path / "made", lambda f, word=word: f.writestr("a", word))
@@ -136,7 +132,7 @@ def test_the_hash_of_a_folder_is_that_of_what_is_in_it(
     assert (folder / "a").read_bytes() == b"other"
 
 
-def test_what_is_not_a_plain_file_is_refused_at_once(tmp_path: Path) -> None:
+def test_what_is_not_a_plain_file_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.fmu")
     for path in (tmp_path / "pipe.fmu", Path("/dev/zero"), tmp_path, tmp_path / "missing.fmu"):
         with pytest.raises(InputError, match=r"not a regular file|no such file"):
@@ -155,7 +151,7 @@ ORIGINAL = [
 ]
 
 
-def test_an_archive_is_unpacked_whole_and_once(tmp_path: Path) -> None:
+def test_an_archive_is_unpacked_whole_and_once(tmp_path):
     path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
     folder, _ = unpack(path)
     assert {n: (folder / n).read_bytes() for n, _ in ORIGINAL} == dict(ORIGINAL)
@@ -175,7 +171,7 @@ XML = {
 
 
 @pytest.mark.parametrize("kind", XML)
-def test_xml_that_cannot_be_read_is_refused(tmp_path: Path, kind: str) -> None:
+def test_xml_that_cannot_be_read_is_refused(tmp_path, kind):
     text, expected = XML[kind]
     (tmp_path / "secret").write_text("SECRET")
     path = tmp_path / "x.xml"

@@ -41,7 +41,7 @@ CREEP_BOUND = 1e-6  # of a block at rest, over 2 s [m]
 
 
 @pytest.fixture(params=[name for name in SCENES if name != TORQUE_DRIVEN])
-def scene(request: pytest.FixtureRequest) -> mujoco.MjModel:
+def scene(request):
     """Each complete scene whose arm holds itself."""
     return load(str(request.param))
 
@@ -85,7 +85,7 @@ def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
     }
 
 
-def test_scene_has_the_tasks_sizes_names_and_options(scene: mujoco.MjModel) -> None:
+def test_scene_has_the_tasks_sizes_names_and_options(scene):
     assert (scene.nq, scene.nv, scene.nu) == (16, 15, 8)
     assert scene.opt.timestep == 1e-3
     assert scene.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -99,7 +99,7 @@ def test_scene_has_the_tasks_sizes_names_and_options(scene: mujoco.MjModel) -> N
                 assert getattr(scene, kind)(name).name == name
 
 
-def test_scene_has_the_tasks_layout(scene: mujoco.MjModel) -> None:
+def test_scene_has_the_tasks_layout(scene):
     assert scene.body("work_space").pos.tolist() == [0.65, 0.30, 0.0]
     assert scene.geom("table").size.tolist() == [0.2, 0.2, 0.1]
     assert scene.geom("table").pos.tolist() == [0.0, 0.0, 0.1]
@@ -109,7 +109,7 @@ def test_scene_has_the_tasks_layout(scene: mujoco.MjModel) -> None:
     assert scene.actuator("actuator8").ctrlrange.tolist() == [0.0, 255.0]
 
 
-def test_keyframe_and_hand_pose_at_home_are_the_tasks(scene: mujoco.MjModel) -> None:
+def test_keyframe_and_hand_pose_at_home_are_the_tasks(scene):
     posture = [0, 0, 0, -1.57079, 0, 1.57079, -0.7853]
     key = scene.key("home")
     assert key.qpos.tolist() == [*posture, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0]
@@ -119,7 +119,7 @@ def test_keyframe_and_hand_pose_at_home_are_the_tasks(scene: mujoco.MjModel) -> 
     np.testing.assert_allclose(data.body("hand").xquat, HOME_QUATERNION, atol=1e-4)
 
 
-def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop() -> None:
+def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop():
     motors, tabletop = load(TORQUE_DRIVEN), load("tabletop")
     limits = motors.actuator_forcerange[:7]
     np.testing.assert_array_equal(limits, np.column_stack((-TORQUE_MAX, TORQUE_MAX)))
@@ -133,7 +133,7 @@ def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop() -> 
 
 
 @pytest.mark.skipif(MENAGERIE is None, reason="MENAGERIE_ROOT is not set")
-def test_arm_is_menageries_in_kinematics_and_dynamics() -> None:
+def test_arm_is_menageries_in_kinematics_and_dynamics():
     """Hand pose, Jacobian, mass matrix and bias force agree in 200 random states."""
     ours = load("panda")
     theirs = menagerie()
@@ -161,7 +161,7 @@ def arm_quantities(
 
 
 @pytest.mark.skipif(MENAGERIE is None, reason="MENAGERIE_ROOT is not set")
-def test_arm_has_menageries_joints_and_servos() -> None:
+def test_arm_has_menageries_joints_and_servos():
     ours = load("panda")
     theirs = menagerie()
     for field in ("jnt_range", "dof_armature", "dof_damping", "eq_solref", "eq_solimp", "wrap_prm"):
@@ -175,11 +175,11 @@ def test_arm_has_menageries_joints_and_servos() -> None:
         np.testing.assert_array_equal(getattr(gripper, field), their, err_msg=field)
 
 
-def test_only_block_and_floor_touch_at_home(scene: mujoco.MjModel) -> None:
+def test_only_block_and_floor_touch_at_home(scene):
     assert touching(scene, at_home(scene)) == {frozenset({"world", "obj"})}
 
 
-def test_neighbouring_links_never_touch_and_distant_ones_can() -> None:
+def test_neighbouring_links_never_touch_and_distant_ones_can():
     """Bodies fewer than three joints apart do not collide in any posture."""
     model = load("panda")
     data = mujoco.MjData(model)
@@ -195,7 +195,7 @@ def test_neighbouring_links_never_touch_and_distant_ones_can() -> None:
     assert all(abs(order[first] - order[second]) >= 3 for first, second in map(tuple, met))
 
 
-def test_only_the_fingers_touch_the_block_in_a_grasp(scene: mujoco.MjModel) -> None:
+def test_only_the_fingers_touch_the_block_in_a_grasp(scene):
     """The palm leaves the block free; what holds it are the two fingers."""
     data = grasped(scene)
     mujoco.mj_step(scene, data, nstep=300)
@@ -203,9 +203,7 @@ def test_only_the_fingers_touch_the_block_in_a_grasp(scene: mujoco.MjModel) -> N
 
 
 @pytest.mark.parametrize("position", [(0.4, -0.2, 0.05), (0.6, 0.35, 0.25)])
-def test_block_at_rest_does_not_creep(
-    scene: mujoco.MjModel, position: tuple[float, float, float]
-) -> None:
+def test_block_at_rest_does_not_creep(scene, position):
     data = at_home(scene)
     put_block(scene, data, np.array(position))
     mujoco.mj_step(scene, data, nstep=300)  # it sinks into its soft contact
@@ -215,9 +213,7 @@ def test_block_at_rest_does_not_creep(
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.6, 1.0, 1.7])
-def test_every_contact_of_the_block_has_the_blocks_friction(
-    scene: mujoco.MjModel, friction: float
-) -> None:
+def test_every_contact_of_the_block_has_the_blocks_friction(scene, friction):
     """On floor, table and between the pads, whatever friction these have themselves."""
     scene.geom_friction[:, 0] = 0.8
     scene.geom("obj_geom").friction[0] = friction
@@ -240,7 +236,7 @@ def contact_forces(model: mujoco.MjModel, data: mujoco.MjData, finger: str) -> l
     return forces
 
 
-def test_strong_gripper_presses_as_the_hand_is_rated() -> None:
+def test_strong_gripper_presses_as_the_hand_is_rated():
     """About 30 N per finger on the block, and never more than 70 N even with one finger alone."""
     model = load("tabletop")
     data = grasped(model)
@@ -250,7 +246,7 @@ def test_strong_gripper_presses_as_the_hand_is_rated() -> None:
     assert abs(model.actuator("actuator8").forcerange).max() <= 70.0
 
 
-def test_strong_gripper_follows_the_hands_speed_without_overshoot() -> None:
+def test_strong_gripper_follows_the_hands_speed_without_overshoot():
     """It opens at 0.05 m/s a finger within 1.2 mm, and ends within 0.05 mm."""
     model = load("tabletop")
     data = at_home(model)

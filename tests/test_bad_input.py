@@ -31,14 +31,14 @@ LIBRARY = "binaries/linux64/PandaPlant.so"
 
 
 @pytest.fixture(scope="module")
-def plant(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def plant(tmp_path_factory):
     """Members of the plant's FMU, without what only running it needs."""
     with zipfile.ZipFile(build(("plant",), target=Target("python"))["plant"]) as archive:
         return {name: archive.read(name) for name in archive.namelist() if name in (XML, LIBRARY)}
 
 
 @pytest.fixture(scope="module")
-def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scenario(tmp_path_factory):
     return write_scenario(tmp_path_factory.mktemp("scenario") / "short", 0.02)
 
 
@@ -138,9 +138,7 @@ def pack(path: Path, members: dict[str, bytes]) -> Path:
 
 
 @pytest.mark.parametrize("kind", BAD_FMUS)
-def test_a_bad_fmu_is_refused(
-    tmp_path: Path, plant: dict[str, bytes], scenario: Path, kind: str
-) -> None:
+def test_a_bad_fmu_is_refused(tmp_path, plant, scenario, kind):
     change, expected = BAD_FMUS[kind]
     members = dict(plant)
     change(members)
@@ -149,7 +147,7 @@ def test_a_bad_fmu_is_refused(
     assert re.search(expected, line)
 
 
-def test_each_fmu_is_quoted_with_its_own_words(scenario: Path, tmp_path: Path) -> None:
+def test_each_fmu_is_quoted_with_its_own_words(scenario, tmp_path):
     """The library that formats messages keeps a single logger: the last one, even after its end."""
     fmus = build(target=Target("python"))
     talker = open_slave("first", Fmu(fmus["controller"]))
@@ -207,27 +205,27 @@ def written(folder: Path, text: str, has_table: bool = True) -> Path:
 @pytest.mark.parametrize(
     ("text", "has_table", "words"), BAD_KEYS, ids=[each[0][:40] for each in BAD_KEYS]
 )
-def test_a_bad_key_is_refused(tmp_path: Path, text: str, has_table: bool, words: str) -> None:
+def test_a_bad_key_is_refused(tmp_path, text, has_table, words):
     folder = written(tmp_path / "mine", text, has_table)
     line = refused(tmp_path, "run", folder, "--out", tmp_path / "run")
     assert str(folder) in line
     assert words in line
 
 
-def test_a_duration_of_a_bad_type_is_told_the_bounds_that_hold(tmp_path: Path) -> None:
+def test_a_duration_of_a_bad_type_is_told_the_bounds_that_hold(tmp_path):
     folder = written(tmp_path / "mine", "")
     (folder / "scenario.toml").write_text('duration = "x"\n')
     assert "must be a number from 0.001 to 3600 s" in refused(tmp_path, "run", folder)
 
 
 @pytest.mark.parametrize("command", ["check", "run"])
-def test_gains_without_effect_are_refused(tmp_path: Path, command: str) -> None:
+def test_gains_without_effect_are_refused(tmp_path, command):
     result = CliRunner().invoke(app, [command, "draw_circle", "--set", "gains=tutorial"])
     assert result.exit_code == 2
     assert "gains: acts only on the project's own controller" in result.output
 
 
-def test_only_close_names_are_suggested() -> None:
+def test_only_close_names_are_suggested():
     assert nearest("nope", ["wipe", "tutorial"]) is None
     assert nearest("tutoral", ["wipe", "tutorial"]) == "tutorial"
 
@@ -253,9 +251,7 @@ BAD_PLACES: dict[str, Callable[[Path], Path]] = {
 
 
 @pytest.mark.parametrize("kind", BAD_PLACES)
-def test_a_run_is_not_begun_where_it_cannot_be_written(
-    tmp_path: Path, scenario: Path, kind: str
-) -> None:
+def test_a_run_is_not_begun_where_it_cannot_be_written(tmp_path, scenario, kind):
     place = BAD_PLACES[kind](tmp_path)
     line = refused(tmp_path, "run", scenario, "--out", place)
     assert re.search("already exists; must be|cannot be written|null byte", line)
@@ -263,7 +259,7 @@ def test_a_run_is_not_begun_where_it_cannot_be_written(
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recording")
     with Recorder(folder, [Column("time", "s"), Column("plant.x")], {"scenario": "x"}) as recorder:
         recorder.append(np.arange(6000.0).reshape(3000, 2))
@@ -272,20 +268,18 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in BAD_PLACES if kind != "file"])
-def test_no_export_where_it_cannot_be_written(tmp_path: Path, recording: Path, kind: str) -> None:
+def test_no_export_where_it_cannot_be_written(tmp_path, recording, kind):
     refused(tmp_path, "export", recording, BAD_PLACES[kind](tmp_path))
 
 
 @pytest.mark.parametrize("kind", ["file", "below a file", "proc", "long name"])
-def test_a_cache_that_cannot_be_used_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenario: Path, kind: str
-) -> None:
+def test_a_cache_that_cannot_be_used_is_reported(tmp_path, monkeypatch, scenario, kind):
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(BAD_PLACES[kind](tmp_path)))
     line = refused(tmp_path, "run", scenario, "--out", tmp_path / "run")
     assert "set PANDA_COSIM_CACHE to a writable folder" in line
 
 
-def test_a_file_is_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_is_whole_or_not_at_all(tmp_path):
     (tmp_path / "a").write_text("old")
 
     def stop_half_way() -> None:
@@ -298,7 +292,7 @@ def test_a_file_is_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a", "old")]
 
 
-def test_an_export_to_a_full_disk_leaves_nothing(tmp_path: Path, recording: Path) -> None:
+def test_an_export_to_a_full_disk_leaves_nothing(tmp_path, recording):
     program, out = Path(sys.executable).with_name("panda-cosim"), tmp_path / "a.csv"
     done = subprocess.run(
         [*limited(FSIZE=20_000), program, "export", recording, out],

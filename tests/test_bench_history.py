@@ -36,8 +36,8 @@ EARLIER = [line(c_a) for c_a in (9.9, 0.98, *[1.0] * 8, 1.02)]  # the first is t
     ],
 )
 def test_a_ratio_is_worse_beyond_five_percent_of_the_median_of_the_last_ten(
-    c_a: float, b_c: float, worse: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+    c_a, b_c, worse, capsys
+):
     new = line(c_a, b_c, numpy="3")
     assert new["ratios"] == {"c/a": c_a, "b/c": b_c, "a_by_b": 2.0}
     lines = [*HISTORY["alike"]([*EARLIER, line(5.0, processor="Q")], new), new]
@@ -48,19 +48,19 @@ def test_a_ratio_is_worse_beyond_five_percent_of_the_median_of_the_last_ten(
     assert [row.split()[0] for row in rows if row.strip().endswith("worse")] == worse
 
 
-def test_too_few_runs_are_not_compared(capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_few_runs_are_not_compared(capsys):
     assert HISTORY["show_changes"]([*EARLIER[-2:], line(9.0)]) == 0
     assert capsys.readouterr().out.count("not compared") == 3
 
 
-def test_the_plot_shows_runs_without_some_of_the_ratios(tmp_path: Path) -> None:
+def test_the_plot_shows_runs_without_some_of_the_ratios(tmp_path):
     HISTORY["plot"]([*EARLIER, {"ratios": {"c/a": 1.0}}], tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.long
 @pytest.mark.fmu
-def test_each_figure_is_measured() -> None:
+def test_each_figure_is_measured():
     measured = runpy.run_path(str(CI / "growth.py"))["figures"](2e-5, 60.0)
     assert measured.keys() == HISTORY["FIGURES"].keys()
     assert all(value > 0.0 for value in measured.values())

@@ -39,7 +39,7 @@ def made(folder: Path, offset: float = 0.0, *, mass: float = 0.18, rows: int = 4
     return folder
 
 
-def test_a_run_is_the_same_as_itself(tmp_path: Path) -> None:
+def test_a_run_is_the_same_as_itself(tmp_path):
     result = compare(made(tmp_path / "a"), made(tmp_path / "b"))
     assert result.identical
     assert (result.parameters, result.metrics, result.signals, result.missing) == ((), (), (), ())
@@ -48,7 +48,7 @@ def test_a_run_is_the_same_as_itself(tmp_path: Path) -> None:
     assert "All recorded signals are equal. Compared: 5 columns, 401 rows" in result.to_html()
 
 
-def test_curves_of_runs_of_other_lengths_and_steps_are_all_there(tmp_path: Path) -> None:
+def test_curves_of_runs_of_other_lengths_and_steps_are_all_there(tmp_path):
     """Each keeps its own span; where one has no value, the figure has none either."""
     a, values = made(tmp_path / "a", DISTANCE), columns(501)
     record(tmp_path / "b", {name: signal[100::2] for name, signal in values.items()})
@@ -68,7 +68,7 @@ def test_curves_of_runs_of_other_lengths_and_steps_are_all_there(tmp_path: Path)
     assert run[time >= 0.1] == pytest.approx(np.sin(3 * time[time >= 0.1]), abs=1e-5)  # rad
 
 
-def test_what_differs_from_the_first_run_is_found_with_its_size_and_time(tmp_path: Path) -> None:
+def test_what_differs_from_the_first_run_is_found_with_its_size_and_time(tmp_path):
     result = compare(made(tmp_path / "a"), made(tmp_path / "b", DISTANCE, mass=0.2))
     assert [(row.name, row.values) for row in result.parameters] == [
         ("plant.block_mass", (0.18, 0.2))
@@ -90,8 +90,8 @@ def test_what_differs_from_the_first_run_is_found_with_its_size_and_time(tmp_pat
 @settings(max_examples=15, deadline=None)
 @given(st.integers(1, 400), st.booleans())
 def test_a_run_and_its_beginning_are_compared_there_and_are_not_identical(
-    tmp_path_factory: pytest.TempPathFactory, rows: int, killed: bool
-) -> None:
+    tmp_path_factory, rows, killed
+):
     folder = tmp_path_factory.mktemp("runs")
     whole = made(folder / "whole")
     record(folder / "cut", columns(rows), reason="stopped by SIGKILL" if killed else None)
@@ -104,7 +104,7 @@ def test_a_run_and_its_beginning_are_compared_there_and_are_not_identical(
         assert result.unmet is killed
 
 
-def test_a_run_that_ended_early_is_not_the_same_as_one_that_did_not(tmp_path: Path) -> None:
+def test_a_run_that_ended_early_is_not_the_same_as_one_that_did_not(tmp_path):
     a, b = made(tmp_path / "a"), tmp_path / "b"
     record(b, columns(), reason="stopped by SIGTERM")
     assert not compare(a, b).identical
@@ -116,7 +116,7 @@ def test_a_run_that_ended_early_is_not_the_same_as_one_that_did_not(tmp_path: Pa
     assert '<header class="bad">' in compare(a, b).to_html()
 
 
-def test_runs_with_nothing_in_common_are_refused(tmp_path: Path) -> None:
+def test_runs_with_nothing_in_common_are_refused(tmp_path):
     a = made(tmp_path / "a")
     later, others = columns(), columns()
     later["time"] = later["time"] + 1.0
@@ -132,7 +132,7 @@ def test_runs_with_nothing_in_common_are_refused(tmp_path: Path) -> None:
             compare(a, tmp_path / name)
 
 
-def test_columns_of_other_units_are_named_and_not_compared(tmp_path: Path) -> None:
+def test_columns_of_other_units_are_named_and_not_compared(tmp_path):
     values = columns()
     values["controller.dq[1]"] = values["controller.dq[1]"] + 1.0
     record(tmp_path / "b", values, units={"controller.dq[1]": "N.m"})
@@ -143,7 +143,7 @@ def test_columns_of_other_units_are_named_and_not_compared(tmp_path: Path) -> No
     assert "1 columns in other units or types, not compared" in result.to_html()
 
 
-def test_noise_is_ranked_below_what_differs(tmp_path: Path) -> None:
+def test_noise_is_ranked_below_what_differs(tmp_path):
     """An element that stays at 0 is noise; 50 mm are all of the way that another one moves."""
     values = columns()
     signs = np.where(np.arange(401) % 2, 1.0, -1.0)
@@ -165,11 +165,11 @@ def test_noise_is_ranked_below_what_differs(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.floats(allow_nan=False), min_size=2, max_size=4))
-def test_numbers_that_differ_look_different(values: list[float]) -> None:
+def test_numbers_that_differ_look_different(values):
     assert len(set(numbers(values))) >= len(set(values))
 
 
-def test_a_value_that_is_not_finite_is_the_worst(tmp_path: Path) -> None:
+def test_a_value_that_is_not_finite_is_the_worst(tmp_path):
     values = columns()
     values["controller.dq[2]"][100] = np.nan
     record(tmp_path / "b", values)
@@ -178,7 +178,7 @@ def test_a_value_that_is_not_finite_is_the_worst(tmp_path: Path) -> None:
     assert "controller.dq[2]" in result.to_html()
 
 
-def test_columns_that_one_run_lacks_are_named(tmp_path: Path) -> None:
+def test_columns_that_one_run_lacks_are_named(tmp_path):
     values = columns()
     values[f"plant.{EVIL}"] = values.pop("controller.dq[1]")
     record(tmp_path / "b", values)
@@ -187,7 +187,7 @@ def test_columns_that_one_run_lacks_are_named(tmp_path: Path) -> None:
     assert EVIL not in result.to_html()
 
 
-def test_the_command_prints_tables_json_and_a_page(tmp_path: Path) -> None:
+def test_the_command_prints_tables_json_and_a_page(tmp_path):
     a, b = made(tmp_path / "a"), made(tmp_path / "b", DISTANCE, mass=0.2)
     brief = command("compare", a, b, "--out", tmp_path / "page")
     assert brief.returncode == 0, brief.stderr
@@ -202,11 +202,11 @@ def test_the_command_prints_tables_json_and_a_page(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Recording:
+def recording(tmp_path):
     return Recording.open(made(tmp_path / "a"))
 
 
-def test_a_recording_is_a_table_of_pandas(recording: Recording) -> None:
+def test_a_recording_is_a_table_of_pandas(recording):
     pytest.importorskip("pandas")
     frame = recording.to_pandas()
     assert frame.index.name == "time"
@@ -219,7 +219,7 @@ def test_a_recording_is_a_table_of_pandas(recording: Recording) -> None:
         recording.to_pandas(["controller.dp"])
 
 
-def test_a_recording_is_a_dataset_of_xarray(recording: Recording) -> None:
+def test_a_recording_is_a_dataset_of_xarray(recording):
     pytest.importorskip("xarray")
     data = recording.to_xarray(["controller.dq", "plant.jac", "plant.contact_force"])
     assert data["plant.jac"].dims == ("time", "plant.jac_1", "plant.jac_2")
@@ -230,7 +230,7 @@ def test_a_recording_is_a_dataset_of_xarray(recording: Recording) -> None:
 
 
 @pytest.mark.fmu
-def test_a_notebook_shows_a_run_and_its_plot(tmp_path: Path) -> None:
+def test_a_notebook_shows_a_run_and_its_plot(tmp_path):
     (tmp_path / "short").mkdir()
     (tmp_path / "short" / "scenario.toml").write_text(SHORT)
     (tmp_path / "short" / "trajectory.csv").write_text(TABLE)

@@ -53,7 +53,7 @@ def lifted(folder: Path, step: float) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recording(tmp_path_factory):
     """The cup of `lifted`, in 1 s."""
     return lifted(tmp_path_factory.mktemp("run"), 0.1)
 
@@ -63,7 +63,7 @@ def judged(recording: Recording, **keys: object) -> dict[str, tuple[float | None
     return {c.name: (c.value, c.ok) for c in judge_bodies([criterion], recording, EVENTS)}
 
 
-def test_a_body_is_judged_where_it_is_at_the_end(recording: Recording) -> None:
+def test_a_body_is_judged_where_it_is_at_the_end(recording):
     bounds = {"max_tilt": 29.0, "max_shift": 0.21, "min_lift": 0.2}
     found = judged(recording, position=(0.6, 0.0, 0.31), tolerance=0.02, **bounds)
     assert found["cup position"] == (pytest.approx(0.01, abs=ROUNDING), True)
@@ -73,7 +73,7 @@ def test_a_body_is_judged_where_it_is_at_the_end(recording: Recording) -> None:
 
 
 @pytest.mark.parametrize("step", [1e-9, 1e-5, 0.1])
-def test_instants_are_told_apart_at_any_step(tmp_path: Path, step: float) -> None:
+def test_instants_are_told_apart_at_any_step(tmp_path, step):
     recording = lifted(tmp_path, step)
     for row in range(11):
         ((height, _),) = judged(recording, min_lift=0.0, at=row * step).values()
@@ -83,7 +83,7 @@ def test_instants_are_told_apart_at_any_step(tmp_path: Path, step: float) -> Non
         assert criterion.value == pytest.approx(0.2 - 0.02 * row, abs=ROUNDING)
 
 
-def test_a_body_is_judged_at_another_instant(recording: Recording) -> None:
+def test_a_body_is_judged_at_another_instant(recording):
     assert judged(recording, min_lift=0.0, at=0.5)["cup min_lift at 0.5 s"][0] == pytest.approx(0.1)
     assert judged(recording, max_tilt=1.0, at=0.5)["cup max_tilt at 0.5 s"] == (0.0, True)
     for at, name in (("release", "release"), (1.5, "1.5 s")):
@@ -105,21 +105,21 @@ def test_a_body_is_judged_at_another_instant(recording: Recording) -> None:
         ('scene = "motors"', "must come with a controller that gives torques"),
     ],
 )
-def test_bad_criteria_are_refused_in_a_line(tmp_path: Path, text: str, told: str) -> None:
+def test_bad_criteria_are_refused_in_a_line(tmp_path, text, told):
     (tmp_path / "trajectory.csv").write_text(TABLE)
     (tmp_path / "scenario.toml").write_text(f"duration = 1.0\n{text}\n")
     with pytest.raises(InputError, match=told):
         Scenario.read(tmp_path)
 
 
-def test_a_body_whose_pose_is_not_recorded_is_refused() -> None:
+def test_a_body_whose_pose_is_not_recorded_is_refused():
     criterion = BodyCriterion(body="cub", max_tilt=1.0)
     with pytest.raises(InputError, match=r"\[\[success.body\]\] 1: body: value 'cub'; .*'cup'"):
         check_bodies([criterion], UNITS)
     check_bodies([BodyCriterion(body="cup", max_tilt=1.0)], UNITS)
 
 
-def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path: Path) -> None:
+def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path):
     (tmp_path / "cup.xml").write_text(SCENE)
     (tmp_path / "cup.toml").write_text('name = "Cup"\nextends = "PandaPlant"\nkeyframe = "home"\n')
     found = {v.name: v for v in model_part(tmp_path / "cup.xml").interface.variables}
@@ -132,7 +132,7 @@ def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path: Path)
         model_part(tmp_path / "cup.xml")
 
 
-def test_what_stands_before_the_robot_in_a_scene_is_refused(tmp_path: Path) -> None:
+def test_what_stands_before_the_robot_in_a_scene_is_refused(tmp_path):
     """The controller would take its position for that of joint 1."""
     door = '<worldbody><body name="door" pos="2 2 1"><joint/><geom size="0.1"/></body></worldbody>'
     (tmp_path / "door.toml").write_text('extends = "PandaPlant"\n')
@@ -143,7 +143,7 @@ def test_what_stands_before_the_robot_in_a_scene_is_refused(tmp_path: Path) -> N
     assert model_part(tmp_path / "door.xml").interface.variable("qpos").shape == (24,)
 
 
-def test_a_controller_gives_torques_where_the_arm_has_motors() -> None:
+def test_a_controller_gives_torques_where_the_arm_has_motors():
     assembly = assemble(load_scenario("draw_circle"))
     wires = {c.target: c.source for c in assembly.connections}
     for i in range(1, 8):
@@ -155,7 +155,7 @@ def test_a_controller_gives_torques_where_the_arm_has_motors() -> None:
     assert {"plant.table_force", "plant.mass_matrix[1,1]"} <= recorded
 
 
-def test_outputs_on_request_are_recorded_where_a_criterion_is_about_them() -> None:
+def test_outputs_on_request_are_recorded_where_a_criterion_is_about_them():
     scenario = load_scenario("stack_blocks")
     recorded = {column.name for column in assemble(scenario).recorded()}
     assert "plant.unwanted_contact_force" in recorded

@@ -41,14 +41,14 @@ def record(out: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def expected(tmp_path_factory):
     folder = tmp_path_factory.mktemp("master") / "run"
     in_process(record, str(folder))
     return Recording.open(folder)
 
 
 @pytest.fixture(scope="module")
-def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def host(tmp_path_factory):
     program = tmp_path_factory.mktemp("host") / "host"
     compile_host(program, str(compiler()))
     return program
@@ -82,9 +82,7 @@ def run(host: Path, plan: Path, **environment: str) -> tuple[list[str], str]:
 
 
 @pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
-def root(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, host: Path
-) -> Path:
+def root(request, tmp_path_factory, host):
     """A root folder with the host, the FMUs and the C library: nothing else."""
     folder = tmp_path_factory.mktemp("root")
     task = unpack_task(SCENARIO, request.param, "linux64", folder)
@@ -118,9 +116,7 @@ def run_in(root: Path) -> str:
     return done.stdout
 
 
-def test_a_host_without_python_records_what_the_master_does(
-    root: Path, expected: Recording
-) -> None:
+def test_a_host_without_python_records_what_the_master_does(root, expected):
     assert not [path for path in root.rglob("*") if "python" in path.name.lower()]
     run_in(root)
     rows = read_rows(root / "recording", (root / "columns").read_text().split())
@@ -131,7 +127,7 @@ def test_a_host_without_python_records_what_the_master_does(
     assert np.ptp(rows["plant.qpos[10]"]) > 0.1  # the block has been carried
 
 
-def test_the_first_instance_comes_quickly(root: Path) -> None:
+def test_the_first_instance_comes_quickly(root):
     times = []
     for _ in range(3):
         text = run_in(root)
@@ -146,8 +142,8 @@ def test_the_first_instance_comes_quickly(root: Path) -> None:
 @needs_library
 @pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
 def test_fmus_in_python_record_the_same_whatever_the_hosts_environment_says(
-    host: Path, expected: Recording, tmp_path: Path, version: int
-) -> None:
+    host, expected, tmp_path, version
+):
     for module in ("json", "numpy", "traceback"):
         (tmp_path / f"{module}.py").write_text("raise RuntimeError('the wrong module')\n")
     poison = {"PYTHONHOME": "/nowhere", "PYTHONPATH": str(tmp_path), "PYTHONSTARTUP": "/nowhere"}
@@ -160,7 +156,7 @@ def test_fmus_in_python_record_the_same_whatever_the_hosts_environment_says(
 
 
 @needs_library
-def test_a_host_lives_on_after_what_is_missing(host: Path, tmp_path: Path) -> None:
+def test_a_host_lives_on_after_what_is_missing(host, tmp_path):
     good = unpacked("python", "controller", 2)
     damages: dict[str, tuple[str, str]] = {  # by reason: a file that is missing, or an option
         "variables.txt cannot be read": ("variables.txt", ""),
@@ -189,9 +185,7 @@ def test_a_host_lives_on_after_what_is_missing(host: Path, tmp_path: Path) -> No
     [("", "this process has no Python, and none was recorded"),
      ("option\tpython\t/nowhere/libpython3.so\n", "/nowhere/libpython3.so: cannot open")],
 )  # fmt: skip
-def test_a_host_is_told_where_python_was_sought(
-    host: Path, tmp_path: Path, library: str, reason: str
-) -> None:
+def test_a_host_is_told_where_python_was_sought(host, tmp_path, library, reason):
     fmu = unpacked("python", "controller", 3).copy(
         tmp_path / "fmu", lambda text: re.sub(r"option\tpython\t.*\n", library, text)
     )
@@ -201,7 +195,7 @@ def test_a_host_is_told_where_python_was_sought(
 
 
 @needs_library
-def test_packages_can_be_named_by_the_environment(host: Path, tmp_path: Path) -> None:
+def test_packages_can_be_named_by_the_environment(host, tmp_path):
     (tmp_path / "numpy.py").write_text("__version__ = '1.26.4'\n")
     plan = plan_of(tmp_path, 3, f"try {source(unpacked('python', 'controller', 3))}")
     lines, log = run(host, plan, PANDA_COSIM_PYTHONPATH=str(tmp_path))
@@ -216,7 +210,7 @@ def test_packages_can_be_named_by_the_environment(host: Path, tmp_path: Path) ->
 
 
 @needs_library
-def test_fmus_in_python_may_be_first_at_one_moment(host: Path, tmp_path: Path) -> None:
+def test_fmus_in_python_may_be_first_at_one_moment(host, tmp_path):
     """Only one starts Python, although each has its own copy of the library."""
     fmus = [unpacked_fmu(slave_fmu(DECAY)), unpacked("python", "controller", 2)]
     plan = plan_of(tmp_path, 2, f"at-once 2 {' '.join(map(source, fmus))}")
@@ -225,7 +219,7 @@ def test_fmus_in_python_may_be_first_at_one_moment(host: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("backend", ["mujoco", pytest.param("python", marks=needs_library)])
-def test_first_instances_of_an_fmu_do_not_race(tmp_path: Path, backend: str) -> None:
+def test_first_instances_of_an_fmu_do_not_race(tmp_path, backend):
     library, program = tmp_path / "fmu.so", tmp_path / "host"
     sources = [native.SOURCES / name for name in (*native.FMI_LAYER, *native.BACKENDS[backend])]
     includes = [f"-isystem{include}" for include in native.includes()]
@@ -240,7 +234,7 @@ def test_first_instances_of_an_fmu_do_not_race(tmp_path: Path, backend: str) -> 
 
 
 @needs_library
-def test_a_python_that_another_fmu_has_started_is_no_hosts(host: Path, tmp_path: Path) -> None:
+def test_a_python_that_another_fmu_has_started_is_no_hosts(host, tmp_path):
     """MuJoCo's import starts `python3` to look for OpenGL, unless it is told not to."""
     (tmp_path / "python3").write_text(f"#!/bin/sh\ntouch {tmp_path}/started\n")
     (tmp_path / "python3").chmod(0o755)

@@ -62,7 +62,7 @@ def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
 
 
 @pytest.fixture
-def scenario(tmp_path: Path) -> Path:
+def scenario(tmp_path):
     return make_scenario(tmp_path / "small")
 
 
@@ -74,7 +74,7 @@ def make_scenario(folder: Path, tracking_max: float = 0.01) -> Path:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(tmp_path_factory):
     """A run's folder, for commands that start from one."""
     folder = tmp_path_factory.mktemp("finished")
     small = make_scenario(folder / "small")
@@ -112,7 +112,7 @@ BAD_USE = [
 
 
 @pytest.mark.parametrize(("arguments", "message"), BAD_USE)
-def test_bad_use_is_reported_in_one_line(arguments: list[object], message: str) -> None:
+def test_bad_use_is_reported_in_one_line(arguments, message):
     result = call(*arguments)
 
     assert result.exit_code == InputError.exit_code
@@ -122,7 +122,7 @@ def test_bad_use_is_reported_in_one_line(arguments: list[object], message: str) 
     assert result.stdout == ""
 
 
-def test_bad_pictures_are_refused_before_any_is_drawn(finished: Path, tmp_path: Path) -> None:
+def test_bad_pictures_are_refused_before_any_is_drawn(finished, tmp_path):
     for option, value in (("--size", "12"), ("--size", "641x480"), ("--fps", "nan")):
         result = call("render", finished, "--out", tmp_path, option, value)
         assert result.exit_code == InputError.exit_code
@@ -132,7 +132,7 @@ def test_bad_pictures_are_refused_before_any_is_drawn(finished: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_help_of_a_command_has_its_summary_and_an_example(command: str) -> None:
+def test_the_help_of_a_command_has_its_summary_and_an_example(command):
     result = call(command, "--help")
 
     assert result.exit_code == 0
@@ -141,7 +141,7 @@ def test_the_help_of_a_command_has_its_summary_and_an_example(command: str) -> N
     assert str(load(command).help).splitlines()[0] == COMMANDS[command][1]
 
 
-def test_help_lists_the_exit_codes_and_is_what_no_command_gives() -> None:
+def test_help_lists_the_exit_codes_and_is_what_no_command_gives():
     assert "3 it ran, but" in " ".join(call("--help").stdout.split())
     assert call().exit_code == 0
     assert call().stdout.split() == call("--help").stdout.split()
@@ -165,8 +165,8 @@ MOST_MODULES = 120  # of the project
 
 @pytest.mark.parametrize(("option", "unused"), [("--view", set()), ("--no-view", {"mujoco"})])
 def test_a_run_without_pictures_loads_only_what_it_uses_and_is_assembled_once(
-    tmp_path: Path, option: str, unused: set[str]
-) -> None:
+    tmp_path, option, unused
+):
     build(["plant", "controller"])  # for which more is imported
     arguments = ("run", "pick_and_place", "--no-video", option, "--out", tmp_path / "run")
     command = [sys.executable, "-c", COUNTED, *map(str, arguments)]
@@ -178,19 +178,19 @@ def test_a_run_without_pictures_loads_only_what_it_uses_and_is_assembled_once(
     assert not (heavy | unused) & set(modules)
 
 
-def test_the_version_is_reported() -> None:
+def test_the_version_is_reported():
     assert call("--version").stdout.startswith("panda-cosim 0.")
 
 
 @pytest.mark.parametrize("instance", INTERFACES)
-def test_info_names_every_variable(instance: str) -> None:
+def test_info_names_every_variable(instance):
     told = call("info", instance).stdout
     rows = {line.partition(" ")[0].partition("[")[0] for line in told.splitlines()}
     assert {variable.name for variable in INTERFACES[instance].variables} <= rows
     assert "plant.jac[1..6,1..7] controller.jac[1..6,1..7]" in " ".join(told.split())
 
 
-def test_a_run_leaves_recording_summary_and_scenario(finished: Path) -> None:
+def test_a_run_leaves_recording_summary_and_scenario(finished):
     found = {path.relative_to(finished).as_posix() for path in finished.rglob("*")}
     assert found == {
         "recording.parquet",
@@ -204,7 +204,7 @@ def test_a_run_leaves_recording_summary_and_scenario(finished: Path) -> None:
     assert Recording.open(finished).rows == 201
 
 
-def test_settings_and_coupling_reach_the_run(scenario: Path, tmp_path: Path) -> None:
+def test_settings_and_coupling_reach_the_run(scenario, tmp_path):
     options = ("--no-video", "--set", "plant.block_pos[1]=0.45", "--coupling", "jacobi")
     done = forked("run", scenario, "--out", tmp_path / "run", *options)
 
@@ -214,7 +214,7 @@ def test_settings_and_coupling_reach_the_run(scenario: Path, tmp_path: Path) -> 
     assert recording.metadata["coupling"] == "jacobi"
 
 
-def test_a_missed_success_condition_is_named_also_to_ci(tmp_path: Path) -> None:
+def test_a_missed_success_condition_is_named_also_to_ci(tmp_path):
     strict, file = make_scenario(tmp_path / "strict", tracking_max=0.0), tmp_path / "junit.xml"
     options = ("--no-video", "--junit", file, "--out", tmp_path / "run")
     done = forked("run", strict, *options)
@@ -229,9 +229,7 @@ def test_a_missed_success_condition_is_named_also_to_ci(tmp_path: Path) -> None:
     assert re.fullmatch(r"tracking_max \S+ mm, allowed 0 mm", str(case[0].get("message")))
 
 
-def test_a_failed_simulation_tells_when_also_to_ci(
-    scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_simulation_tells_when_also_to_ci(scenario, tmp_path, monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
 
@@ -245,7 +243,7 @@ def test_a_failed_simulation_tells_when_also_to_ci(
     assert "at t = 0.250 s, in FMU 'plant'" in str(case[0].get("message"))
 
 
-def test_a_run_is_printed_as_json(scenario: Path, tmp_path: Path) -> None:
+def test_a_run_is_printed_as_json(scenario, tmp_path):
     done = forked("run", scenario, "--no-video", "--json", "--out", tmp_path / "r")
 
     assert done.returncode == 0, done.stderr
@@ -256,7 +254,7 @@ def test_a_run_is_printed_as_json(scenario: Path, tmp_path: Path) -> None:
     assert printed["summary"] == json.loads((tmp_path / "r" / "summary.json").read_text())
 
 
-def test_what_there_is_is_printed_as_json(scenario: Path) -> None:
+def test_what_there_is_is_printed_as_json(scenario):
     listed = json.loads(call("list", "--json").stdout)
     assert [each["name"] for each in listed] == list(shipped_scenarios())
     info = json.loads(call("info", "plant", "--json").stdout)
@@ -270,9 +268,7 @@ def test_what_there_is_is_printed_as_json(scenario: Path) -> None:
     assert json.loads(wrong.stdout)["findings"][0]["level"] == "wrong"
 
 
-def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(tmp_path, monkeypatch):
     make_scenario(tmp_path / "tutorial")
     monkeypatch.chdir(tmp_path)
 
@@ -291,7 +287,7 @@ def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
      ("run --coupling ", {"gauss-seidel", "jacobi", "iterated"}),
      ("run place", {"place_and_pick_again"})],
 )  # fmt: skip
-def test_the_shell_completes(typed: str, offered: set[str]) -> None:
+def test_the_shell_completes(typed, offered):
     words = f"panda-cosim {typed}"
     place = str(words.count(" "))
     done = forked(_PANDA_COSIM_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=place)
@@ -302,7 +298,7 @@ def test_the_shell_completes(typed: str, offered: set[str]) -> None:
 @pytest.mark.parametrize(
     ("number", "exit_code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["INT", "TERM"]
 )
-def test_a_signal_keeps_what_was_recorded(number: int, exit_code: int, tmp_path: Path) -> None:
+def test_a_signal_keeps_what_was_recorded(number, exit_code, tmp_path):
     process = start("run", "--realtime", "--no-video", "--out", tmp_path / "run")
     flushed = 0
     while flushed == 0:
@@ -322,7 +318,7 @@ def test_a_signal_keeps_what_was_recorded(number: int, exit_code: int, tmp_path:
     assert flushed <= recording.rows < 6501
 
 
-def test_real_time_pacing_is_reported(scenario: Path, tmp_path: Path) -> None:
+def test_real_time_pacing_is_reported(scenario, tmp_path):
     options = ("--no-video", "--realtime", "--out", tmp_path / "run")
     done = forked("run", scenario, *options)
 
@@ -331,7 +327,7 @@ def test_real_time_pacing_is_reported(scenario: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "run/summary.json").read_text())["timing"]["wall_s"] > 0.1
 
 
-def test_without_opengl_the_rest_of_the_job_is_done(scenario: Path, tmp_path: Path) -> None:
+def test_without_opengl_the_rest_of_the_job_is_done(scenario, tmp_path):
     done = forked("run", scenario, "--out", tmp_path / "run", MUJOCO_GL="disable")
 
     assert done.returncode == 0
@@ -341,9 +337,7 @@ def test_without_opengl_the_rest_of_the_job_is_done(scenario: Path, tmp_path: Pa
     assert not list((tmp_path / "run").glob("*.mp4"))
 
 
-def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("the roof is on fire")
 
@@ -357,7 +351,7 @@ def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(
     assert "Traceback" in call("list", "--debug").stderr
 
 
-def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
+def test_an_export_is_exact(finished, tmp_path):
     file = tmp_path / "run.csv"
     assert call("export", finished, file).exit_code == 0
 
@@ -375,7 +369,7 @@ def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.fmu
-def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path: Path) -> None:
+def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path):
     given = ("--set", "controller.period=0.002", "--set", "mismatch.delay=0.002")
     result = forked("analyze", "push", *given, "--out", tmp_path / "new", COLUMNS="80")
 
@@ -388,7 +382,7 @@ def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path: Path) -> None:
     assert max(map(len, result.stdout.replace(str(tmp_path), "").splitlines())) <= 80
 
 
-def test_a_reader_that_goes_away_is_no_error() -> None:
+def test_a_reader_that_goes_away_is_no_error():
     program = " ".join(PROGRAM)
     command = f"set -o pipefail; {program} info | head -1; {program} list | true"
     done = subprocess.run(
@@ -399,9 +393,7 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert done.stderr == ""
 
 
-def test_progress_is_a_bar_in_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_a_bar_in_a_terminal(capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     with progress("Working") as update:
         update(1, 4)
@@ -411,7 +403,7 @@ def test_progress_is_a_bar_in_a_terminal(
     assert re.search("100%.*0:00:00", shown)
 
 
-def test_a_narrow_terminal_loses_nothing() -> None:
+def test_a_narrow_terminal_loses_nothing():
     """The terminal breaks long lines; rich would cut them off."""
     wide, narrow = (forked("list", COLUMNS=columns).stdout for columns in ("300", "20"))
     assert sorted(narrow.replace("─", "").split()) == sorted(wide.replace("─", "").split())

@@ -29,7 +29,7 @@ TOLERANCES = Tolerances(values=VALUES)
 
 
 @pytest.fixture
-def reference(tmp_path: Path) -> Reference:
+def reference(tmp_path):
     """Return a reference that was written and read."""
     run = record(tmp_path / "before", columns())
     Reference.of(run, SUMMARY, TOLERANCES).write(tmp_path / "reference.parquet", run)
@@ -40,7 +40,7 @@ Compare = Callable[..., Comparison]
 
 
 @pytest.fixture
-def compared(tmp_path: Path, reference: Reference) -> Compare:
+def compared(tmp_path, reference):
     """Return a function that records values and compares them with the reference."""
 
     def run(values: dict[str, Any], summary: Any = SUMMARY, **options: Any) -> Comparison:
@@ -57,7 +57,7 @@ def texts(comparison: Comparison) -> str:
     return "\n".join(comparison.problems)
 
 
-def test_the_same_run_is_as_its_reference_bit_for_bit_whoever_ran_it(compared: Compare) -> None:
+def test_the_same_run_is_as_its_reference_bit_for_bit_whoever_ran_it(compared):
     who = {"fmus": {"plant": {"guid": "{2}"}}, "parameters": {}, "versions": {"numpy": "2"}}
     comparison = compared(columns(), exact=True, metadata=who)
     assert comparison.ok, texts(comparison)
@@ -69,7 +69,7 @@ def test_the_same_run_is_as_its_reference_bit_for_bit_whoever_ran_it(compared: C
 
 
 @pytest.mark.parametrize(("share", "ok"), [(0.5, True), (0.9, True), (1.2, False), (40.0, False)])
-def test_a_value_may_differ_by_its_tolerance(compared: Compare, share: float, ok: bool) -> None:
+def test_a_value_may_differ_by_its_tolerance(compared, share, ok):
     values = columns()
     values["controller.dq[1]"][224] += share * DQ  # where it moves least
     comparison = compared(values)
@@ -86,9 +86,7 @@ def test_a_value_may_differ_by_its_tolerance(compared: Compare, share: float, ok
 
 
 @pytest.mark.parametrize(("ticks", "ok"), [(1, True), (2, False)])
-def test_an_event_may_move_by_the_tolerance_in_time(
-    compared: Compare, ticks: int, ok: bool
-) -> None:
+def test_an_event_may_move_by_the_tolerance_in_time(compared, ticks, ok):
     values = columns()
     values["plant.contact_force"] = np.roll(values["plant.contact_force"], ticks)
     values["plant.contact_force"][:ticks] = 0.0
@@ -98,8 +96,8 @@ def test_an_event_may_move_by_the_tolerance_in_time(
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0.0, 30.0), st.floats(0.5, 20.0), st.floats(1.0, 10.0), st.integers(0, 3))
 def test_a_match_within_narrow_tubes_is_one_within_wider_ones(
-    tmp_path_factory: pytest.TempPathFactory, off: float, scale: float, wider: float, ticks: int
-) -> None:
+    tmp_path_factory, off, scale, wider, ticks
+):
     folder = tmp_path_factory.mktemp("runs")
     reference = Reference.of(record(folder / "before", columns()), SUMMARY, TOLERANCES)
     values = columns()
@@ -115,15 +113,13 @@ def test_a_match_within_narrow_tubes_is_one_within_wider_ones(
     assert wide.worst.share <= narrow.worst.share
 
 
-def test_a_reference_too_coarse_for_the_tolerances_must_be_recorded_again(
-    compared: Compare,
-) -> None:
+def test_a_reference_too_coarse_for_the_tolerances_must_be_recorded_again(compared):
     assert compared(columns(), tolerances=Tolerances(scale=0.5, values=VALUES)).ok
     with pytest.raises(InputError, match=r"plant\.qpos\[1\]: .* rounded to 5e-07 rad"):
         compared(columns(), tolerances=Tolerances(values={**VALUES, "plant.qpos[1]": 5e-8}))
 
 
-def test_a_system_that_starts_later_matches_its_reference(tmp_path: Path) -> None:
+def test_a_system_that_starts_later_matches_its_reference(tmp_path):
     later = columns()
     later["time"] = later["time"] + 2.5
     run = record(tmp_path / "run", later, metadata={"start_time": 2.5})
@@ -136,7 +132,7 @@ def test_a_system_that_starts_later_matches_its_reference(tmp_path: Path) -> Non
     assert "the reference from 2.5 to" in problems[0]
 
 
-def test_a_comparison_of_no_signal_is_no_match(tmp_path: Path, reference: Reference) -> None:
+def test_a_comparison_of_no_signal_is_no_match(tmp_path, reference):
     run = record(tmp_path / "now", {"time": columns()["time"]})
     empty = replace(reference, quanta={}, units={"time": "s"})
     comparison = compare_with_reference(run, SUMMARY, empty, TOLERANCES)
@@ -145,7 +141,7 @@ def test_a_comparison_of_no_signal_is_no_match(tmp_path: Path, reference: Refere
         Reference.of(run, SUMMARY, TOLERANCES)
 
 
-def test_what_is_just_outside_its_tube_is_not_called_one_tolerance() -> None:
+def test_what_is_just_outside_its_tube_is_not_called_one_tolerance():
     assert [multiple(share) for share in (0.5, 1.0, 1.0004, 1.04)] == ["0.5", "1", "1.0004", "1.04"]
 
 
@@ -192,14 +188,14 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("fault", "expected"), FAULTS)
-def test_a_fault_is_reported_in_one_line(compared: Compare, fault: Change, expected: str) -> None:
+def test_a_fault_is_reported_in_one_line(compared, fault, expected):
     comparison = compared(fault(columns()))
     assert not comparison.ok
     assert expected in texts(comparison)
     assert all("\n" not in problem for problem in comparison.problems)
 
 
-def test_what_ended_early_or_has_another_unit_or_verdict_differs(compared: Compare) -> None:
+def test_what_ended_early_or_has_another_unit_or_verdict_differs(compared):
     stopped = compared(columns(), reason="stopped by SIGTERM")
     assert texts(stopped) == "ended early: stopped by SIGTERM"
     unit = compared(columns(), units={"plant.contact_force": "kN"})
@@ -209,7 +205,7 @@ def test_what_ended_early_or_has_another_unit_or_verdict_differs(compared: Compa
     )
 
 
-def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared: Compare) -> None:
+def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared):
     values = columns()
     values["plant.jac[1,1]"][5] = np.nextafter(values["plant.jac[1,1]"][5], 2.0)
     other = {"versions": {"numpy": "2"}, "platform": "y"}
@@ -225,9 +221,7 @@ def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared: Compar
     st.integers(0, 5),
     st.floats(1e-6, 2.0),
 )
-def test_a_tube_holds_its_signal_moved_within_both_tolerances(
-    values: list[float], ticks: int, tolerance: float
-) -> None:
+def test_a_tube_holds_its_signal_moved_within_both_tolerances(values, ticks, tolerance):
     signal = np.array(values)
     lower, upper = tube(signal, tolerance, ticks)
     for shift in range(-ticks, ticks + 1):
@@ -237,9 +231,7 @@ def test_a_tube_holds_its_signal_moved_within_both_tolerances(
     assert (upper <= signal.max() + tolerance).all()
 
 
-def test_a_reference_comes_back_as_it_was_and_is_small(
-    tmp_path: Path, reference: Reference
-) -> None:
+def test_a_reference_comes_back_as_it_was_and_is_small(tmp_path, reference):
     for name in reference.columns:
         tolerance, values = widths(reference, TOLERANCES)[name], reference.column(name)
         np.testing.assert_allclose(values, columns()[name], rtol=0.0, atol=0.051 * tolerance)
@@ -248,7 +240,7 @@ def test_a_reference_comes_back_as_it_was_and_is_small(
     assert (tmp_path / "reference.parquet").stat().st_size < 6000  # bytes
 
 
-def test_no_reference_is_made_of_a_bad_run(tmp_path: Path) -> None:
+def test_no_reference_is_made_of_a_bad_run(tmp_path):
     good = record(tmp_path / "good", columns())
     with pytest.raises(InputError, match="cannot become a reference: missed: tracking_rms"):
         Reference.of(good, NO_SUCCESS, TOLERANCES)
@@ -267,12 +259,12 @@ BAD_SECTIONS = [
 
 
 @pytest.mark.parametrize(("section", "expected"), BAD_SECTIONS)
-def test_a_bad_section_is_refused_with_what_is_valid(section: Any, expected: str) -> None:
+def test_a_bad_section_is_refused_with_what_is_valid(section, expected):
     with pytest.raises(InputError, match=expected):
         Tolerances.of(section)
 
 
-def test_a_tolerance_is_of_a_number_that_is_recorded() -> None:
+def test_a_tolerance_is_of_a_number_that_is_recorded():
     Tolerances(values={"a.temperature": 1.0, "a.q[2]": 1.0, "a.q": 1.0}).check_names(
         ("time", "a.temperature", "a.q[1]", "a.q[2]")
     )
@@ -282,7 +274,7 @@ def test_a_tolerance_is_of_a_number_that_is_recorded() -> None:
 
 
 @pytest.mark.parametrize("name", ["plant", "arm.inner"])
-def test_an_fmu_is_ours_by_its_signals_and_not_by_its_name(name: str, tmp_path: Path) -> None:
+def test_an_fmu_is_ours_by_its_signals_and_not_by_its_name(name, tmp_path):
     """All signals of PandaPlant in their units make a plant of ours; less do not."""
     units = {f"{name}.{signal}": next(iter(by_unit)) for signal, by_unit in OURS[2].items()}
     values = {"time": columns()["time"], **dict.fromkeys(units, 1e-3 * columns()["time"])}
@@ -294,7 +286,7 @@ def test_an_fmu_is_ours_by_its_signals_and_not_by_its_name(name: str, tmp_path: 
     assert widths(other, Tolerances())[f"{name}.hand_xpos"] == pytest.approx(1e-5 * 4e-4)
 
 
-def test_the_signals_of_our_own_fmus_are_those_of_their_interfaces() -> None:
+def test_the_signals_of_our_own_fmus_are_those_of_their_interfaces():
     for name, table in (("controller", {**OURS[0], **OURS[1]}), ("plant", OURS[2])):
         units = {
             f"{name}.{scalar.name}": scalar.unit

@@ -63,9 +63,7 @@ def against(folder: Path, before: Recording, now: Recording, *, exact: bool = Fa
 
 @settings(max_examples=60, deadline=None)
 @given(name=NAMES, signal=SIGNALS, kind=st.sampled_from(list(VALUES)), data=st.data())
-def test_each_door_notices_a_change_and_only_a_change(
-    tmp_path_factory: pytest.TempPathFactory, name: str, signal: str, kind: str, data: Any
-) -> None:
+def test_each_door_notices_a_change_and_only_a_change(tmp_path_factory, name, signal, kind, data):
     first, second = data.draw(st.tuples(VALUES[kind], VALUES[kind]))
     differ = first != second
     if kind in ("double", "float"):  # a Real may differ by its tolerance
@@ -93,7 +91,7 @@ def test_each_door_notices_a_change_and_only_a_change(
 
 
 @pytest.mark.parametrize("other", [-1.0, 0.0, 0.9])
-def test_a_tube_is_a_step_wide_however_short_the_step(tmp_path: Path, other: float) -> None:
+def test_a_tube_is_a_step_wide_however_short_the_step(tmp_path, other):
     wave = np.sin(2 * np.pi * 1000 * 1e-5 * np.arange(500))
     before = record(tmp_path / "a", "t.y", "double", list(wave), 1e-5)
     now = record(tmp_path / "b", "t.y", "double", list(other * wave), 1e-5)
@@ -105,9 +103,7 @@ def test_a_tube_is_a_step_wide_however_short_the_step(tmp_path: Path, other: flo
 
 
 @pytest.mark.parametrize(("kind", "pair"), [("double", (1.0, -1.0)), ("string", ("a", "b"))])
-def test_a_tube_in_which_a_constant_stays_is_said(
-    tmp_path: Path, kind: str, pair: tuple[Any, Any]
-) -> None:
+def test_a_tube_in_which_a_constant_stays_is_said(tmp_path, kind, pair):
     run = record(tmp_path / "a", "t.y", kind, list(pair) * 20)
     comparison = against(tmp_path, run, run)
     assert comparison.ok
@@ -121,15 +117,13 @@ def test_a_tube_in_which_a_constant_stays_is_said(
     [([293.0, 303.0], None, 1e-4), ([293.0, 293.0], None, 2.93e-7), ([1e5, 1e5], None, 1e-4),
      ([0.0, 0.0], None, 1e-12), ([0.0, 0.0], 1e5, 1e-4), ([0.0, 1e-6], None, 1e-11)],
 )  # fmt: skip
-def test_a_default_tolerance_is_of_the_signals_own_size(
-    tmp_path: Path, values: list[float], nominal: float | None, tolerance: float
-) -> None:
+def test_a_default_tolerance_is_of_the_signals_own_size(tmp_path, values, nominal, tolerance):
     run = record(tmp_path / "a", "plant.T", "double", values * 5, nominal=nominal)
     (deviation,) = against(tmp_path, run, run).deviations
     assert deviation.tolerance == pytest.approx(tolerance, rel=1e-5)
 
 
-def test_a_reference_of_another_type_or_without_texts_is_no_match(tmp_path: Path) -> None:
+def test_a_reference_of_another_type_or_without_texts_is_no_match(tmp_path):
     number = record(tmp_path / "a", "t.y", "double", [1.0, 2.0])
     text = record(tmp_path / "b", "t.y", "string", ["1.0", "2.0"])
     comparison = against(tmp_path, number, text)
@@ -139,9 +133,7 @@ def test_a_reference_of_another_type_or_without_texts_is_no_match(tmp_path: Path
 
 
 @pytest.mark.parametrize("kind", ["bool", "int32"])
-def test_what_is_no_real_is_held_between_steps_in_both_directions(
-    tmp_path: Path, kind: str
-) -> None:
+def test_what_is_no_real_is_held_between_steps_in_both_directions(tmp_path, kind):
     record(tmp_path / "fine", "t.n", kind, [0, 0, 0, 1, 1, 1, 1], 0.001)
     record(tmp_path / "coarse", "t.n", kind, [0, 0, 1, 1], 0.002)
     pairs = (("fine", "coarse"), ("coarse", "fine"))
@@ -149,7 +141,7 @@ def test_what_is_no_real_is_held_between_steps_in_both_directions(
     assert {(row.largest, row.times, row.share) for row in rows} == {((1.0,), (0.003,), 1.0)}
 
 
-def test_noise_in_a_force_ranks_below_a_hand_that_moves_elsewhere(tmp_path: Path) -> None:
+def test_noise_in_a_force_ranks_below_a_hand_that_moves_elsewhere(tmp_path):
     units = {f"plant.{signal}": next(iter(by_unit)) for signal, by_unit in OURS[2].items()}
     for name, noise, way in (("a", 0.0, 0.5), ("b", 0.002, 0.505)):
         values = {each: np.linspace(0.0, 0.1, 50) for each in units}
@@ -166,7 +158,7 @@ def test_noise_in_a_force_ranks_below_a_hand_that_moves_elsewhere(tmp_path: Path
     assert rows[1].multiple == pytest.approx(0.002)
 
 
-def test_a_window_at_steps_of_a_nanosecond_holds_its_rows_only(tmp_path: Path) -> None:
+def test_a_window_at_steps_of_a_nanosecond_holds_its_rows_only(tmp_path):
     recording = record(tmp_path / "a", "t.y", "double", list(np.arange(10.0)), 1e-9)
     criterion = SignalCriterion("t.y", "range", from_=2e-9, to=5e-9, below=3.0)
     (judged,) = judge_signals([criterion], recording, {})
@@ -176,7 +168,7 @@ def test_a_window_at_steps_of_a_nanosecond_holds_its_rows_only(tmp_path: Path) -
 
 
 @pytest.mark.fmu
-def test_check_names_an_event_for_which_nothing_is_recorded(tmp_path: Path) -> None:
+def test_check_names_an_event_for_which_nothing_is_recorded(tmp_path):
     odd_fmu(tmp_path / "own.fmu", [("y", "Real", "output", 100)])
     text = (
         '[fmus]\nt = "own.fmu"\n[[success.signal]]\nsignal = "t.y"\nreduce = "max"\nbelow = 9.0\n'
@@ -189,7 +181,7 @@ def test_check_names_an_event_for_which_nothing_is_recorded(tmp_path: Path) -> N
 
 
 @pytest.mark.fmu
-def test_a_run_says_that_a_push_comes_too_late(tmp_path: Path) -> None:
+def test_a_run_says_that_a_push_comes_too_late(tmp_path):
     assert command("new", tmp_path / "late", "--from", "push").returncode == 0
     quiet = ("--no-video", "--no-view", "--no-plot", "--out", tmp_path / "run")
     path = tmp_path / "late" / "scenario.toml"
@@ -203,9 +195,7 @@ def test_a_run_says_that_a_push_comes_too_late(tmp_path: Path) -> None:
     [("plant", "Real", (293.0, 294.0)), ("controller", "Integer", (3, 4)),
      ("sensors", "Boolean", ("false", "true"))],
 )  # fmt: skip
-def test_an_fmu_of_ones_own_is_compared_whatever_its_name(
-    tmp_path: Path, name: str, kind: str, values: tuple[object, object]
-) -> None:
+def test_an_fmu_of_ones_own_is_compared_whatever_its_name(tmp_path, name, kind, values):
     folder = tmp_path / "suite" / "mine"
     folder.mkdir(parents=True)
     odd_fmu(folder / "own.fmu", [("u", kind, "input", 0), ("y", kind, "output", 100)])

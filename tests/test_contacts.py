@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -54,7 +53,7 @@ def said(summary: Summary) -> str:
     return "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
 
 
-def test_a_block_that_stands_is_carried_by_its_weight_and_touched_by_nothing_else() -> None:
+def test_a_block_that_stands_is_carried_by_its_weight_and_touched_by_nothing_else():
     for place in ((0.4, -0.2), (0.65, 0.3)):  # on the floor, on the table
         plant = Plant(PlantParameters(block_pos=place, block_mass=0.5))
         assert plant.outputs["support_force"] == 0.0, "nothing before the first step"
@@ -63,7 +62,7 @@ def test_a_block_that_stands_is_carried_by_its_weight_and_touched_by_nothing_els
         assert plant.outputs["unwanted_contact_force"] == 0.0
 
 
-def test_a_block_that_is_pushed_against_a_side_is_an_unwanted_contact() -> None:
+def test_a_block_that_is_pushed_against_a_side_is_an_unwanted_contact():
     plant = Plant(PlantParameters(block_pos=(0.6, 0.06), block_friction=0.01))
     plant.step(200)
     plant.inputs["block_force"] = 0.0, 5.0, 0.0
@@ -76,7 +75,7 @@ def test_a_block_that_is_pushed_against_a_side_is_an_unwanted_contact() -> None:
 @pytest.mark.parametrize(
     ("turn", "kind"), [(0.0, SUPPORT), (44.0, SUPPORT), (46.0, UNWANTED), (90.0, UNWANTED)]
 )
-def test_45_deg_from_vertical_parts_what_carries_from_what_pushes(turn: float, kind: int) -> None:
+def test_45_deg_from_vertical_parts_what_carries_from_what_pushes(turn, kind):
     """The floor tilts, and the block with it."""
     model = load_scene(PlantParameters())
     half = np.radians(turn) / 2
@@ -116,9 +115,7 @@ def own_pairs(run: Course) -> dict[tuple[str, str], list[int]]:
     ("plant", "pair", "from_s"),
     [(STRUCK, ["left_finger", "table"], 0.916), (EDGED, ["block", "table"], 3.457)],
 )
-def test_contacts_are_named_with_bodies_time_and_force(
-    plant: dict[str, Any], pair: list[str], from_s: float
-) -> None:
+def test_contacts_are_named_with_bodies_time_and_force(plant, pair, from_s):
     run = course(**plant)
     told = unwanted_contacts(run)
     force, expected = run["plant.unwanted_contact_force"], own_pairs(run)
@@ -134,7 +131,7 @@ def test_contacts_are_named_with_bodies_time_and_force(
 
 
 @pytest.mark.parametrize("plant", [STRUCK, EDGED])
-def test_the_native_plant_sums_the_same_bits(plant: dict[str, Any], tmp_path: Path) -> None:
+def test_the_native_plant_sums_the_same_bits(plant, tmp_path):
     run = run_scenario(replace(shortened(), plant=plant), tmp_path / "run")
     for name in ("unwanted_contact_force", "support_force"):
         recorded = run.recording[f"plant.{name}"]
@@ -142,7 +139,7 @@ def test_the_native_plant_sums_the_same_bits(plant: dict[str, Any], tmp_path: Pa
 
 
 @pytest.mark.parametrize("plant", [STRUCK, EDGED])
-def test_a_contact_is_missed_and_named_before_any_other_advice(plant: dict[str, Any]) -> None:
+def test_a_contact_is_missed_and_named_before_any_other_advice(plant):
     summary = summarize(course(**plant), shortened())
     assert [c.name for c in summary.criteria if not c.ok] == ["max_unwanted_force"]
     lines = said(summary)
@@ -154,7 +151,7 @@ def test_a_contact_is_missed_and_named_before_any_other_advice(plant: dict[str, 
     assert lines.index("Unwanted contacts: ") < lines.index("Beyond the robot's limits")
 
 
-def test_a_wall_of_ones_own_is_named_where_the_block_strikes_it(tmp_path: Path) -> None:
+def test_a_wall_of_ones_own_is_named_where_the_block_strikes_it(tmp_path):
     scenario = replace(load_scenario("pick_and_place"), duration=4.0)
     write_scenario(scenario, tmp_path / "walled")
     (tmp_path / "walled" / "wall.xml").write_text(WALL)

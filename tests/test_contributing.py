@@ -57,7 +57,7 @@ def copy_of_project(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def changed(tmp_path_factory):
     """A copy of the project with the output of the example."""
     root = copy_of_project(tmp_path_factory.mktemp("changed"))
     (diff,) = re.findall(r"^```diff\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
@@ -94,8 +94,8 @@ BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody>
 
 @pytest.mark.fmu
 def test_an_output_of_the_plant_is_added_in_two_places_and_a_line_of_the_description_in_one(
-    changed: Path, tmp_path: Path
-) -> None:
+    changed, tmp_path
+):
     (tmp_path / "scenario.toml").write_text(SCENARIO)
     (tmp_path / "trajectory.csv").write_text(TABLE)
     model = tmp_path / "ball.xml"
@@ -161,7 +161,7 @@ EDITS = {
 
 
 @pytest.mark.fmu
-def test_a_changed_line_of_python_acts_and_is_named(tmp_path: Path) -> None:
+def test_a_changed_line_of_python_acts_and_is_named(tmp_path):
     root = copy_of_project(tmp_path)
     scenario = tmp_path / "scenario"
     scenario.mkdir()
@@ -203,7 +203,7 @@ def test_a_changed_line_of_python_acts_and_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.fmu
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_a_stamp_is_only_renewed_if_c_and_python_are_equal(tmp_path: Path) -> None:
+def test_a_stamp_is_only_renewed_if_c_and_python_are_equal(tmp_path):
     root = copy_of_project(tmp_path)
     stamp, law = root / "fmus" / "twins.json", root / "controller" / "pid.py"
     before = stamp.read_bytes()
@@ -219,7 +219,7 @@ def test_a_stamp_is_only_renewed_if_c_and_python_are_equal(tmp_path: Path) -> No
     assert stamp.read_bytes() != before
 
 
-def test_every_path_exists() -> None:
+def test_every_path_exists():
     spans = re.findall(r"`([^`\n]+)`", TEXT)
     paths = {span for span in spans if re.fullmatch(r"\.?[a-z]\w*/[\w./]*", span)}
     paths -= {"src/panda_cosim/cli/commands/NAME.py"}
@@ -229,7 +229,7 @@ def test_every_path_exists() -> None:
 
 @pytest.mark.fmu
 @pytest.mark.long
-def test_a_changed_result_is_bisected(tmp_path: Path) -> None:
+def test_a_changed_result_is_bisected(tmp_path):
     """The commits of a repository change a law; the scenario and its reference stand outside."""
     repository, scenario = tmp_path / "repository", tmp_path / "push"
     make_scenario(repository / "law", ["law"])

@@ -27,7 +27,7 @@ def run(name: str) -> Done:
     return run_in_memory(load_scenario(name))
 
 
-def test_pick_and_place_is_as_accurate_as_the_robot() -> None:
+def test_pick_and_place_is_as_accurate_as_the_robot():
     metrics = run("pick_and_place").summary
     assert metrics.success, metrics.criteria
     assert metrics.tracking["moving_rms_mm"] <= 0.03
@@ -40,14 +40,14 @@ def test_pick_and_place_is_as_accurate_as_the_robot() -> None:
     assert metrics.timing["cycle_s"] <= 6.5
 
 
-def test_pick_and_place_keeps_every_limit_with_a_margin() -> None:
+def test_pick_and_place_keeps_every_limit_with_a_margin():
     limits = run("pick_and_place").summary.limits
     assert not limits["not_measured"]
     near = {name for name, shares in limits.items() if shares and max(shares) > SHARE}
     assert not near
 
 
-def test_the_tutorial_is_as_it_was_published() -> None:
+def test_the_tutorial_is_as_it_was_published():
     signals = run("tutorial").signals
     error = 1e3 * tracking_error(signals)
     assert np.sqrt(np.mean(error**2)) == pytest.approx(30.2, abs=0.5)  # mm
@@ -102,7 +102,7 @@ def near_singular() -> Signals:
 
 
 @pytest.mark.parametrize("run", [beyond_reach, near_singular])
-def test_a_command_that_cannot_be_followed_is_met_calmly(run: object) -> None:
+def test_a_command_that_cannot_be_followed_is_met_calmly(run):
     result = run()  # type: ignore[operator]
     check_calm(result)
     assert result["controller.singular"].any()
@@ -112,7 +112,7 @@ def test_a_command_that_cannot_be_followed_is_met_calmly(run: object) -> None:
     assert np.abs(result["plant.qpos"][-1, 3] - result["plant.qpos"][0, 3]) <= 0.05
 
 
-def test_beyond_reach_the_arm_waits_stretched() -> None:
+def test_beyond_reach_the_arm_waits_stretched():
     run = beyond_reach()
     waiting = slice(1800, 2000)
     assert np.abs(run["plant.qvel"][waiting, :7]).max() <= 0.2  # rad/s
@@ -120,7 +120,7 @@ def test_beyond_reach_the_arm_waits_stretched() -> None:
     assert np.abs(run["controller.dq"]).max() <= 0.05  # rad: the reference waits, too
 
 
-def test_too_fast_a_command_says_which_limit_binds() -> None:
+def test_too_fast_a_command_says_which_limit_binds():
     run = moved((0, "home", (0, 0, 0)), (0.35, "home", (-0.1, -0.25, 0.0)))
     check_calm(run)
     bound = np.unique(run["controller.limit"])
@@ -129,7 +129,7 @@ def test_too_fast_a_command_says_which_limit_binds() -> None:
     assert tracking_error(run)[-1] <= 1e-4
 
 
-def test_a_push_is_withstood_and_leaves_nothing_behind() -> None:
+def test_a_push_is_withstood_and_leaves_nothing_behind():
     plant, controller = started()
     home = plant.outputs["hand_xpos"].copy()
     moved = []
@@ -148,7 +148,7 @@ def test_a_push_is_withstood_and_leaves_nothing_behind() -> None:
 
 
 @pytest.mark.parametrize("count", [3, pytest.param(300, marks=pytest.mark.long)])
-def test_other_blocks_are_placed_as_well(count: int) -> None:
+def test_other_blocks_are_placed_as_well(count):
     for task in random_tasks(count):
         metrics = run_in_memory(load_scenario("pick_and_place").changed(task)).summary
         assert metrics.success, (task, metrics.criteria)

@@ -10,7 +10,7 @@ from control_support import started
 from law_support import replay
 from panda_cosim.assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
 from panda_cosim.controller.controller import Controller
-from panda_cosim.controller.gains import Gains, preset
+from panda_cosim.controller.gains import preset
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.signals import OUTPUTS
 from panda_cosim.task.rotations import exp, multiply
@@ -52,7 +52,7 @@ ALL_GAINS = [
 
 
 @pytest.mark.parametrize("name", ["default", "tutorial"])
-def test_at_rest_without_an_error_the_arm_stays(name: str) -> None:
+def test_at_rest_without_an_error_the_arm_stays(name):
     _, controller = started(preset(name))
     controller.update()
     ctrl, gains = controller.outputs["ctrl"], controller.gains
@@ -68,7 +68,7 @@ def test_at_rest_without_an_error_the_arm_stays(name: str) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), has_pid=st.booleans(), gentle=st.booleans())
-def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool, gentle: bool) -> None:
+def test_the_law_is_the_one_that_is_written_down(seed, has_pid, gentle):
     """Far from limits and singularities, at the third update, in plain formulas.
 
     Moves are so gentle that no limit can bind in the next millisecond, or there are no limits.
@@ -140,7 +140,7 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool, gentl
 
 @pytest.mark.parametrize("gains", ALL_GAINS)
 @pytest.mark.parametrize("instant", [0, 1, 150, 399])
-def test_a_restored_state_replays_bit_for_bit(gains: Gains, instant: int) -> None:
+def test_a_restored_state_replays_bit_for_bit(gains, instant):
     original = Controller(gains)
     replay(original, INPUT_ROWS[:instant])
     state = original.get_state()
@@ -155,7 +155,7 @@ def test_a_restored_state_replays_bit_for_bit(gains: Gains, instant: int) -> Non
 
 
 @pytest.mark.parametrize("gains", ALL_GAINS)
-def test_a_reset_controller_is_a_new_one(gains: Gains) -> None:
+def test_a_reset_controller_is_a_new_one(gains):
     controller = Controller(gains)
     first = replay(controller, INPUT_ROWS)
     controller.reset()
@@ -164,7 +164,7 @@ def test_a_reset_controller_is_a_new_one(gains: Gains) -> None:
 
 
 @pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
-def test_the_reference_covers_the_commanded_way_at_any_period(period: float) -> None:
+def test_the_reference_covers_the_commanded_way_at_any_period(period):
     """A command that speeds up evenly is followed as far as it went, with no feedback."""
     _, controller = started(preset("default", ik_gain=0.0, reference_lead=1.0), period)
     jac = controller.inputs["jac"]
@@ -179,7 +179,7 @@ def test_the_reference_covers_the_commanded_way_at_any_period(period: float) -> 
     assert np.abs(moved[1:]).max() <= 1e-9 * way
 
 
-def test_the_reference_of_an_arm_that_is_held_fast_waits() -> None:
+def test_the_reference_of_an_arm_that_is_held_fast_waits():
     """It does not wind up, and comes back as soon as the command does."""
     plant, controller = started()
     home, lead = plant.outputs["hand_xpos"].copy(), controller.gains.reference_lead
@@ -194,7 +194,7 @@ def test_the_reference_of_an_arm_that_is_held_fast_waits() -> None:
     assert controller.outputs["limit"].max() <= 3.0
 
 
-def test_the_finger_speed_is_kept_and_an_unlimited_one_is_not() -> None:
+def test_the_finger_speed_is_kept_and_an_unlimited_one_is_not():
     for speed, ticks in ((0.047, 10), (0.0, 10)):
         _, controller = started(preset("default", finger_speed=speed))
         controller.update()
@@ -206,7 +206,7 @@ def test_the_finger_speed_is_kept_and_an_unlimited_one_is_not() -> None:
 
 
 @pytest.mark.parametrize("names", [("default", "tutorial"), ("tutorial", "default")])
-def test_a_law_begins_as_if_there_had_been_no_other(names: tuple[str, str]) -> None:
+def test_a_law_begins_as_if_there_had_been_no_other(names):
     """Switching the law resets its outputs and its PIDs."""
     tuned = {name: preset(name, ki=(1.0,) * 7, kd=(0.01,) * 7, limit_share=0.05) for name in names}
     controller, fresh = Controller(tuned[names[0]]), Controller(tuned[names[1]])
@@ -219,7 +219,7 @@ def test_a_law_begins_as_if_there_had_been_no_other(names: tuple[str, str]) -> N
 
 
 @pytest.mark.parametrize("names", [("default", "tutorial"), ("tutorial", "default")])
-def test_a_state_between_two_laws_replays_bit_for_bit(names: tuple[str, str]) -> None:
+def test_a_state_between_two_laws_replays_bit_for_bit(names):
     controller, other = Controller(preset(names[0])), Controller(preset(names[1]))
     replay(controller, INPUT_ROWS[:300])
     state = controller.get_state()
@@ -230,7 +230,7 @@ def test_a_state_between_two_laws_replays_bit_for_bit(names: tuple[str, str]) ->
         assert np.array_equal(replay(again, INPUT_ROWS[300:330]), expected)
 
 
-def test_a_jacobian_beyond_all_bounds_leaves_nothing_behind() -> None:
+def test_a_jacobian_beyond_all_bounds_leaves_nothing_behind():
     """The search for singularities starts afresh after numbers that overflow."""
     controller, fresh = Controller(), Controller()
     rows = INPUT_ROWS[:50].copy()
@@ -248,7 +248,7 @@ def test_a_jacobian_beyond_all_bounds_leaves_nothing_behind() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-def test_any_command_leaves_finite_outputs_within_the_joints_ranges(scale: float) -> None:
+def test_any_command_leaves_finite_outputs_within_the_joints_ranges(scale):
     rng = np.random.default_rng(3)
     _, controller = started()
     controller.update()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from dataclasses import fields, replace
 from math import inf
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ PLAIN_FIELDS = [f.name for f in fields(Gains) if f.name in RANGES]
 
 
 @pytest.fixture(scope="session")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def library(tmp_path_factory):
     return compile_law(tmp_path_factory.mktemp("law"))
 
 
@@ -63,7 +62,7 @@ def with_other_gains() -> list[str]:
 
 
 @pytest.mark.parametrize("name", with_other_gains())
-def test_the_gains_of_every_scenario_have_the_same_bits(library: Path, name: str) -> None:
+def test_the_gains_of_every_scenario_have_the_same_bits(library, name):
     scenario = load_scenario(name)
     gains = grouped(CONTROLLER, start_values(scenario)["controller"])
     period = gains.pop("period")
@@ -110,7 +109,7 @@ def random_inputs(rng: np.random.Generator, size: float) -> Array:
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.0, 1e-5, 1e-3, 0.1, 10.0]))
-def test_random_gains_and_inputs_have_the_same_bits(library: Path, seed: int, size: float) -> None:
+def test_random_gains_and_inputs_have_the_same_bits(library, seed, size):
     """Where limits bind, near singularities, and beyond what any robot does."""
     rng = np.random.default_rng(seed)
     gains, rows = random_gains(rng), random_inputs(rng, size)
@@ -124,7 +123,7 @@ def test_random_gains_and_inputs_have_the_same_bits(library: Path, seed: int, si
     check_same(replay(law, rows[::-1]), replay(python, rows[::-1]))
 
 
-def test_the_robots_limits_are_those_of_the_assets(library: Path) -> None:
+def test_the_robots_limits_are_those_of_the_assets(library):
     law, expected = ctypes.CDLL(str(library)), []
     anywhere = {"low": [-inf] * 7, "high": [inf] * 7, "braking": [1.0] * 7, "offset": [0.0] * 7}
     for name, robot in franka.ROBOTS.items():

@@ -1,7 +1,5 @@
 """The co-simulation over real FMUs is the plain loop of the same objects, bit for bit."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest
@@ -20,9 +18,7 @@ pytestmark = pytest.mark.fmu
         ("tutorial", "jacobi", 600),
     ],
 )
-def test_the_run_over_fmus_equals_the_plain_loop_bit_for_bit(
-    scenario: str, coupling: str, steps: int
-) -> None:
+def test_the_run_over_fmus_equals_the_plain_loop_bit_for_bit(scenario, coupling, steps):
     result = in_process(cosim_jobs.compare, scenario, coupling, steps)
     assert result["columns"], "every output and command is recorded once"
     assert result["differing"] == []
@@ -32,12 +28,12 @@ def test_the_run_over_fmus_equals_the_plain_loop_bit_for_bit(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no resource module")
-def test_memory_does_not_grow_with_the_length_of_a_run() -> None:
+def test_memory_does_not_grow_with_the_length_of_a_run():
     short, longer = in_process(cosim_jobs.memory_of_runs, [2_000, 20_000])
     assert longer - short <= 5.0  # [MB]
 
 
-def test_the_bench_compares_ways_that_do_the_same() -> None:
+def test_the_bench_compares_ways_that_do_the_same():
     """It raises where they end elsewhere; its numbers are no matter of a test's machine."""
     result = in_process(cosim_jobs.short_bench)
     numbers = result["json"]

@@ -31,9 +31,7 @@ DEFINITIONS = st.dictionaries(st.sampled_from(["a", "b"]), DEFINED)
 
 
 @given(source=NAMES, sources=DEFINITIONS, target=NAMES, targets=DEFINITIONS)
-def test_definitions_decide_not_names(
-    source: str, sources: dict[str, Unit], target: str, targets: dict[str, Unit]
-) -> None:
+def test_definitions_decide_not_names(source, sources, target, targets):
     scale = conversion(source, sources, target, targets)
     one, other = sources.get(source), targets.get(target)
     if one and other:
@@ -94,14 +92,7 @@ TON, SHORT_TON, METRE = 'kg="1" factor="1000"', 'kg="1" factor="907.18474"', 'm=
         (("", None), ("t", TON), 1.0, "hint b: only one side has a unit, so values are taken as"),
     ],
 )  # fmt: skip
-def test_values_are_converted_or_the_user_is_told(
-    tmp_path: Path,
-    fmi: int,
-    one: tuple[str, str | None],
-    other: tuple[str, str | None],
-    factor: float,
-    told: str,
-) -> None:
+def test_values_are_converted_or_the_user_is_told(tmp_path, fmi, one, other, factor, told):
     in_unit(tmp_path / "a.fmu", fmi, *one)
     in_unit(tmp_path / "b.fmu", 5 - fmi, *other)
     checked = said(system(tmp_path, "a.y[1,1]"))
@@ -118,9 +109,7 @@ def test_values_are_converted_or_the_user_is_told(
 @pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_what_cannot_be_converted_is_refused_unless_it_is_asked_for(
-    tmp_path: Path, fmi: int
-) -> None:
+def test_what_cannot_be_converted_is_refused_unless_it_is_asked_for(tmp_path, fmi):
     in_unit(tmp_path / "a.fmu", fmi, "t", TON)
     in_unit(tmp_path / "b.fmu", 5 - fmi, "t", METRE)
     refused = said(system(tmp_path, "a.y[1,1]"))
@@ -144,8 +133,8 @@ def enumeration(items: dict[str, int]) -> Variable:
 
 @given(one=ITEMS, other=ITEMS)
 def test_an_enumeration_feeds_one_that_has_its_numbers_and_gives_them_no_other_name_of_its_own(
-    one: dict[str, int], other: dict[str, int]
-) -> None:
+    one, other
+):
     source, target = enumeration(one), enumeration(other)
     ours = dict(zip(source.choices, source.numbers, strict=True))
     theirs = dict(zip(target.choices, target.numbers, strict=True))
@@ -169,7 +158,7 @@ ENUMERATED = (
 @needs_compiler
 @pytest.mark.fmu
 @pytest.mark.own_process
-def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path: Path) -> None:
+def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path):
     """The integer counts from its parameter on: -1, 0, 1."""
     odd_fmu(tmp_path / "a.fmu", [("n", "Integer", "parameter", 0), ("y", "Integer", "output", 100)])
     with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
@@ -191,7 +180,7 @@ def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path
 @pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("start", [-2.6, -2.5, -2.4, 0.0])
-def test_numbers_become_integers_and_booleans_by_one_rule(tmp_path: Path, start: float) -> None:
+def test_numbers_become_integers_and_booleans_by_one_rule(tmp_path, start):
     odd_fmu(tmp_path / "a.fmu", [("p", "Real", "parameter", 0), ("y", "Real", "output", 100)])
     taking = [("i", "Integer", "input", 0), ("b", "Boolean", "input", 1)]
     odd_fmu(tmp_path / "b.fmu", [
@@ -209,7 +198,7 @@ def test_numbers_become_integers_and_booleans_by_one_rule(tmp_path: Path, start:
 
 @needs_compiler
 @pytest.mark.fmu
-def test_an_unknown_unit_in_a_parameter_set_is_told_and_refuses_nothing(tmp_path: Path) -> None:
+def test_an_unknown_unit_in_a_parameter_set_is_told_and_refuses_nothing(tmp_path):
     toy = toy_fmu(tmp_path / "toy.fmu", 2)
     values = '<ssv:Parameter name="u[1,1]"><ssv:Real value="0.5" unit="[N]"/></ssv:Parameter>'
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": toy}, {"c": ["y[1,1]"]}, {"c": values})

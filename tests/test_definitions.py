@@ -217,7 +217,7 @@ def limits_again(run: Recording) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module", params=SHIPPED)
-def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(request, tmp_path_factory):
     """Folder of a run of a shipped scenario."""
     out = tmp_path_factory.mktemp("runs") / request.param
     done = command("run", request.param, "--no-video", "--no-view", "--out", out)
@@ -238,7 +238,7 @@ def told(summary: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         yield f"block.holds.{name}", [hold[name] for hold in holds]
 
 
-def test_each_number_is_what_its_definition_says(run: Path) -> None:
+def test_each_number_is_what_its_definition_says(run):
     summary = dict(told(json.loads((run / "summary.json").read_text())))
     recording, scenario = Recording.open(run), Scenario.read(run / "scenario")
     again = measured_again(recording, scenario.success.block_position)
@@ -264,7 +264,7 @@ WORDS = {*RUN, "block.holds", "contact.unwanted", "limits.not_measured", "prefli
          "preflight.late"}  # fmt: skip
 
 
-def test_no_number_is_wrong_for_want_of_a_signal(run: Path) -> None:
+def test_no_number_is_wrong_for_want_of_a_signal(run):
     """Without a signal that its definition names it has no value, without another the same."""
     robot = "fer" if run.name == "pick_and_place" else ""  # which takes a second
     scenario = replace(Scenario.read(run / "scenario"), preflight=robot)
@@ -284,7 +284,7 @@ def listed(value: Any) -> list[float]:
     return [math.nan if each is None else float(each) for each in np.ravel(value).tolist()]
 
 
-def test_each_number_is_defined_and_each_criterion_judges_the_one_that_it_names(run: Path) -> None:
+def test_each_number_is_defined_and_each_criterion_judges_the_one_that_it_names(run):
     summary = json.loads((run / "summary.json").read_text())
     numbers = dict(told(summary))
     assert numbers.keys() <= DEFINITIONS.keys()
@@ -297,7 +297,7 @@ def test_each_number_is_defined_and_each_criterion_judges_the_one_that_it_names(
             assert criterion["unit"] == definition.unit
 
 
-def test_every_definition_is_of_a_number_event_or_criterion(tmp_path: Path) -> None:
+def test_every_definition_is_of_a_number_event_or_criterion(tmp_path):
     out = tmp_path / "run"
     short = ("--set", "duration=2.5", "--no-video", "--no-view", "--realtime")
     short = (*short, "--set", "preflight=fer")
@@ -323,7 +323,7 @@ def test_every_definition_is_of_a_number_event_or_criterion(tmp_path: Path) -> N
     ),
     st.sampled_from([0.001, 0.0005, 0.01]),
 )
-def test_holds_are_those_found_row_by_row(runs: list[tuple[int, float]], step: float) -> None:
+def test_holds_are_those_found_row_by_row(runs, step):
     force = np.array([value for count, value in runs for _ in range(count)])
     time = step * np.arange(len(force))
     recording = FakeRecording(

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.fmu
 
 
 @pytest.fixture(scope="module")
-def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scenario(tmp_path_factory):
     """A short run in which the hand moves, is pushed, and numbers need all their digits."""
     build()
     push = "[[push]]\nstart = 0.1\nduration = 0.05\nforce = [7.7, -3.3, 1.1]\n"
@@ -25,7 +25,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def expected(scenario: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+def expected(scenario, tmp_path_factory):
     return run(scenario, tmp_path_factory.mktemp("first") / "run")
 
 
@@ -73,13 +73,11 @@ SETTINGS: dict[str, dict[str, object]] = {
 
 
 @pytest.mark.parametrize("kind", SETTINGS)
-def test_the_environment_changes_no_bit(
-    tmp_path: Path, scenario: Path, expected: str, kind: str
-) -> None:
+def test_the_environment_changes_no_bit(tmp_path, scenario, expected, kind):
     assert run(scenario, tmp_path / "run", **SETTINGS[kind]) == expected
 
 
-def test_runs_at_the_same_time_change_no_bit(tmp_path: Path, scenario: Path, expected: str) -> None:
+def test_runs_at_the_same_time_change_no_bit(tmp_path, scenario, expected):
     processes = [
         subprocess.Popen(
             run_command(scenario, tmp_path / f"{i}", realtime=float(i)), stdout=subprocess.DEVNULL

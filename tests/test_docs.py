@@ -132,17 +132,17 @@ def number(word: str) -> float | None:
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if any(map(is_run, blocks(page)))], ids=lambda page: page.stem
 )
-def test_a_page_runs_as_it_is_written(page: Path, tmp_path: Path) -> None:
+def test_a_page_runs_as_it_is_written(page, tmp_path):
     walk(page, tmp_path)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_each_block_is_run_or_says_why_not(page: Path) -> None:
+def test_each_block_is_run_or_says_why_not(page):
     assert page.read_text(encoding="utf-8").count("\n```") == 2 * len(blocks(page))
     assert all(is_run(it) or it.file or it.why or it.kind == "text" for it in blocks(page))
 
 
-def test_there_are_six_tutorials_with_commands() -> None:
+def test_there_are_six_tutorials_with_commands():
     assert len(TUTORIALS) == 6
     assert all(any(map(is_run, blocks(page))) for page in TUTORIALS)
 
@@ -160,7 +160,7 @@ def commands(page: Path) -> Iterator[list[str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_written_command_and_option_exists(page: Path) -> None:
+def test_every_written_command_and_option_exists(page):
     for name, *words in filter(None, commands(page)):
         if name.startswith("-") or name == "COMMAND":
             continue
@@ -171,20 +171,20 @@ def test_every_written_command_and_option_exists(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.stem)
-def test_a_page_says_for_whom_it_is_and_is_short(page: Path) -> None:
+def test_a_page_says_for_whom_it_is_and_is_short(page):
     lines = page.read_text(encoding="utf-8").splitlines()
     assert len(lines) <= MOST_LINES
     title = next(number for number, line in enumerate(lines) if line.startswith("# "))
     assert lines[title + 2].startswith("For ")
 
 
-def test_every_page_is_in_the_menu() -> None:
+def test_every_page_is_in_the_menu():
     menu = (ROOT / "zensical.toml").read_text(encoding="utf-8")
     pages = {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")}
     assert pages == set(re.findall(r'"([\w/-]+\.md)"', menu))
 
 
-def test_the_site_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_site_is_checked(tmp_path, monkeypatch):
     pytest.importorskip("html5lib", reason="needs the extra docs")
     monkeypatch.syspath_prepend(ROOT / ".ci")
     check = runpy.run_path(str(ROOT / ".ci" / "build_site.py"))["check"]
@@ -204,7 +204,7 @@ def test_the_site_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         assert any(message in problem for problem in check(tmp_path)), fault
 
 
-def test_a_page_of_the_gallery_has_a_title() -> None:
+def test_a_page_of_the_gallery_has_a_title():
     report = runpy.run_path(str(ROOT / ".ci" / "gallery.py"))["REPORT"]
     page = report.render(title="T", text="For all", paths=["a.html"], lines=["panda-cosim run"])
     assert page.startswith("---\nhide: [toc]\n---\n\n# T\n\nFor all\n")

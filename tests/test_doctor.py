@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
-from pathlib import Path
 
 import pytest
 
@@ -21,12 +20,12 @@ def look(what: str) -> Finding:
 
 
 @pytest.fixture(autouse=True)
-def _no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_drawing(monkeypatch):
     """Trying OpenGL takes a second; the message has tests of its own."""
     monkeypatch.setenv("MUJOCO_GL", "disable")
 
 
-def test_here_the_main_job_can_be_done_and_all_that_is_missing_has_a_remedy() -> None:
+def test_here_the_main_job_can_be_done_and_all_that_is_missing_has_a_remedy():
     findings = examine()
     assert not [finding for finding in findings if finding.state == "needed"]
     assert all(finding.remedy for finding in findings if finding.state != "ok")
@@ -34,8 +33,8 @@ def test_here_the_main_job_can_be_done_and_all_that_is_missing_has_a_remedy() ->
 
 @pytest.mark.parametrize(("package", "state"), [("mujoco", "needed"), ("pillow", "optional")])
 def test_a_package_that_is_missing_is_named_with_the_command_that_gets_it(
-    package: str, state: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    package, state, monkeypatch
+):
     def no_version(name: str) -> str:
         if name == package:
             raise PackageNotFoundError(name)
@@ -47,9 +46,7 @@ def test_a_package_that_is_missing_is_named_with_the_command_that_gets_it(
     assert finding.remedy.startswith(f"pip install '{package}>=")
 
 
-def test_without_libraries_and_compiler_it_says_how_to_get_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_libraries_and_compiler_it_says_how_to_get_one(monkeypatch):
     monkeypatch.setattr(doctor, "is_prebuilt", lambda *_: False)
     assert look("libraries of the FMUs").state == "ok"
     monkeypatch.setattr(doctor, "can_compile", lambda _: False)
@@ -58,9 +55,7 @@ def test_without_libraries_and_compiler_it_says_how_to_get_one(
     assert "panda-cosim[cross]" in finding.remedy
 
 
-def test_a_cache_that_cannot_be_written_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_that_cannot_be_written_is_reported(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "file" / "cache"))
     finding = look("FMU cache")
@@ -76,7 +71,7 @@ main()
 """
 
 
-def test_it_starts_and_reports_where_numpy_cannot_be_imported() -> None:
+def test_it_starts_and_reports_where_numpy_cannot_be_imported():
     command = [sys.executable, "-c", WITHOUT_NUMPY, "doctor", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     needed = [f["what"] for f in json.loads(done.stdout)["findings"] if f["state"] == "needed"]

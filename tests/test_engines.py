@@ -78,7 +78,7 @@ library.mj_saveModel(model, sys.argv[3].encode(), None, 0)
 
 
 @pytest.fixture(scope="module")
-def engine() -> Path:
+def engine():
     """Return the folder of another version of MuJoCo."""
     try:
         made_with(ENGINE, bytes)
@@ -88,7 +88,7 @@ def engine() -> Path:
 
 
 @pytest.fixture
-def arm(tmp_path: Path) -> Path:
+def arm(tmp_path):
     """Return the folder of a scenario of a model that is not ours."""
     folder = tmp_path / "suite" / "arm"
     folder.mkdir(parents=True)
@@ -114,9 +114,7 @@ def qpos(run: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["push", "arm"])
-def test_check_and_info_download_no_engine_and_say_so(
-    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_check_and_info_download_no_engine_and_say_so(arm, tmp_path, monkeypatch, name):
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     folder = arm if name == "arm" else tmp_path / "mine"
@@ -138,9 +136,7 @@ def test_check_and_info_download_no_engine_and_say_so(
 # FMUs.
 
 
-def test_an_fmu_holds_the_engine_and_what_it_compiles(
-    engine: Path, arm: Path, tmp_path: Path
-) -> None:
+def test_an_fmu_holds_the_engine_and_what_it_compiles(engine, arm, tmp_path):
     model = arm / "model.xml"
     assert cli("mjcf2fmu", model, "--mujoco", ENGINE, "--out", tmp_path / "a.fmu").returncode == 0
     library = engine / "mujoco" / f"libmujoco.so.{ENGINE}"
@@ -152,9 +148,7 @@ def test_an_fmu_holds_the_engine_and_what_it_compiles(
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-14])
-def test_a_run_has_the_bits_of_its_engine(
-    engine: Path, arm: Path, tmp_path: Path, factor: float
-) -> None:
+def test_a_run_has_the_bits_of_its_engine(engine, arm, tmp_path, factor):
     alone = {}
     for version, path in ((HERE, None), (ENGINE, engine)):
         name, bits = python(ALONE, arm / "model.xml", repr(factor), path=path).split()
@@ -168,7 +162,7 @@ def test_a_run_has_the_bits_of_its_engine(
     assert not np.array_equal(alone[HERE], alone[ENGINE])  # else nothing was told apart
 
 
-def test_the_shipped_task_runs_with_another_engine(engine: Path, tmp_path: Path) -> None:
+def test_the_shipped_task_runs_with_another_engine(engine, tmp_path):
     command = ["run", "push", "--no-video", "--mujoco", ENGINE, "--out", tmp_path / "push"]
     assert cli(*command).returncode == 0
     recording = Recording.open(tmp_path / "push")
@@ -180,9 +174,7 @@ def test_the_shipped_task_runs_with_another_engine(engine: Path, tmp_path: Path)
     assert Recording.open(tmp_path / "again").sha256() == recording.sha256()
 
 
-def test_a_run_of_a_model_with_another_engine_is_drawn_by_the_installed_one(
-    engine: Path, arm: Path, tmp_path: Path
-) -> None:
+def test_a_run_of_a_model_with_another_engine_is_drawn_by_the_installed_one(engine, arm, tmp_path):
     out = tmp_path / "run"
     assert cli("run", arm, "--no-video", "--mujoco", ENGINE, "--out", out).returncode == 0
     assert (out / "view.html").is_file()
@@ -190,7 +182,7 @@ def test_a_run_of_a_model_with_another_engine_is_drawn_by_the_installed_one(
     assert np.array_equal(qpos(tmp_path / "again"), qpos(out))
 
 
-def test_built_fmus_hold_the_engine(engine: Path, tmp_path: Path) -> None:
+def test_built_fmus_hold_the_engine(engine, tmp_path):
     assert cli("build", "--out", tmp_path, "--mujoco", ENGINE).returncode == 0
     library = (engine / "mujoco" / f"libmujoco.so.{ENGINE}").read_bytes()
     for name in ("PandaPlant", "PandaController"):
@@ -202,9 +194,7 @@ def test_built_fmus_hold_the_engine(engine: Path, tmp_path: Path) -> None:
 # What failed with older versions.
 
 
-def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(
-    engine: Path, arm: Path, tmp_path: Path
-) -> None:
+def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(engine, arm, tmp_path):
     key = '<keyframe><key name="home" qpos=".1 .2"/></keyframe></mujoco>'
     (arm / "arm.xml").write_text(ARM.replace("</mujoco>", key))
     (arm / "model.xml").write_text(
@@ -217,9 +207,7 @@ def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(
         assert np.array_equal(qpos(run.folder)[0], [0.1, 0.2, 1.0, 2.0, 0.3, 1, 0, 0, 0])
 
 
-def test_a_solver_that_gives_no_number_makes_the_joints_brake(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_solver_that_gives_no_number_makes_the_joints_brake(monkeypatch):
     def solve(qd: np.ndarray, *_: object) -> int:
         qd[:] = np.nan  # as MuJoCo 3 does, as if it had been solved
         return 7
@@ -234,7 +222,7 @@ def test_a_solver_that_gives_no_number_makes_the_joints_brake(
 
 
 @pytest.mark.parametrize("version", ["3.9.0", "3.10", "new", "2.3.7", "../x"])
-def test_a_version_that_cannot_be_used_is_refused(version: str, tmp_path: Path) -> None:
+def test_a_version_that_cannot_be_used_is_refused(version, tmp_path):
     done = cli("run", "push", "--mujoco", version, "--out", tmp_path / "r")
     assert done.returncode == 2
     assert "mujoco: value" in done.stderr
@@ -244,7 +232,7 @@ def test_a_version_that_cannot_be_used_is_refused(version: str, tmp_path: Path) 
         Scenario("x", load_scenario("push").table, 1.0, mujoco=version)
 
 
-def test_a_key_that_no_fmu_can_follow_is_refused(arm: Path) -> None:
+def test_a_key_that_no_fmu_can_follow_is_refused(arm):
     push = load_scenario("push").changed({"mujoco": ENGINE})
     with pytest.raises(InputError, match="FMUs in Python use the installed version"):
         prepare(push, Options(kind="python"))
@@ -253,7 +241,7 @@ def test_a_key_that_no_fmu_can_follow_is_refused(arm: Path) -> None:
         load_scenario(arm)
 
 
-def test_without_a_package_source_one_line_says_so(tmp_path: Path) -> None:
+def test_without_a_package_source_one_line_says_so(tmp_path):
     command = ("run", "push", "--mujoco", "3.99.0", "--out", tmp_path / "r")
     done = cli(*command, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
     assert done.returncode == 1
@@ -265,7 +253,7 @@ def test_without_a_package_source_one_line_says_so(tmp_path: Path) -> None:
 # Sweeps and suites.
 
 
-def test_a_sweep_varies_the_engine(engine: Path, arm: Path, tmp_path: Path) -> None:
+def test_a_sweep_varies_the_engine(engine, arm, tmp_path):
     definition = sweep_of(arm, [f"mujoco={HERE},{ENGINE}"])
     rows = sweep(definition, tmp_path / "sweep", jobs=1).table.to_pylist()
     digests = {row["mujoco"]: row["recording_sha256"] for row in rows}
@@ -276,9 +264,7 @@ def test_a_sweep_varies_the_engine(engine: Path, arm: Path, tmp_path: Path) -> N
     assert len({*digests.values()}) == 2
 
 
-def test_a_folder_with_a_model_is_a_suite_over_engines(
-    engine: Path, arm: Path, tmp_path: Path
-) -> None:
+def test_a_folder_with_a_model_is_a_suite_over_engines(engine, arm, tmp_path):
     suite = ["regress", "--scenarios", arm.parent, "-j", "1"]
     assert cli(*suite, "--update", "--yes").returncode == 0
     report = ["--report", tmp_path / "report"]
@@ -302,7 +288,7 @@ def test_a_folder_with_a_model_is_a_suite_over_engines(
     assert other["difference"] in text
 
 
-def test_the_suite_of_the_page_on_engines_runs(tmp_path: Path) -> None:
+def test_the_suite_of_the_page_on_engines_runs(tmp_path):
     gymnasium = pytest.importorskip("gymnasium")
     page = Path(__file__).parents[1] / "docs" / "reference" / "engines.md"
     section = page.read_text(encoding="utf-8").partition("## Does another MuJoCo")[2]
@@ -316,7 +302,7 @@ def test_the_suite_of_the_page_on_engines_runs(tmp_path: Path) -> None:
     assert re.search(r"same +equal", done.stdout)
 
 
-def test_engines_do_not_go_with_update() -> None:
+def test_engines_do_not_go_with_update():
     done = cli("regress", "push", "--mujoco", ENGINE, "--update")
     assert done.returncode == 2
     assert "--mujoco: cannot be combined" in done.stderr
@@ -325,7 +311,7 @@ def test_engines_do_not_go_with_update() -> None:
 # What counts as a change.
 
 
-def test_noise_tells_rounding_from_change(tmp_path: Path) -> None:
+def test_noise_tells_rounding_from_change(tmp_path):
     rows = len(columns()["time"])
     grown = 1e-13 * np.exp(0.02 * np.arange(rows))  # what noise makes, growing
     own, noisy, signal = columns(), columns(), "plant.qpos[1]"
@@ -351,7 +337,7 @@ def test_noise_tells_rounding_from_change(tmp_path: Path) -> None:
     )
 
 
-def test_a_comparison_names_engines_and_the_first_signal_outside(tmp_path: Path) -> None:
+def test_a_comparison_names_engines_and_the_first_signal_outside(tmp_path):
     versions = {"versions": {"mujoco": "3.12.0"}}
     made = Reference.of(record(tmp_path / "a", columns(), metadata=versions), SUMMARY, Tolerances())
     values = columns()

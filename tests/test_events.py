@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
 from pathlib import Path
 
 import fmpy
@@ -71,9 +70,7 @@ def grown(time: float) -> float:
 
 @pytest.mark.parametrize("way", WAYS, ids=["plain", "fmpy", "isolated"])
 @pytest.mark.parametrize("has_events", [False, True])
-def test_events_within_and_at_the_end_of_steps_are_met(
-    tmp_path: Path, way: Sequence[str], *, has_events: bool
-) -> None:
+def test_events_within_and_at_the_end_of_steps_are_met(tmp_path, way, has_events):
     """Two updates at each of four events, and one after initialization; without, FMUs do it."""
     run(tmp_path, events(tmp_path, has_events=has_events), *way)
     recording = Recording.open(tmp_path / "run")
@@ -84,7 +81,7 @@ def test_events_within_and_at_the_end_of_steps_are_met(
 
 
 @pytest.mark.parametrize("way", WAYS, ids=["plain", "fmpy", "isolated"])
-def test_a_discrete_input_that_changes_is_an_event(tmp_path: Path, way: Sequence[str]) -> None:
+def test_a_discrete_input_that_changes_is_an_event(tmp_path, way):
     (tmp_path / "in.csv").write_text("time,f.n\n0,0\n0.3,0\n0.3,7\n0.6,7\n0.6,2\n")
     run(tmp_path, events(tmp_path, '[inputs]\nfile = "in.csv"\n'), *way)
     recording = Recording.open(tmp_path / "run")
@@ -93,7 +90,7 @@ def test_a_discrete_input_that_changes_is_an_event(tmp_path: Path, way: Sequence
 
 
 @pytest.mark.parametrize("has_events", [False, True])
-def test_an_event_that_cannot_be_handled_is_an_error(tmp_path: Path, *, has_events: bool) -> None:
+def test_an_event_that_cannot_be_handled_is_an_error(tmp_path, has_events):
     """Without event mode, or because discrete states never settle."""
     act = 4 if has_events else 3
     told = run(tmp_path, events(tmp_path, act=act, has_events=has_events), code=1)
@@ -108,10 +105,7 @@ def test_an_event_that_cannot_be_handled_is_an_error(tmp_path: Path, *, has_even
     [(1, False, 0.3, 0.35), (1, True, 0.3, 0.35), (2, True, 0.5, 0.5), (5, False, 0.3, 0.3)],
 )
 @pytest.mark.parametrize("is_alone", [False, True])
-def test_an_fmu_of_fmi_3_ends_the_simulation(
-    tmp_path: Path, way: Sequence[str], act: int, last: float, alone: float, *, has_events: bool,
-    is_alone: bool,
-) -> None:  # fmt: skip
+def test_an_fmu_of_fmi_3_ends_the_simulation(tmp_path, way, act, last, alone, has_events, is_alone):
     """In good order: incomplete, judged, with its last row, and never as a success."""
     text = events(tmp_path, act=act, has_events=has_events)
     if not is_alone:
@@ -129,7 +123,7 @@ def test_an_fmu_of_fmi_3_ends_the_simulation(
 
 
 @pytest.mark.parametrize("way", WAYS, ids=["plain", "fmpy", "isolated"])
-def test_an_fmu_of_fmi_2_discards_its_last_step(tmp_path: Path, way: Sequence[str]) -> None:
+def test_an_fmu_of_fmi_2_discards_its_last_step(tmp_path, way):
     """It says that it has terminated, in the middle of the step from 0.2 s."""
     toy_fmu(tmp_path / "toy.fmu", 2)
     told = run(tmp_path, '[fmus]\nf = "toy.fmu"\n[parameters.f]\nact = "terminate"\n', *way, code=3)
@@ -137,7 +131,7 @@ def test_an_fmu_of_fmi_2_discards_its_last_step(tmp_path: Path, way: Sequence[st
     assert Recording.open(tmp_path / "run").time.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.25])
 
 
-def test_a_value_that_is_not_finite_is_allowed_by_name(tmp_path: Path) -> None:
+def test_a_value_that_is_not_finite_is_allowed_by_name(tmp_path):
     text = events(tmp_path, has_events=False).replace('"events', '"../events')
     folder = tmp_path / "refused"
     folder.mkdir()
@@ -154,7 +148,7 @@ def test_a_value_that_is_not_finite_is_allowed_by_name(tmp_path: Path) -> None:
 
 @needs_reference_fmus
 @pytest.mark.parametrize("fmi", ["fmi2", "fmi3"])
-def test_stair_ends_with_its_tenth_step_up(tmp_path: Path, fmi: str) -> None:
+def test_stair_ends_with_its_tenth_step_up(tmp_path, fmi):
     """With the row of that instant, as in FMPy."""
     text = f'[fmus]\nit = "{REFERENCE_FMUS / fmi / "Stair.fmu"}"\n'
     told = run(tmp_path, text, step=1.5, code=3)

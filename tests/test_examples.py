@@ -24,7 +24,7 @@ LIMIT = 500.0  # [s]
 
 
 @pytest.fixture(autouse=True)
-def activated(monkeypatch: pytest.MonkeyPatch) -> None:
+def activated(monkeypatch):
     """Find programs as in an activated environment."""
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
 
@@ -55,7 +55,7 @@ def execute(name: str, folder: Path) -> dict[str, str]:
     }
 
 
-def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path: Path) -> None:
+def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path):
     said = execute("own_law", tmp_path)
     assert "2 passed" in said["!{sys.executable} -m pytest -q test_my_task.py"]
     margins = said["analysis.margins.disk_margin, stiff.margins.disk_margin"]
@@ -64,7 +64,7 @@ def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path: Path) -> Non
     assert (tmp_path / "my_task" / "reference.parquet").exists()
 
 
-def test_a_foreign_arm_runs_with_a_python_fmu_and_as_an_ssp(tmp_path: Path) -> None:
+def test_a_foreign_arm_runs_with_a_python_fmu_and_as_an_ssp(tmp_path):
     pytest.importorskip("gymnasium")
     said = walk("foreign_arm", tmp_path / "new")
     assert "1 of 1 scenarios match" in said
@@ -74,7 +74,7 @@ def test_a_foreign_arm_runs_with_a_python_fmu_and_as_an_ssp(tmp_path: Path) -> N
     np.testing.assert_array_equal(angle, second["plant.qpos[4]"])
 
 
-def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path: Path) -> None:
+def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path):
     said = walk("nightly", tmp_path / "new")
     assert "6 passed" in said
     suites = ET.parse(tmp_path / "new" / "nightly" / "junit.xml").getroot()
@@ -86,7 +86,7 @@ def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path: Path) -> 
     assert "6 of 6 scenarios match their references" in said
 
 
-def test_a_scene_with_a_wall_is_pushed_by_hand_and_kept(tmp_path: Path) -> None:
+def test_a_scene_with_a_wall_is_pushed_by_hand_and_kept(tmp_path):
     execute("wall", tmp_path)
     runs = {path.parent for path in (tmp_path / "runs").glob("*/summary.json")}
     summaries = [json.loads((run / "summary.json").read_text()) for run in runs]

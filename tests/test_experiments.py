@@ -28,7 +28,7 @@ ROUNDING = 1e-9  # [1] of FMPy, which interpolates inputs in its own way
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp("built")
     done = command("build", "--scenario", "push", "--compatibility", "--out", folder)
     assert done.returncode == 0, done.stderr
@@ -36,7 +36,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def box(tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
     shutil.copy(MJCF, folder / "other.xml")
     done = command("mjcf2fmu", MJCF, folder / "other.xml", "--step", 0.0005, "--out", folder)
@@ -67,9 +67,7 @@ def changed(path: Path, to: Path, **changes: Callable[[str], str] | str | None) 
 
 
 @pytest.mark.own_process
-def test_the_plants_references_are_the_run_and_what_fmpy_makes_of_the_stimulus(
-    built: Path, tmp_path: Path
-) -> None:
+def test_the_plants_references_are_the_run_and_what_fmpy_makes_of_the_stimulus(built, tmp_path):
     path = built / "PandaPlant.fmu"
     assert validate_fmu(str(path)) == []
     stimuli, references = table(path, "stimuli.csv"), table(path, "references.csv")
@@ -89,7 +87,7 @@ def test_the_plants_references_are_the_run_and_what_fmpy_makes_of_the_stimulus(
 
 
 @pytest.mark.parametrize("name", ["PandaPlant", "PandaController", "PandaTrajectory"])
-def test_check_finds_the_references_and_a_change(built: Path, tmp_path: Path, name: str) -> None:
+def test_check_finds_the_references_and_a_change(built, tmp_path, name):
     path = built / f"{name}.fmu"
     done = command("check", path)
     assert done.returncode == 0, done.stderr
@@ -110,7 +108,7 @@ def test_check_finds_the_references_and_a_change(built: Path, tmp_path: Path, na
     assert done.stdout.startswith("wrong ")
 
 
-def test_the_files_of_the_cross_check_are_written(built: Path) -> None:
+def test_the_files_of_the_cross_check_are_written(built):
     folder = built / "PandaPlant"
     assert sorted(path.name for path in folder.iterdir()) == [
         "PandaPlant.fmu", "PandaPlant_in.csv", "PandaPlant_ref.csv", "PandaPlant_ref.opt",
@@ -123,7 +121,7 @@ def test_the_files_of_the_cross_check_are_written(built: Path) -> None:
     assert (folder / "PandaPlant_in.csv").stat().st_size < 1_000_000
 
 
-def test_arrays_are_compared_whole(tmp_path: Path) -> None:
+def test_arrays_are_compared_whole(tmp_path):
     done = command(
         "build", "--scenario", "push", "--fmi", "3", "--compatibility", "--out", tmp_path
     )
@@ -152,9 +150,7 @@ def with_files(path: Path, to: Path, **files: str) -> Path:
 
 
 @pytest.mark.parametrize("is_new", [False, True])
-def test_experiments_of_others_are_run_with_their_parameters(
-    box: Path, tmp_path: Path, *, is_new: bool
-) -> None:
+def test_experiments_of_others_are_run_with_their_parameters(box, tmp_path, is_new):
     transient = f"<TransientSimulation{TIMES}/>" if is_new else ""
     exp = FALL.format(name="floats", times="" if is_new else TIMES, transient=transient)
     rows = "time,qpos[3],angle\n0,1,0\n0.1,1.0,0\n5,7,1\n"  # the last is after the end
@@ -170,9 +166,7 @@ def test_experiments_of_others_are_run_with_their_parameters(
 
 
 @pytest.mark.parametrize(("height", "code"), [(1.0, 0), (1.1, 3)])
-def test_an_experiment_becomes_a_scenario_judged_by_its_references(
-    box: Path, tmp_path: Path, height: float, code: int
-) -> None:
+def test_an_experiment_becomes_a_scenario_judged_by_its_references(box, tmp_path, height, code):
     exp = FALL.format(name="floats", times=TIMES, transient="")
     rows = f"time,qpos[3],angle\n0,1,0\n0.1,{height},0\n5,7,1\n"
     path = with_files(box, tmp_path / "x.fmu", exp=exp, csv=rows, p=SSV)
@@ -203,7 +197,7 @@ k = 0.5
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_stimuli_are_what_the_master_fed(tmp_path: Path) -> None:
+def test_stimuli_are_what_the_master_fed(tmp_path):
     """The second FMU takes mN, in steps of 2 ms."""
     toy = toy_fmu(tmp_path / "a.fmu", 2)
     with zipfile.ZipFile(toy) as old, zipfile.ZipFile(tmp_path / "b.fmu", "w") as new:
@@ -243,9 +237,7 @@ def test_stimuli_are_what_the_master_fed(tmp_path: Path) -> None:
      ({"fmi_ls_manifest": lambda text: text[:60]}, 2, "x.fmu: fmi-ls-manifest.xml: not well"),
      ({"reference": lambda text: text.replace('"1e-06"', '"none"')}, 2, "tolerance 'none'")],
 )  # fmt: skip
-def test_where_nothing_can_be_compared_check_is_not_content(
-    box: Path, tmp_path: Path, changes: dict[str, str], code: int, words: str
-) -> None:
+def test_where_nothing_can_be_compared_check_is_not_content(box, tmp_path, changes, code, words):
     done = command("check", changed(box, tmp_path / "x.fmu", **changes))
     assert done.returncode == code
     assert words in done.stderr
@@ -258,7 +250,7 @@ def test_where_nothing_can_be_compared_check_is_not_content(
     [("fmi2/BouncingBall", 602), ("fmi3/BouncingBall", 602), ("fmi2/VanDerPol", 4002),
      ("fmi3/Dahlquist", 101), ("fmi3/Feedthrough", 336), ("fmi3/StateSpace", 33)],
 )  # fmt: skip
-def test_results_in_the_reference_fmus_are_found(name: str, values: int) -> None:
+def test_results_in_the_reference_fmus_are_found(name, values):
     done = command("check", REFERENCE_FMUS / f"{name}.fmu")
     assert done.returncode == 0, done.stderr
     assert f" {values} values, largest difference " in done.stdout

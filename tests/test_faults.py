@@ -58,9 +58,7 @@ def compared(name: str, out: Path, **how: Any) -> tuple[Comparison, Reference, A
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_in_the_loop_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
-) -> None:
+def test_a_fault_in_the_loop_is_reported(tmp_path, monkeypatch, fault):
     values, name, signal = FAULTS[fault]
     in_time = Trajectory.sample
 
@@ -93,7 +91,7 @@ def rebuilt(fmu: Path, folder: Path) -> Path:
     return new
 
 
-def test_another_build_is_no_fault(tmp_path: Path) -> None:
+def test_another_build_is_no_fault(tmp_path):
     fmus = {name: rebuilt(path, tmp_path) for name, path in build().items()}
     comparison, reference, recording = compared(
         "push", tmp_path / "run", options=Options(fmus=fmus)

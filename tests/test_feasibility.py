@@ -38,7 +38,7 @@ def stretch(scenario: Scenario) -> Scenario:
     return retime(scenario, SHARE, keep_times=True)[0]
 
 
-def test_the_shares_are_those_of_a_run() -> None:
+def test_the_shares_are_those_of_a_run():
     violations, shares = feasibility(NOMINAL, share=SHARE)
     assert not violations  # so it is left alone, see below
     limits = run_in_memory(NOMINAL).summary.limits
@@ -49,12 +49,12 @@ def test_the_shares_are_those_of_a_run() -> None:
     assert shares["torque rate"] == pytest.approx(max(limits["torque_rate_share"]), 0.03)
 
 
-def test_a_block_far_from_nominal_can_be_had_too() -> None:
+def test_a_block_far_from_nominal_can_be_had_too():
     block = {"plant.block_pos": (0.3, -0.1), "plant.block_yaw": 0.78}
     assert not feasibility(NOMINAL, start_values(NOMINAL.changed(block)))[0]
 
 
-def test_too_fast_a_segment_is_named_with_joint_and_amount() -> None:
+def test_too_fast_a_segment_is_named_with_joint_and_amount():
     violations, _ = feasibility(hasty())
     assert {violation.row for violation in violations} == {3}
     worst = violations[0]
@@ -64,7 +64,7 @@ def test_too_fast_a_segment_is_named_with_joint_and_amount() -> None:
 
 
 @pytest.mark.long
-def test_a_stretched_table_fits_when_run_and_keeps_what_was_slow_enough() -> None:
+def test_a_stretched_table_fits_when_run_and_keeps_what_was_slow_enough():
     before, after = hasty(), stretch(hasty())
     violations, shares = feasibility(after, share=SHARE)
     assert not violations
@@ -80,12 +80,12 @@ def test_a_stretched_table_fits_when_run_and_keeps_what_was_slow_enough() -> Non
     assert error.max() <= 1.5e-4  # m
 
 
-def test_what_fits_is_left_alone() -> None:
+def test_what_fits_is_left_alone():
     calm = scenario((0.0, "home", (0, 0, 0)), (1.0, "home", (0, 0, 0.05)))
     assert stretch(calm) == calm
 
 
-def test_what_is_out_of_reach_is_named_and_cannot_be_stretched() -> None:
+def test_what_is_out_of_reach_is_named_and_cannot_be_stretched():
     far = scenario((0.0, "home", (0, 0, 0)), (1.2, "world", (1.0, 0, 0.5)))
     violations, _ = feasibility(far)
     assert any(violation.quantity == "reach" and violation.row == 2 for violation in violations)
@@ -93,13 +93,13 @@ def test_what_is_out_of_reach_is_named_and_cannot_be_stretched() -> None:
         stretch(far)
 
 
-def test_a_jump_between_rows_can_be_stretched() -> None:
+def test_a_jump_between_rows_can_be_stretched():
     jump = scenario((0.0, "home", (0, 0, 0)), (0.001, "home", (0.0, 0.0, -0.2)))
     assert not feasibility(stretch(jump), share=SHARE)[0]
 
 
 @pytest.mark.long
-def test_near_the_stretched_arm_more_time_keeps_the_torque_rate_that_is_measured() -> None:
+def test_near_the_stretched_arm_more_time_keeps_the_torque_rate_that_is_measured():
     near = scenario((0.0, "home", (0, 0, 0)), (0.6, "world", (0.68, 0.0, 0.62)))
     assert feasibility(near)[1]["torque rate"] > 2.0
     slower = stretch(near)

@@ -28,15 +28,15 @@ U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
 
 
 @pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
-def toy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def toy(request, tmp_path_factory):
     return toy_fmu(tmp_path_factory.mktemp("toy") / f"toy{request.param}.fmu", request.param)
 
 
-def test_the_toy_itself_is_valid(toy: Path) -> None:
+def test_the_toy_itself_is_valid(toy):
     assert validate_fmu(str(toy)) == []
 
 
-def test_both_descriptions_read_the_same(tmp_path: Path) -> None:
+def test_both_descriptions_read_the_same(tmp_path):
     two, three = (Fmu(toy_fmu(tmp_path / f"{fmi}.fmu", fmi)) for fmi in (2, 3))
     assert (two.fmi, three.fmi) == (2, 3)
     names = [name for name in three.variables if name != "time"]
@@ -55,7 +55,7 @@ def test_both_descriptions_read_the_same(tmp_path: Path) -> None:
     [(Y, U), (Y[::-1], U[::-1]), (Y[1:3], U[4:]), (["y[2,2]", "y[1,1]"], ["u[1,1]"]),
      ([*Y, "k"], U[:3])],
 )  # fmt: skip
-def test_any_choice_of_elements_is_exchanged(toy: Path, gets: list[str], sets: list[str]) -> None:
+def test_any_choice_of_elements_is_exchanged(toy, gets, sets):
     slave = open_slave("it", Fmu(toy))
     initialize(slave, {"k": 3.0, "flip": True, "mode": 2, "u[2,2]": 0.5})
     inputs, outputs = np.zeros((1, len(sets))), np.zeros((2, len(gets)))
@@ -98,9 +98,7 @@ SAID = "100 % as it was told"
      ("error", "Error", ["freed"]), ("fatal", "Fatal", []),
      ("complain", None, ["terminated", "freed"])],
 )  # fmt: skip
-def test_a_failed_fmu_is_called_no_more_than_fmi_allows(
-    toy: Path, act: str, status: str | None, calls: list[str]
-) -> None:
+def test_a_failed_fmu_is_called_no_more_than_fmi_allows(toy, act, status, calls):
     error, messages = fail(toy, act)
     called = [message for message in messages if message != SAID]
     assert SAID in messages
@@ -112,7 +110,7 @@ def test_a_failed_fmu_is_called_no_more_than_fmi_allows(
         assert error.endswith(f"DoStep returned {status}: {SAID}")
 
 
-def test_values_that_are_no_numbers_are_shown(tmp_path: Path) -> None:
+def test_values_that_are_no_numbers_are_shown(tmp_path):
     blob = (
         '<Binary name="blob" valueReference="16" causality="parameter" variability="fixed">'
         '<Start value="666F6F"/></Binary><Clock name="tick" valueReference="17" '
@@ -126,13 +124,13 @@ def test_values_that_are_no_numbers_are_shown(tmp_path: Path) -> None:
     assert fail(path, "warn")[0] == ""
 
 
-def test_an_fmu_may_ask_to_end(tmp_path: Path) -> None:
+def test_an_fmu_may_ask_to_end(tmp_path):
     toy = toy_fmu(tmp_path / "toy.fmu", 3)
     error, _ = fail(toy, "end")
     assert error == "at t = 0.002 s, in FMU 'it': the FMU asks to end the simulation, at 0.003 s"
 
 
-def test_an_fmu_that_is_not_instantiated_is_named(toy: Path) -> None:
+def test_an_fmu_that_is_not_instantiated_is_named(toy):
     with pytest.raises(CosimError, match="in FMU 'refused': cannot be instantiated"):
         open_slave("refused", Fmu(toy))
 
@@ -152,7 +150,7 @@ def couple(first: Path, second: Path, isolate: bool = False) -> Any:
     return np.vstack(blocks)
 
 
-def test_versions_are_coupled_and_agree(tmp_path: Path) -> None:
+def test_versions_are_coupled_and_agree(tmp_path):
     two, three = (toy_fmu(tmp_path / f"{fmi}.fmu", fmi) for fmi in (2, 3))
     expected = couple(two, two)
     assert expected.shape == (301, 14)
@@ -166,7 +164,7 @@ def test_versions_are_coupled_and_agree(tmp_path: Path) -> None:
     ("start", "number"),
     [("9223372036854775807", 2**63 - 1), ("-9007199254740993", -(2**53) - 1), (" 7 ", 7)],
 )
-def test_an_integer_starts_at_its_value_to_the_last_digit(start: str, number: int) -> None:
+def test_an_integer_starts_at_its_value_to_the_last_digit(start, number):
     """It is set again if another element of its array is given."""
     seed = Variable("seed", (2,), "", "parameter", "fixed", "", kind="Integer", fmi_type="Int64")
     value = read_value("seed", seed, start)
@@ -177,7 +175,7 @@ def test_an_integer_starts_at_its_value_to_the_last_digit(start: str, number: in
 
 
 @pytest.mark.parametrize(("number", "name"), [("0", "off"), ("7", "on"), ("on", "on")])
-def test_an_enumeration_is_known_by_name_and_set_by_number(number: str, name: str) -> None:
+def test_an_enumeration_is_known_by_name_and_set_by_number(number, name):
     """Whatever its items' numbers are."""
     mode = Variable("mode", (), "", "parameter", "fixed", "", kind="Enumeration",
                     choices=("off", "on"), numbers=(0, 7))  # fmt: skip

@@ -38,7 +38,7 @@ MEMORY_NOISE = 8000.0  # [kB] by which resident memory goes up and down
 
 
 @pytest.fixture(params=MIXED, ids=lambda each: "-".join(map(str, each)))
-def fmu(request: pytest.FixtureRequest) -> Unpacked:
+def fmu(request):
     """An FMU, so that each kind, model and version is there."""
     return unpacked(*request.param)
 
@@ -49,19 +49,19 @@ def values_of(fmu: Unpacked) -> dict[str, Any]:
 
 
 @pytest.fixture(**VERSIONS)
-def controller(request: pytest.FixtureRequest) -> Unpacked:
+def controller(request):
     """The FMU for what all FMUs have in common: inputs, outputs, parameters of several types."""
     return unpacked("native", "controller", request.param)
 
 
 @pytest.fixture(**VERSIONS)
-def plant(request: pytest.FixtureRequest) -> Unpacked:
+def plant(request):
     """The one that has an enumeration, and needs MuJoCo."""
     return unpacked("native", "plant", request.param)
 
 
 @pytest.fixture(**VERSIONS)
-def counter(request: pytest.FixtureRequest) -> Unpacked:
+def counter(request):
     """One whose first output is the number of steps."""
     commands = np.zeros((5000, 14))
     commands[:, 0] = np.arange(5000)
@@ -72,7 +72,7 @@ Changed = Callable[[bytes], Unpacked]
 
 
 @pytest.fixture(**VERSIONS)
-def changed(request: pytest.FixtureRequest) -> Changed:
+def changed(request):
     """Builds a plant in Python that does something else in place of a step."""
 
     def build(step: bytes) -> Unpacked:
@@ -94,7 +94,7 @@ def count(it: Instance) -> float:
     return number
 
 
-def test_a_step_of_any_length_counts_whole_internal_steps(counter: Unpacked) -> None:
+def test_a_step_of_any_length_counts_whole_internal_steps(counter):
     it, time = Instance(counter).start(), 0.0
     for size, steps in ((0.0044, 4), (0.0044, 8), (0.0044, 13), (0.0, 13), (0.0003, 13),
                         (0.0005, 14)):  # fmt: skip
@@ -109,7 +109,7 @@ def test_a_step_of_any_length_counts_whole_internal_steps(counter: Unpacked) -> 
 
 
 @pytest.mark.parametrize(("start", "size"), [(0.0, 0.001), (1e6, 0.001), (-2.0, 0.007)])
-def test_a_sum_of_rounded_times_loses_no_step(counter: Unpacked, start: float, size: float) -> None:
+def test_a_sum_of_rounded_times_loses_no_step(counter, start, size):
     it, time = Instance(counter).start(start_time=start), start
     for i in range(600):
         assert it.step(time, size) == OK, it.messages()
@@ -120,7 +120,7 @@ def test_a_sum_of_rounded_times_loses_no_step(counter: Unpacked, start: float, s
         assert abs(count(it) - time / STEP) <= 1.0
 
 
-def test_one_step_of_5_ms_is_five_of_1_ms(fmu: Unpacked) -> None:
+def test_one_step_of_5_ms_is_five_of_1_ms(fmu):
     coarse, fine = Instance(fmu).start(), Instance(fmu).start()
     coarse.play(0, 1)
     fine.play(0, 1)
@@ -129,7 +129,7 @@ def test_one_step_of_5_ms_is_five_of_1_ms(fmu: Unpacked) -> None:
     assert coarse.outputs() == fine.outputs()
 
 
-def test_a_wrong_communication_point_is_refused(counter: Unpacked) -> None:
+def test_a_wrong_communication_point_is_refused(counter):
     it = Instance(counter).start()
     it.steps(3)
     for time in (0.002, 0.0031, math.nan, math.inf, -1.0):
@@ -142,14 +142,14 @@ def test_a_wrong_communication_point_is_refused(counter: Unpacked) -> None:
     assert count(it) == 4.0
 
 
-def test_a_step_past_the_stop_time_is_refused(counter: Unpacked) -> None:
+def test_a_step_past_the_stop_time_is_refused(counter):
     it = Instance(counter).start(stop_time=0.002)
     it.steps(2)
     assert it.step(0.002) == ERROR
     assert "after the stop time of 0.002 s" in it.messages()
 
 
-def test_a_failed_step_is_an_error_with_cause_and_traceback(changed: Changed) -> None:
+def test_a_failed_step_is_an_error_with_cause_and_traceback(changed):
     late = b"self._plant.data.time > 0.0005 and 1 / 0; self._plant.step(count)  # 100%"
     it = Instance(changed(late)).start()
     it.steps(1)
@@ -176,9 +176,7 @@ def test_a_failed_step_is_an_error_with_cause_and_traceback(changed: Changed) ->
     it.start().steps(1)
 
 
-def test_diverging_physics_is_an_error_with_time_and_cause(
-    changed: Changed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_diverging_physics_is_an_error_with_time_and_cause(changed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     fast = b"self._plant.data.qvel[:] = 1e9; self._plant.step(count)"
     it = Instance(changed(fast)).start()
@@ -191,7 +189,7 @@ def test_diverging_physics_is_an_error_with_time_and_cause(
 
 
 @pytest.mark.parametrize("kind", ["native", "python"])
-def test_outputs_at_initialization_follow_the_parameters(kind: Kind) -> None:
+def test_outputs_at_initialization_follow_the_parameters(kind):
     it = Instance(unpacked(kind, "plant", 2)).start({"block_pos": [0.5, 0.1]})
     shown = [it.get("qpos")[9], it.get("target_xpos")[1]]
     assert shown == pytest.approx([0.5, 0.1], abs=1e-9)
@@ -199,7 +197,7 @@ def test_outputs_at_initialization_follow_the_parameters(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", ["native", "python"])
-def test_an_impossible_parameter_is_refused_and_changes_nothing(kind: Kind) -> None:
+def test_an_impossible_parameter_is_refused_and_changes_nothing(kind):
     it = Instance(unpacked(kind, "plant", 3))
     for name, value, told in (("block_mass", -1.0, "block_mass = -1 is out of range"),
                               ("scene", 5, "scene = 5 is out of range [1, 4]"),
@@ -213,7 +211,7 @@ def test_an_impossible_parameter_is_refused_and_changes_nothing(kind: Kind) -> N
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_an_input_that_is_not_finite_is_refused_by_name(controller: Unpacked, value: float) -> None:
+def test_an_input_that_is_not_finite_is_refused_by_name(controller, value):
     it = Instance(controller).start()
     it.set("jac", *[0.0] * 11, value, *[0.0] * 30)
     assert it.step(0.0) == ERROR
@@ -223,7 +221,7 @@ def test_an_input_that_is_not_finite_is_refused_by_name(controller: Unpacked, va
     assert it.step(0.0) == OK  # nothing has happened, so it may go on
 
 
-def test_an_input_out_of_range_is_clamped_with_one_warning(plant: Unpacked) -> None:
+def test_an_input_out_of_range_is_clamped_with_one_warning(plant):
     it = Instance(plant).start()
     it.set("ctrl", *it.get("ctrl")[:7], 300.0)
     it.set("push_force", -2e3, 0.0, 0.0)
@@ -235,7 +233,7 @@ def test_an_input_out_of_range_is_clamped_with_one_warning(plant: Unpacked) -> N
 
 
 @pytest.mark.parametrize("kind", ["native", "python"])
-def test_zeros_for_all_inputs_are_survived(kind: Kind) -> None:
+def test_zeros_for_all_inputs_are_survived(kind):
     it = Instance(unpacked(kind, "controller", 2)).start()
     it.set_inputs([0.0] * 109)
     it.steps(2)
@@ -243,7 +241,7 @@ def test_zeros_for_all_inputs_are_survived(kind: Kind) -> None:
     assert "input quat_cmd is zero; the last valid one is used" in it.messages()
 
 
-def test_references_and_types_are_checked(controller: Unpacked) -> None:
+def test_references_and_types_are_checked(controller):
     it = Instance(controller).start()
     kp, flag = controller.rows["kp"].reference, controller.rows["use_reference"].reference
     assert it.get_references([4711], 1)[0] == ERROR
@@ -269,7 +267,7 @@ def test_references_and_types_are_checked(controller: Unpacked) -> None:
     assert it.step(0.0) == OK  # none of these had an effect
 
 
-def test_what_must_not_be_set_is_refused_by_its_name(controller: Unpacked) -> None:
+def test_what_must_not_be_set_is_refused_by_its_name(controller):
     it = Instance(controller).start()
     for name, value, reason in (
         ("dq", [1.0] * 7, "dq cannot be set: it is computed by the FMU"),
@@ -291,7 +289,7 @@ def test_what_must_not_be_set_is_refused_by_its_name(controller: Unpacked) -> No
     assert it.set("grip_cmd", 0.0) == ERROR
 
 
-def test_calls_out_of_order_are_refused(fmu: Unpacked) -> None:
+def test_calls_out_of_order_are_refused(fmu):
     it = Instance(fmu)
     first = fmu.names("output")[0]
     assert it("ExitInitializationMode") == it("Terminate") == it.step(0.0) == ERROR
@@ -314,7 +312,7 @@ def test_calls_out_of_order_are_refused(fmu: Unpacked) -> None:
     it.free()
 
 
-def test_reset_makes_an_instance_new(fmu: Unpacked) -> None:
+def test_reset_makes_an_instance_new(fmu):
     used, fresh = Instance(fmu).start(values_of(fmu)), Instance(fmu).start()
     used.play(0, 20)
     assert used("Reset") == OK
@@ -324,7 +322,7 @@ def test_reset_makes_an_instance_new(fmu: Unpacked) -> None:
 # Instances, and where they find their resources.
 
 
-def test_a_wrong_token_type_or_mode_is_refused(controller: Unpacked) -> None:
+def test_a_wrong_token_type_or_mode_is_refused(controller):
     with pytest.raises(RefusedError, match=r"the token '\{0\}' is not that of this FMU"):
         Instance(controller, token="{0}")
     it = Instance(controller)
@@ -351,7 +349,7 @@ def test_a_wrong_token_type_or_mode_is_refused(controller: Unpacked) -> None:
 FOLDERS = ["a b", "a+b", "(a)", "a#b", "a&b", "a@b,c", "Müller", "日本", "a%20b", "a%b", "plain"]
 
 
-def test_all_forms_of_a_resource_location_are_understood(counter: Unpacked, tmp_path: Path) -> None:
+def test_all_forms_of_a_resource_location_are_understood(counter, tmp_path):
     for name in FOLDERS:
         place = counter.copy(tmp_path / name)
         path = f"{place.folder}/resources"
@@ -374,14 +372,12 @@ def test_all_forms_of_a_resource_location_are_understood(counter: Unpacked, tmp_
        ("file:", "%", "file:///%", "file:///%00", "x" * 100000))],
     ids=range(8),
 )  # fmt: skip
-def test_a_location_without_resources_is_refused_with_the_reason(
-    counter: Unpacked, location: str, reason: str
-) -> None:
+def test_a_location_without_resources_is_refused_with_the_reason(counter, location, reason):
     with pytest.raises(RefusedError, match=reason):
         Instance(counter, location=location)
 
 
-def test_a_damaged_table_is_refused(counter: Unpacked, tmp_path: Path) -> None:
+def test_a_damaged_table_is_refused(counter, tmp_path):
     place = counter.copy(tmp_path / "damaged")
     lines = place.table.read_bytes().split(b"\n")
     for i, line in enumerate(lines):
@@ -391,7 +387,7 @@ def test_a_damaged_table_is_refused(counter: Unpacked, tmp_path: Path) -> None:
                 Instance(place, token=counter.token).free()
 
 
-def test_log_categories_are_honoured(controller: Unpacked) -> None:
+def test_log_categories_are_honoured(controller):
     it = Instance(controller).start()
     yes, no = (c_bool(True), c_bool(False)) if it.version == 3 else (c_int(1), c_int(0))
 
@@ -413,7 +409,7 @@ def test_log_categories_are_honoured(controller: Unpacked) -> None:
     assert "'wrong' is not a log category" in it.messages()
 
 
-def test_the_rest_of_the_functions_say_that_they_are_not_offered(controller: Unpacked) -> None:
+def test_the_rest_of_the_functions_say_that_they_are_not_offered(controller):
     it = Instance(controller).start()
     one, number, size = (c_uint * 1)(0), (c_double * 1)(), c_size_t(1)
     if it.version == 2:
@@ -434,7 +430,7 @@ def test_the_rest_of_the_functions_say_that_they_are_not_offered(controller: Unp
 # States.
 
 
-def test_a_restored_state_replays_bit_for_bit_also_elsewhere(fmu: Unpacked, tmp_path: Path) -> None:
+def test_a_restored_state_replays_bit_for_bit_also_elsewhere(fmu, tmp_path):
     expected = in_fork(play_and_restore, fmu, tmp_path)
     assert in_fork(play_on, fmu, tmp_path) == expected
 
@@ -471,7 +467,7 @@ def play_on(fmu: Unpacked, folder: Path) -> dict[int, list[list[float]]]:
     return rows
 
 
-def test_a_state_of_before_initialization_is_restored(controller: Unpacked) -> None:
+def test_a_state_of_before_initialization_is_restored(controller):
     it = Instance(controller)
     it.set("period", 0.002)
     early = it.save()
@@ -484,7 +480,7 @@ def test_a_state_of_before_initialization_is_restored(controller: Unpacked) -> N
 
 
 @pytest.mark.parametrize("kind", ["native", "python"])
-def test_a_damaged_or_foreign_state_is_refused(kind: Kind, tmp_path: Path) -> None:
+def test_a_damaged_or_foreign_state_is_refused(kind, tmp_path):
     fmu = unpacked(kind, "trajectory", 3)
     it = Instance(fmu).start()
     it.steps(2)
@@ -506,7 +502,7 @@ def test_a_damaged_or_foreign_state_is_refused(kind: Kind, tmp_path: Path) -> No
 # Many instances.
 
 
-def test_instances_do_not_disturb_each_other_in_turns_or_threads(fmu: Unpacked) -> None:
+def test_instances_do_not_disturb_each_other_in_turns_or_threads(fmu):
     alone = Instance(fmu).start().play(0, 40)
     source = random.Random(3)
     crowd = [Instance(fmu).start() for _ in range(6)]
@@ -534,9 +530,7 @@ def test_instances_do_not_disturb_each_other_in_turns_or_threads(fmu: Unpacked) 
 
 
 @pytest.mark.parametrize("count", [70, pytest.param(2000, marks=pytest.mark.long)])
-def test_instances_leave_nothing_behind(
-    fmu: Unpacked, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_instances_leave_nothing_behind(fmu, count, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     before = (0, 0)
     for i in range(count):

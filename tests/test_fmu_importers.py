@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
 
 
 @pytest.fixture(scope="module")
-def ssp(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ssp(tmp_path_factory):
     """The system, with a task that has moved on to where it gets interesting."""
     system = written_system(load_scenario("pick_and_place"), Target())
     return write_ssp(tmp_path_factory.mktemp("importers") / "Panda.ssp", system)
@@ -63,7 +63,7 @@ def check(ssp: Path, rows: Any) -> None:
 
 
 @pytest.mark.skipif(find_spec("libcosimpy") is None, reason="no libcosimpy")
-def test_libcosim_agrees(ssp: Path, tmp_path: Path) -> None:
+def test_libcosim_agrees(ssp, tmp_path):
     from libcosimpy.CosimExecution import CosimExecution  # noqa: PLC0415 - loads its library
     from libcosimpy.CosimObserver import CosimObserver  # noqa: PLC0415
 
@@ -81,7 +81,7 @@ def test_libcosim_agrees(ssp: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(find_spec("ecospy") is None, reason="no ecospy")
-def test_ecos_agrees(ssp: Path) -> None:
+def test_ecos_agrees(ssp):
     try:  # oneTBB's library, which Ecos needs
         (library,) = [f for f in files("tbb") or [] if f.name == "libtbb.so.12"]
         ctypes.CDLL(str(Path(str(library.locate())).resolve()), ctypes.RTLD_GLOBAL)
@@ -98,7 +98,7 @@ def test_ecos_agrees(ssp: Path) -> None:
     check(ssp, rows)
 
 
-def test_fmpy_runs_it_though_it_sends_zeros_first(ssp: Path) -> None:
+def test_fmpy_runs_it_though_it_sends_zeros_first(ssp):
     from fmpy.ssp.simulation import simulate_ssp  # noqa: PLC0415 - only here
 
     result = simulate_ssp(str(ssp), stop_time=(TICKS - 0.5) * TICK, step_size=TICK)
@@ -109,7 +109,7 @@ def test_fmpy_runs_it_though_it_sends_zeros_first(ssp: Path) -> None:
 
 
 @pytest.mark.skipif(find_spec("pyssp_standard") is None, reason="no pyssp_standard")
-def test_pyssp_finds_nothing_to_complain_of(ssp: Path) -> None:
+def test_pyssp_finds_nothing_to_complain_of(ssp):
     from pyssp_standard.ssp import SSP  # noqa: PLC0415 - only here
 
     with SSP(str(ssp), mode="r") as opened, opened.system_structure as structure:
@@ -119,7 +119,7 @@ def test_pyssp_finds_nothing_to_complain_of(ssp: Path) -> None:
 
 @pytest.mark.skipif(find_spec("fmuloader") is None, reason="no fmuloader")
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_an_importer_that_binds_all_functions_loads_the_plant(fmi: int) -> None:
+def test_an_importer_that_binds_all_functions_loads_the_plant(fmi):
     from fmuloader import fmi2, fmi3  # noqa: PLC0415 - only here
 
     path = build(("plant",), target=Target(fmi=fmi))["plant"]
@@ -134,9 +134,7 @@ needs_toolbox = pytest.mark.skipif(
 
 @needs_toolbox
 @pytest.mark.parametrize(("coupling", "fmi"), [("gauss-seidel", 3), ("jacobi", 2)])
-def test_a_container_is_the_coupled_system_in_plain_fmpy(
-    ssp: Path, tmp_path: Path, coupling: Coupling, fmi: int
-) -> None:
+def test_a_container_is_the_coupled_system_in_plain_fmpy(ssp, tmp_path, coupling, fmi):
     scenario = replace(load_scenario("pick_and_place"), coupling=coupling)
     fmu = write_container(tmp_path / "Panda.fmu", written_system(scenario, Target()), fmi)
     description = fmpy.read_model_description(fmu)
@@ -152,7 +150,7 @@ def test_a_container_is_the_coupled_system_in_plain_fmpy(
 
 
 @needs_toolbox
-def test_the_toolbox_makes_a_container_of_the_ssp(ssp: Path) -> None:
+def test_the_toolbox_makes_a_container_of_the_ssp(ssp):
     from fmu_manipulation_toolbox.assembly import Assembly  # noqa: PLC0415 - only here
 
     assembly = Assembly(ssp.name, fmu_directory=ssp.parent, default_step_size=TICK)

@@ -8,7 +8,6 @@ import sys
 import zipfile
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import fmpy
 import numpy as np
@@ -24,7 +23,7 @@ from panda_cosim.fmus.build.description import LOG_CATEGORIES, Layout, described
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
-from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
+from panda_cosim.fmus.interface.variables import Interface, Variable
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import (
     Kind,
@@ -50,25 +49,25 @@ MOST_BYTES = {"native": 3_500_000, "python": 200_000}
     params=[Target("native"), Target("native", 3), Target("python"), Target("python", 3)],
     ids=lambda target: f"{target.kind}-{target.fmi}",
 )
-def target(request: pytest.FixtureRequest) -> Target:
+def target(request):
     built: Target = request.param
     return built
 
 
 @pytest.fixture(scope="module", params=TABLES)
-def name(request: pytest.FixtureRequest) -> str:
+def name(request):
     model: str = request.param
     return model
 
 
 @pytest.fixture(scope="module")
-def path(target: Target, name: str) -> Path:
+def path(target, name):
     if name == "trajectory":
         return build_trajectory(np.ones((5, 14)), target=target)
     return build((name,), target=target)[name]
 
 
-def test_the_validator_and_the_schema_find_no_problem(path: Path, target: Target) -> None:
+def test_the_validator_and_the_schema_find_no_problem(path, target):
     assert validate_fmu(str(path)) == []
     with zipfile.ZipFile(path) as archive:
         place = SCHEMAS / f"fmi{target.fmi}" / f"fmi{target.fmi}ModelDescription.xsd"
@@ -80,7 +79,7 @@ def test_the_validator_and_the_schema_find_no_problem(path: Path, target: Target
             schema.assertValid(etree.fromstring(terminals))
 
 
-def test_the_description_says_what_the_table_says(path: Path, name: str, target: Target) -> None:
+def test_the_description_says_what_the_table_says(path, name, target):
     """Our master knows the elements of FMI 3.0's arrays by the names of FMI 2.0."""
     variables = Fmu(path).variables
     scalars = {s.name: s for s in TABLES[name].scalars()}
@@ -99,7 +98,7 @@ def test_the_description_says_what_the_table_says(path: Path, name: str, target:
             assert v.start_value() == v.converted(s.start)
 
 
-def test_arrays_of_fmi_3_have_one_unit_and_people_see_degrees_and_millimetres() -> None:
+def test_arrays_of_fmi_3_have_one_unit_and_people_see_degrees_and_millimetres():
     description = Fmu(build(("plant",), target=Target(fmi=3))["plant"]).description
     shown = {v.name: (v.shape or (), v.unit, v.displayUnit) for v in description.modelVariables}
     assert shown["qpos"] == shown["ctrl"] == ((7,), "rad", "deg")
@@ -116,9 +115,7 @@ def test_arrays_of_fmi_3_have_one_unit_and_people_see_degrees_and_millimetres() 
     [(Target(scalars=True, fmi=3), "qpos[8]", 246), (Target(flat=True), "jac_6_7", 245),
      (Target(flat=True, scalars=True, fmi=3), "qpos_8", 246)],
 )  # fmt: skip
-def test_importers_that_want_scalars_or_plain_names_get_them(
-    target: Target, name: str, count: int
-) -> None:
+def test_importers_that_want_scalars_or_plain_names_get_them(target, name, count):
     path = build(("plant",), target=target)["plant"]
     assert validate_fmu(str(path)) == []
     variables = {v.name: v for v in Fmu(path).description.modelVariables}
@@ -132,7 +129,7 @@ def test_importers_that_want_scalars_or_plain_names_get_them(
     assert list(result[name]) == list(whole["jac[6,7]" if name.startswith("jac") else "qpos[8]"])
 
 
-def test_names_that_would_be_equal_are_refused() -> None:
+def test_names_that_would_be_equal_are_refused():
     rows = tuple(
         Variable(n, s, "m", "output", "continuous", "") for n, s in (("a", (2,)), ("a_1", ()))
     )
@@ -141,7 +138,7 @@ def test_names_that_would_be_equal_are_refused() -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_an_importer_can_bind_all_functions_of_the_standard(version: int) -> None:
+def test_an_importer_can_bind_all_functions_of_the_standard(version):
     """Those for model exchange and events return an error."""
     header = Path(fmpy.__file__).parent / "c-code" / f"fmi{version}Functions.h"
     pattern = rf"#define (fmi{version}\w+) +fmi{version}FullName"
@@ -154,7 +151,7 @@ def test_an_importer_can_bind_all_functions_of_the_standard(version: int) -> Non
     instance.free()
 
 
-def test_no_output_depends_on_an_input_and_no_type_is_called_as_a_variable(path: Path) -> None:
+def test_no_output_depends_on_an_input_and_no_type_is_called_as_a_variable(path):
     """Neither FMI version allows the latter; FMPy's validator does not look."""
     description = Fmu(path).description
     outputs = [v for v in description.modelVariables if v.causality == "output"]
@@ -167,8 +164,8 @@ def test_no_output_depends_on_an_input_and_no_type_is_called_as_a_variable(path:
 
 
 def test_an_fmu_is_small_and_holds_its_libraries_and_papers_and_no_path_of_this_machine(
-    path: Path, target: Target, name: str
-) -> None:
+    path, target, name
+):
     platform, is_native = PLATFORMS[this_platform()], target.kind == "native"
     folder = f"binaries/{platform.fmi2 if target.fmi == 2 else platform.fmi3}"
     assert path.stat().st_size <= MOST_BYTES[target.kind]
@@ -185,7 +182,7 @@ def test_an_fmu_is_small_and_holds_its_libraries_and_papers_and_no_path_of_this_
     assert ("numpy 2.3" in needs) == (not is_native)
 
 
-def test_an_fmu_brings_its_documentation_and_picture(path: Path, name: str, target: Target) -> None:
+def test_an_fmu_brings_its_documentation_and_picture(path, name, target):
     with zipfile.ZipFile(path) as archive:
         page = archive.read("documentation/index.html").decode()
         icon = "model.png" if target.fmi == 2 else "terminalsAndIcons/icon.png"
@@ -204,16 +201,14 @@ def test_an_fmu_brings_its_documentation_and_picture(path: Path, name: str, targ
      ("controller", "input", controller_module.INPUTS),
      ("controller", "output", controller_module.OUTPUTS)],
 )  # fmt: skip
-def test_a_table_fits_its_buffer(name: str, causality: Causality, dtype: np.dtype[Any]) -> None:
+def test_a_table_fits_its_buffer(name, causality, dtype):
     fields = dtype.fields or {}
     table = [(v.name, v.shape) for v in TABLES[name].of(causality)]
     assert table == [(field, fields[field][0].shape) for field in dtype.names or ()]
 
 
 @pytest.mark.parametrize("target", [Target(), Target("python", 3)], ids=str)
-def test_the_same_content_gives_the_same_bytes(
-    target: Target, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_content_gives_the_same_bytes(target, tmp_path, monkeypatch):
     first = {name: path.read_bytes() for name, path in build(target=target).items()}
     copy_libraries(tmp_path / "libraries")
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path))
@@ -234,7 +229,7 @@ def three_steps(fmu: Unpacked) -> list[float]:
 @pytest.mark.own_process
 @pytest.mark.parametrize("kind", ["native", "python"])
 @pytest.mark.parametrize("name", TABLES)
-def test_start_values_are_those_of_the_binary(kind: Kind, name: str) -> None:
+def test_start_values_are_those_of_the_binary(kind, name):
     fmu = unpacked(kind, name, 2)
     it = Instance(fmu)
     for parameter in fmu.names("parameter"):
@@ -243,7 +238,7 @@ def test_start_values_are_those_of_the_binary(kind: Kind, name: str) -> None:
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("name", TABLES)
-def test_an_fmu_runs_its_own_modules_and_from_another_folder(name: str, tmp_path: Path) -> None:
+def test_an_fmu_runs_its_own_modules_and_from_another_folder(name, tmp_path):
     fmu = unpacked("python", name, 2)
     expected = in_fork(three_steps, fmu)
     for module in ("plant", "controller", "assets", "fmus"):
@@ -263,7 +258,7 @@ def test_an_fmu_runs_its_own_modules_and_from_another_folder(name: str, tmp_path
 
 
 @pytest.mark.fmu
-def test_two_builds_run_side_by_side_each_its_own_code() -> None:
+def test_two_builds_run_side_by_side_each_its_own_code():
     plant = own_code("plant")["plant/plant.py"].replace(
         b'ctrl, self.inputs["ctrl"])', b"ctrl, np.full(8, 0.5))"
     )
@@ -284,7 +279,7 @@ def test_two_builds_run_side_by_side_each_its_own_code() -> None:
 
 
 @pytest.mark.fmu
-def test_both_kinds_give_the_same_recording(tmp_path: Path) -> None:
+def test_both_kinds_give_the_same_recording(tmp_path):
     kinds: tuple[Kind, ...] = ("native", "python")
     for kind in kinds:
         in_fork(run_scenario, "push", tmp_path / kind, Options(kind=kind))
@@ -295,7 +290,7 @@ def test_both_kinds_give_the_same_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(one[column], other[column], rtol=tolerance, atol=tolerance)
 
 
-def test_the_program_refuses_an_unknown_platform() -> None:
+def test_the_program_refuses_an_unknown_platform():
     done = command("build", "--platform", "win46")
     assert done.returncode == 2
     assert "did you mean 'win64'?" in done.stderr.replace("\n", " ")

@@ -34,14 +34,14 @@ def system(fmi: int, name: str = "pick_and_place", *, flat: bool = False) -> Wri
 
 
 @pytest.fixture(scope="module")
-def ssps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def ssps(tmp_path_factory):
     """The system by its version of SSP."""
     folder = tmp_path_factory.mktemp("ssp")
     return {f"{fmi - 1}.0": write_ssp(folder / f"{fmi}.ssp", system(fmi)) for fmi in (2, 3)}
 
 
 @pytest.fixture(scope="module")
-def ssp(ssps: dict[str, Path]) -> Path:
+def ssp(ssps):
     return ssps["1.0"]
 
 
@@ -51,7 +51,7 @@ def structure(ssp: Path, name: str = STRUCTURE_FILE) -> str:
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0"])
-def test_all_files_follow_the_schemas_of_their_version(ssps: dict[str, Path], version: str) -> None:
+def test_all_files_follow_the_schemas_of_their_version(ssps, version):
     if version not in SCHEMAS:
         pytest.skip("no pyssp_standard")
     schemas = {"ssd": "Description", "ssv": "ParameterValues"}
@@ -65,14 +65,12 @@ def test_all_files_follow_the_schemas_of_their_version(ssps: dict[str, Path], ve
         etree.XMLSchema(etree.parse(schema)).assertValid(document)
 
 
-def test_the_same_system_gives_the_same_bytes(ssp: Path, tmp_path: Path) -> None:
+def test_the_same_system_gives_the_same_bytes(ssp, tmp_path):
     assert write_ssp(tmp_path / "x.ssp", system(2)).read_bytes() == ssp.read_bytes()
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0"])
-def test_every_input_connector_is_fed_and_every_unit_declared(
-    ssps: dict[str, Path], version: str
-) -> None:
+def test_every_input_connector_is_fed_and_every_unit_declared(ssps, version):
     document = etree.fromstring(structure(ssps[version]).encode()).find("{*}System")
     inputs = {
         (component.get("name"), connector.get("name"))
@@ -85,7 +83,7 @@ def test_every_input_connector_is_fed_and_every_unit_declared(
     assert used <= {unit.get("name") for unit in document.getparent().iterfind(".//{*}Unit")}
 
 
-def test_connectors_of_fmi_3_are_the_variables_of_the_fmus(ssps: dict[str, Path]) -> None:
+def test_connectors_of_fmi_3_are_the_variables_of_the_fmus(ssps):
     document = etree.fromstring(structure(ssps["2.0"]).encode())
     for component in document.iterfind(".//{*}Component"):
         with zipfile.ZipFile(ssps["2.0"]) as archive:
@@ -102,7 +100,7 @@ def test_connectors_of_fmi_3_are_the_variables_of_the_fmus(ssps: dict[str, Path]
             assert shapes[connector.get("name")] == sizes
 
 
-def test_the_system_as_one_block_has_hand_block_and_servo_targets(ssp: Path) -> None:
+def test_the_system_as_one_block_has_hand_block_and_servo_targets(ssp):
     system = etree.fromstring(structure(ssp, CONNECTORS_FILE).encode()).find("{*}System")
     shown = {c.get("name"): c for c in system.iterfind("{*}Connectors/{*}Connector")}
     assert {name.partition("[")[0] for name in shown} == {
@@ -115,7 +113,7 @@ def test_the_system_as_one_block_has_hand_block_and_servo_targets(ssp: Path) -> 
 
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("flat", [False, True])
-def test_it_is_read_as_it_was_written(tmp_path: Path, fmi: int, *, flat: bool) -> None:
+def test_it_is_read_as_it_was_written(tmp_path, fmi, flat):
     """Our master's names of elements stay where the FMUs have flat ones."""
     written, path = system(fmi), write_ssp(tmp_path / "x.ssp", system(fmi, flat=flat))
     coupled = system_from_ssp(path)
@@ -170,9 +168,7 @@ def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
         ("xmlns:ssd=", "xmlns:sdd=", "not well-formed XML: unbound prefix"),
     ],
 )  # fmt: skip
-def test_a_broken_structure_is_refused_by_name(
-    ssp: Path, tmp_path: Path, old: str, new: str, told: str
-) -> None:
+def test_a_broken_structure_is_refused_by_name(ssp, tmp_path, old, new, told):
     bad = changed(ssp, tmp_path, lambda text: text.replace(old, new))
     with pytest.raises(InputError) as refused:
         system_from_ssp(bad)
@@ -180,7 +176,7 @@ def test_a_broken_structure_is_refused_by_name(
     assert "\n" not in str(refused.value)
 
 
-def test_sensors_are_connected_between_plant_and_controller() -> None:
+def test_sensors_are_connected_between_plant_and_controller():
     measured = system(2, "calibrated").connections
     assert len({c.target for c in measured}) == len(measured)  # each input is fed once
     sources = {c.target: c.source for c in measured}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,13 +24,13 @@ pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
 
 
 @pytest.fixture(scope="module")
-def commands() -> Array:
+def commands():
     scenario = load_scenario("pick_and_place")
     return resolve(scenario, start_values(scenario)).sample(instants(scenario))
 
 
 @pytest.fixture(scope="module", params=("native", "python"))
-def target(request: pytest.FixtureRequest) -> Target:
+def target(request):
     return Target(request.param)
 
 
@@ -49,27 +48,25 @@ def played(it: Instance, count: int, ticks: int = 1, start: int = 0) -> list[lis
     return rows
 
 
-def test_its_outputs_are_the_controllers_command_inputs() -> None:
+def test_its_outputs_are_the_controllers_command_inputs():
     assert [v.name for v in TRAJECTORY.of("output")] == list(COMMANDS)
     for name in COMMANDS:
         ends = TRAJECTORY.variable(name), CONTROLLER.variable(name)
         assert len({(v.shape, v.unit, v.description) for v in ends}) == 1
 
 
-def test_at_each_instant_it_gives_the_commands_of_that_instant(
-    commands: Array, target: Target
-) -> None:
+def test_at_each_instant_it_gives_the_commands_of_that_instant(commands, target):
     assert played(player(commands, target), LENGTH) == commands[: LENGTH + 1].tolist()
     longer_and_later = played(player(commands, target), 20, 5, 1000)
     assert longer_and_later == commands[1000:1101:5].tolist()
 
 
-def test_after_the_last_row_the_commands_stay(commands: Array, target: Target) -> None:
+def test_after_the_last_row_the_commands_stay(commands, target):
     rows = played(player(commands[:3], target), 4)
     assert rows == [*commands[:3].tolist(), *[commands[2].tolist()] * 2]
 
 
-def test_it_plays_the_file_that_inputs_writes(commands: Array, tmp_path: Path) -> None:
+def test_it_plays_the_file_that_inputs_writes(commands, tmp_path):
     file, other = tmp_path / "other.csv", commands[500:520]
     write_input_csv(file, np.arange(20) * STEP, other)
     it = player(commands, Target("python"))
@@ -93,9 +90,7 @@ HEADER = ",".join(("time", *NAMES)) + "\n"
         (HEADER + ",".join(["x"] * 15), "cannot be read"),
     ],
 )
-def test_a_file_that_is_no_table_is_refused(
-    commands: Array, text: str | None, told: str, tmp_path: Path
-) -> None:
+def test_a_file_that_is_no_table_is_refused(commands, text, told, tmp_path):
     file = tmp_path / "bad.csv"
     if text is not None:
         file.write_text(text)
@@ -105,7 +100,7 @@ def test_a_file_that_is_no_table_is_refused(
         it.start()
 
 
-def test_a_native_one_plays_only_the_table_that_it_was_built_with(commands: Array) -> None:
+def test_a_native_one_plays_only_the_table_that_it_was_built_with(commands):
     it = player(commands, Target("native"))
     it.set("table", b"/some.csv")
     with pytest.raises(AssertionError, match="a native FMU plays only the table that"):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panda_cosim import InputError, Recording, Scenario, load_scenario, run_scenario
+from panda_cosim import InputError, Scenario, load_scenario, run_scenario
 from panda_cosim.assets import asset_path
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.plant import Plant, PlantParameters
@@ -84,7 +83,7 @@ def gravity_torques(q: Array) -> Array:
     )
 
 
-def test_its_weight_is_that_of_its_links() -> None:
+def test_its_weight_is_that_of_its_links():
     plant = Plant(PlantParameters(robot="fr3"))
     expected = gravity_torques(np.array(HOME_Q))
     assert np.abs(plant.outputs["qfrc_bias"] - expected).max() <= TORQUE_TOLERANCE
@@ -93,13 +92,13 @@ def test_its_weight_is_that_of_its_links() -> None:
 
 
 @pytest.fixture(scope="module")
-def hasty() -> Recording:
+def hasty():
     """What asks for more than the arm's limits."""
     return run_scenario(with_fr3("pick_and_place_fast")).recording
 
 
 @pytest.mark.own_process
-def test_the_law_keeps_its_limits(hasty: Recording) -> None:
+def test_the_law_keeps_its_limits(hasty):
     q, qd = hasty["controller.qpos_ref"], hasty["controller.qvel_ref"]
     acceleration = np.abs(np.diff(qd, axis=0)).max() / 1e-3  # rad/s^2
     jerk = np.abs(np.diff(qd, 2, axis=0)).max() / 1e-6  # rad/s^3
@@ -109,7 +108,7 @@ def test_the_law_keeps_its_limits(hasty: Recording) -> None:
 
 
 @pytest.mark.own_process
-def test_shares_of_limits_are_those_of_the_arm() -> None:
+def test_shares_of_limits_are_those_of_the_arm():
     run = run_scenario(with_fr3("pick_and_place"))
     recording, limits = run.recording, run.summary.limits
     q, qd = recording["plant.qpos"][:, :7], recording["plant.qvel"][:, :7]
@@ -118,7 +117,7 @@ def test_shares_of_limits_are_those_of_the_arm() -> None:
     assert limits["reference_acceleration_share"] == pytest.approx(changes / 10.0)
 
 
-def test_check_names_what_is_too_fast_for_it() -> None:
+def test_check_names_what_is_too_fast_for_it():
     violations, shares = feasibility(with_fr3("pick_and_place_fast"))
     assert any(v.quantity == "acceleration" and v.limit == 10.0 for v in violations)
     assert shares["acceleration"] == pytest.approx(1.6, abs=0.05)
@@ -126,7 +125,7 @@ def test_check_names_what_is_too_fast_for_it() -> None:
 
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", ["pick_and_place", "elastic"])
-def test_native_fmus_give_the_bits_of_python(tmp_path: Path, name: str) -> None:
+def test_native_fmus_give_the_bits_of_python(tmp_path, name):
     scenario = with_fr3(name).changed({"duration": 2.0})
     recording = run_scenario(scenario, tmp_path / "run").recording
     plain = run_plain(scenario)
@@ -137,7 +136,7 @@ def test_native_fmus_give_the_bits_of_python(tmp_path: Path, name: str) -> None:
 @pytest.mark.long
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", shipped_scenarios())
-def test_it_runs_the_shipped_scenarios(name: str, tmp_path: Path) -> None:
+def test_it_runs_the_shipped_scenarios(name, tmp_path):
     assert run_scenario(with_fr3(name), tmp_path / name).summary.success == (name not in BEYOND)
 
 
@@ -148,6 +147,6 @@ def test_it_runs_the_shipped_scenarios(name: str, tmp_path: Path) -> None:
         ({"controller.robot": "fr3"}, "robot: must stand at the top"),
     ],
 )
-def test_other_robots_are_refused(values: dict[str, str], message: str) -> None:
+def test_other_robots_are_refused(values, message):
     with pytest.raises(InputError, match=message):
         load_scenario("pick_and_place").changed(values)

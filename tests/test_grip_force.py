@@ -30,12 +30,12 @@ def gripping(force: float) -> Scenario:
     return Scenario("grip", TrajectoryTable(rows), duration=2.4)
 
 
-def test_the_fingers_press_as_the_table_says() -> None:
+def test_the_fingers_press_as_the_table_says():
     contact = run_plain(gripping(FORCE))["plant.contact_force"]
     assert contact[-200:] == pytest.approx(2 * FORCE, rel=OFF)
 
 
-def test_the_parameter_presses_like_the_column() -> None:
+def test_the_parameter_presses_like_the_column():
     row = gripping(FORCE).table.rows[1]
     controllers = [Controller(preset("default", grip_force=FORCE)), Controller()]
     for controller, opening in zip(controllers, (0.02, row.opening), strict=True):
@@ -45,7 +45,7 @@ def test_the_parameter_presses_like_the_column() -> None:
     assert controllers[0].outputs["ctrl"][7] == controllers[1].outputs["ctrl"][7]
 
 
-def test_a_wide_opening_is_no_grip() -> None:
+def test_a_wide_opening_is_no_grip():
     controller = Controller(preset("default", grip_force=FORCE))
     controller.inputs["grip_cmd"] = 0.07
     controller.inputs["quat_cmd"] = controller.inputs["hand_xquat"] = (1.0, 0.0, 0.0, 0.0)
@@ -57,12 +57,12 @@ def test_a_wide_opening_is_no_grip() -> None:
     ("grip", "force", "bound"),
     [(0.06, 31.0, "from 0 to 30 N"), (0.04, 21.0, "must be at most 20 N on what is 0.04 m wide")],
 )
-def test_an_impossible_force_is_refused(grip: float, force: float, bound: str) -> None:
+def test_an_impossible_force_is_refused(grip, force, bound):
     with pytest.raises(InputError, match=bound):
         TableRow(0.0, "home", (0.0, 0.0, 0.0), grip, grip_force=force)
 
 
-def test_a_check_says_what_the_block_takes() -> None:
+def test_a_check_says_what_the_block_takes():
     heavy = {"block_mass": 2.0, "block_friction": 0.4}
     robust = replace(gripping(FORCE), gains="robust", scene="elastic", plant=heavy)
     prepared = prepare(robust)
@@ -74,6 +74,6 @@ def test_a_check_says_what_the_block_takes() -> None:
     assert friction < needed
 
 
-def test_a_scene_without_that_gripper_refuses_the_column() -> None:
+def test_a_scene_without_that_gripper_refuses_the_column():
     with pytest.raises(InputError, match='the gripper of scene "tutorial" is too weak'):
         replace(gripping(FORCE), scene="tutorial")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,7 @@ COLUMNS = [
 
 
 @pytest.fixture(scope="module", autouse=True)
-def blocks() -> Iterator[None]:
+def blocks():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(storage, "BLOCK_ROWS", BLOCK_ROWS)
         yield
@@ -61,7 +61,7 @@ def record(folder: Path, blocks: int, shift: float) -> Path:
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, list[Path]]:
+def runs(tmp_path_factory):
     """Two runs of each length."""
     place = tmp_path_factory.mktemp("runs")
     return {
@@ -103,15 +103,13 @@ def peak(function: Callable[[], object]) -> int:
 
 
 @pytest.mark.parametrize("use", [judge, compare_runs, regress, update])
-def test_few_columns_of_a_long_run_are_in_memory(
-    runs: dict[int, list[Path]], use: Callable[[Path, Path], None]
-) -> None:
+def test_few_columns_of_a_long_run_are_in_memory(runs, use):
     use(*runs[SHORT])  # imports
     grown = peak(lambda: use(*runs[LONG])) - peak(lambda: use(*runs[SHORT]))
     assert grown / (8 * (LONG - SHORT) * BLOCK_ROWS) <= MOST
 
 
-def test_a_sweep_that_goes_on_remembers_its_rows_in_a_few_bytes_each(tmp_path: Path) -> None:
+def test_a_sweep_that_goes_on_remembers_its_rows_in_a_few_bytes_each(tmp_path):
     store, rows = Store(tmp_path), 100_000
     store.results.mkdir()
     store.add([{"index": index} for index in range(rows)], pa.schema([("index", pa.int64())]))

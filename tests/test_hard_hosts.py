@@ -32,7 +32,7 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def host(tmp_path_factory):
     """The host, and a locale with a decimal comma in its folder."""
     folder, tool = tmp_path_factory.mktemp("host"), compiler()
     assert tool
@@ -85,7 +85,7 @@ def skip_without_library(kind: Kind) -> None:
     [("native", "plant", 3), ("native", "controller", 2), ("native", "trajectory", 3),
      ("python", "trajectory", 2)],
 )  # fmt: skip
-def test_a_hard_host_is_served(host: Path, kind: Kind, name: str, version: int) -> None:
+def test_a_hard_host_is_served(host, kind, name, version):
     skip_without_library(kind)
     every_way(host, unpacked(kind, name, version), kind, 0)
 
@@ -99,9 +99,7 @@ void mju_dispatch(void) { abort(); }
 
 
 @pytest.mark.parametrize("name", ["plant", "controller"])
-def test_the_functions_of_a_hosts_own_mujoco_are_not_called(
-    host: Path, tmp_path: Path, name: str
-) -> None:
+def test_the_functions_of_a_hosts_own_mujoco_are_not_called(host, tmp_path, name):
     """The host is linked with another version; here its functions are nothing but traps."""
     source, other = tmp_path / "other.c", tmp_path / "libother.so"
     source.write_text(OTHER_MUJOCO)
@@ -115,6 +113,6 @@ def test_the_functions_of_a_hosts_own_mujoco_are_not_called(
 @pytest.mark.long
 @pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
 @pytest.mark.parametrize(("kind", "name"), MODELS)
-def test_a_hard_host_is_served_for_long(host: Path, kind: Kind, name: str, version: int) -> None:
+def test_a_hard_host_is_served_for_long(host, kind, name, version):
     skip_without_library(kind)
     every_way(host, unpacked(kind, name, version), kind, 1)

@@ -98,7 +98,7 @@ def sweep_folder(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path: Path) -> None:
+def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path):
     folder = sweep_folder(tmp_path / "javascript:x';id #%41?", "x")
     (folder / "shown" / "0000001").mkdir(parents=True)
     (folder / "shown" / "0000001" / "view.html").touch()
@@ -109,7 +109,7 @@ def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path: Path) -> None:
     assert shlex.split(data["show"])[-1] == str(folder)
 
 
-def test_a_rows_command_holds_any_scenario() -> None:
+def test_a_rows_command_holds_any_scenario():
     said = row_command("a b;c", {"plant.scene": "x y"})
     assert shlex.split(said) == ["panda-cosim", "run", "a b;c", "--set", "plant.scene=x y"]
 
@@ -141,7 +141,7 @@ PAGES: dict[str, tuple[Callable[[Path, str], bytes], str]] = {
 
 
 @pytest.mark.parametrize("kind", PAGES)
-def test_texts_in_a_page_stay_text(page: Page, tmp_path: Path, kind: str) -> None:
+def test_texts_in_a_page_stay_text(page, tmp_path, kind):
     make, selector = PAGES[kind]
     path = tmp_path / "page.html"
     path.write_bytes(make(tmp_path / "x", TEXT))
@@ -153,7 +153,7 @@ def test_texts_in_a_page_stay_text(page: Page, tmp_path: Path, kind: str) -> Non
 
 
 @pytest.mark.parametrize("kind", PAGES)
-def test_a_script_that_got_into_a_page_would_not_run(page: Page, tmp_path: Path, kind: str) -> None:
+def test_a_script_that_got_into_a_page_would_not_run(page, tmp_path, kind):
     path, text = tmp_path / "page.html", PAGES[kind][0](tmp_path / "x", "x").decode()
     path.write_text(re.sub("(<body[^>]*>)", rf"\1{STOLEN}", text), encoding="utf-8")
     page.open(path)
@@ -161,7 +161,7 @@ def test_a_script_that_got_into_a_page_would_not_run(page: Page, tmp_path: Path,
     assert page.value("window.stolen") is None
 
 
-def test_an_fmus_description_is_xml_whatever_names_a_model_has() -> None:
+def test_an_fmus_description_is_xml_whatever_names_a_model_has():
     text = "body 'a\x1b[31m\0\x9b' of <b>"  # MuJoCo reads such names from MJCF
     variables = tuple(replace(v, description=text) for v in SENSORS.variables)
     interface = replace(SENSORS, description=text, variables=variables)
@@ -178,7 +178,7 @@ def in_notebook(page: Page, folder: Path, frame: str) -> None:
     page.open(path)
 
 
-def test_a_frame_keeps_scripts_from_the_notebook(page: Page, tmp_path: Path) -> None:
+def test_a_frame_keeps_scripts_from_the_notebook(page, tmp_path):
     own = "<script>window.ran = 1; parent.stolen = 1</script>"
     in_notebook(page, tmp_path, Inline(own, 100)._repr_html_())
     with page.in_frame():
@@ -194,7 +194,7 @@ def test_a_frame_keeps_scripts_from_the_notebook(page: Page, tmp_path: Path) -> 
         assert page.value("window.stolen") is None
 
 
-def test_a_notebook_shows_a_runs_texts(page: Page, tmp_path: Path) -> None:
+def test_a_notebook_shows_a_runs_texts(page, tmp_path):
     criteria = (Criterion(TEXT, 1.0, 2.0, TEXT, ok=True), Criterion(TEXT, None, 1.0, "", ok=False))
     summary = Summary(criteria=criteria, scenario=TEXT, reason=TEXT, complete=False)
     page.errors.clear()
@@ -206,7 +206,7 @@ def test_a_notebook_shows_a_runs_texts(page: Page, tmp_path: Path) -> None:
     assert page.errors == []
 
 
-def test_a_terminal_gets_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_terminal_gets_text(capsys):
     criterion = Criterion(TEXT, 1.0, 2.0, TEXT, ok=True)
     tables = [table((TEXT, f"{TEXT}*")), verdict_table(SimpleNamespace(criteria=[criterion]))]
     tables[0].add_row(as_cell(TEXT), as_cell(TEXT))
@@ -220,7 +220,7 @@ def test_a_terminal_gets_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert printable(TEXT)[:20] in shown_text
 
 
-def test_junit_holds_any_text(tmp_path: Path) -> None:
+def test_junit_holds_any_text(tmp_path):
     text = TEXT + "\udcff"
     write_cases("suite", [Case(text, 1.0, "error", text, text, text)], tmp_path / "junit.xml")
     (case,) = ElementTree.parse(tmp_path / "junit.xml").getroot().iter("testcase")
@@ -257,7 +257,7 @@ def described() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_texts_in_the_live_page_stay_text(page: Page) -> None:
+def test_texts_in_the_live_page_stay_text(page):
     status = {"run": 1, "playing": False, "over": False, "speed": 1.0, "coupling": ODD,
               "values": TUNABLES, "behind": 1.5, "folder": ODD, "message": HEBREW}  # fmt: skip
     simulation = SimpleNamespace(

@@ -49,7 +49,7 @@ def above(container: str, layer: str) -> set[str]:
     return {name for each in names[: names.index(layer)] for name in each.split(" | ")}
 
 
-def test_only_what_the_contracts_have_above_is_left_out() -> None:
+def test_only_what_the_contracts_have_above_is_left_out():
     of_fmus = above("panda_cosim", "fmus") - {"__main__"}
     of_fmus |= {f"fmus/{name}" for name in above("panda_cosim.fmus", "sources")}
     assert set(libraries.ABOVE) == of_fmus
@@ -60,7 +60,7 @@ def test_only_what_the_contracts_have_above_is_left_out() -> None:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Changed, dict[str, list[str]]]:
+def found(tmp_path_factory):
     """What the digests change with, in a copy of the package, and what its modules import."""
     package = tmp_path_factory.mktemp("copy") / "panda_cosim"
     ignored = shutil.ignore_patterns("__pycache__", "node_modules", "*.parquet", "lib")
@@ -79,9 +79,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Changed, dict[str, 
     [(0, "fmus.sources.targets"), (0, "fmus.inside.plant"), (0, "fmus.inside.controller"),
      (1, "study.sweep.row"), (1, "study.sweep.design"), (1, "controller.controller")],
 )  # fmt: skip
-def test_a_digest_changes_with_each_module_that_is_imported(
-    found: tuple[Changed, dict[str, list[str]]], digest: int, module: str
-) -> None:
+def test_a_digest_changes_with_each_module_that_is_imported(found, digest, module):
     changed, imported = found
     for name in (needed := {*imported[f"panda_cosim.{module}"]} - {"panda_cosim"}):
         place = name.removeprefix("panda_cosim.").replace(".", "/")
@@ -90,9 +88,7 @@ def test_a_digest_changes_with_each_module_that_is_imported(
     assert len(needed) > 5
 
 
-def test_a_digest_changes_with_data_and_c_but_not_with_what_is_above(
-    found: tuple[Changed, dict[str, list[str]]],
-) -> None:
+def test_a_digest_changes_with_data_and_c_but_not_with_what_is_above(found):
     changed, _ = found
     for name in ("fmus/native/step.c", "fmus/native/instance.h", "assets/arm.xml",
                  "result/judging/definitions.toml"):  # fmt: skip

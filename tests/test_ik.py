@@ -98,21 +98,19 @@ def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
 
 
 @given(a=vectors, b=vectors, q=quaternions)
-def test_the_position_error_leads_from_the_hand_to_the_command(
-    a: Array, b: Array, q: Array
-) -> None:
+def test_the_position_error_leads_from_the_hand_to_the_command(a, b, q):
     assert np.array_equal(pose_error(a, q, b, q)[:3], a - b)
 
 
 @given(q=quaternions, vector=vectors)
-def test_the_error_is_the_turn_that_was_made(q: Array, vector: Array) -> None:
+def test_the_error_is_the_turn_that_was_made(q, vector):
     """In the world frame, for any turn of less than half a round."""
     made = 3.0 * vector / max(1.0, float(np.linalg.norm(vector)))  # rad
     assert np.abs(error_between(turn(made, q), q) - made).max() <= ANGLE_TOLERANCE
 
 
 @given(a=quaternions, b=quaternions)
-def test_the_error_brings_the_hand_to_the_command_by_the_shorter_way(a: Array, b: Array) -> None:
+def test_the_error_brings_the_hand_to_the_command_by_the_shorter_way(a, b):
     error = error_between(a, b)
     reached = turn(error, b)
     assert min(np.abs(reached - a).max(), np.abs(reached + a).max()) <= ANGLE_TOLERANCE
@@ -120,13 +118,13 @@ def test_the_error_brings_the_hand_to_the_command_by_the_shorter_way(a: Array, b
 
 
 @given(a=quaternions, b=quaternions)
-def test_the_error_back_is_the_error_turned_round(a: Array, b: Array) -> None:
+def test_the_error_back_is_the_error_turned_round(a, b):
     assume(abs(a @ b) > 1e-6)  # half a round has two shorter ways
     assert np.abs(error_between(a, b) + error_between(b, a)).max() <= ANGLE_TOLERANCE
 
 
 @given(a=quaternions, b=quaternions)
-def test_both_signs_of_a_quaternion_are_one_orientation(a: Array, b: Array) -> None:
+def test_both_signs_of_a_quaternion_are_one_orientation(a, b):
     assume(abs(a @ b) > 1e-6)
     assert np.abs(error_between(-a, b) - error_between(a, b)).max() <= ANGLE_TOLERANCE
     assert np.abs(error_between(a, -b) - error_between(a, b)).max() <= ANGLE_TOLERANCE
@@ -139,8 +137,8 @@ rates = st.floats(1e-3, 100.0)
 
 @given(linear=vectors, angular=vectors, scale=rates, speed=rates, braking=rates)
 def test_an_error_is_corrected_as_fast_as_can_be_braked_again(
-    linear: Array, angular: Array, scale: float, speed: float, braking: float
-) -> None:
+    linear, angular, scale, speed, braking
+):
     gains = Gains(
         linear_correction=speed,
         linear_braking=braking,
@@ -164,7 +162,7 @@ def test_an_error_is_corrected_as_fast_as_can_be_braked_again(
 
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds)
-def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed: int) -> None:
+def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed):
     jac = jacobian(random_posture(seed))
     assume(np.linalg.svd(jac)[1][-1] > 0.05)
     twist = np.random.default_rng(seed + 1).normal(size=6)
@@ -175,7 +173,7 @@ def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed: int) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds, damping=st.floats(0.005, 0.5))
-def test_damped_it_is_the_damped_least_squares(seed: int, damping: float) -> None:
+def test_damped_it_is_the_damped_least_squares(seed, damping):
     rng = np.random.default_rng(seed)
     jac, twist, rate = jacobian(random_posture(seed)), rng.normal(size=6), rng.normal(size=7)
     stacked = np.vstack((jac, damping * np.eye(7)))
@@ -185,7 +183,7 @@ def test_damped_it_is_the_damped_least_squares(seed: int, damping: float) -> Non
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
-def test_the_null_space_moves_the_posture_and_not_the_hand(seed: int) -> None:
+def test_the_null_space_moves_the_posture_and_not_the_hand(seed):
     jac = jacobian(random_posture(seed))
     assume(np.linalg.svd(jac)[1][-1] > 0.05)
     rate = np.random.default_rng(seed).normal(size=7)
@@ -200,9 +198,7 @@ def test_the_null_space_moves_the_posture_and_not_the_hand(seed: int) -> None:
     seed=seeds, off=st.sampled_from([0.0, 0.003, 0.02, 0.1]), singular=st.sampled_from([0.0, 0.05])
 )
 @example(seed=15208010, off=0.1, singular=0.0)  # where the solver stopped short at first
-def test_within_a_box_scale_and_velocities_are_optimal(
-    seed: int, off: float, singular: float
-) -> None:
+def test_within_a_box_scale_and_velocities_are_optimal(seed, off, singular):
     rng = np.random.default_rng(seed)
     jac, free = jacobian(random_posture(seed)), rng.normal(size=7)
     low, high = -rng.uniform(0.05, 1.0, 7), rng.uniform(0.05, 1.0, 7)
@@ -223,7 +219,7 @@ def test_within_a_box_scale_and_velocities_are_optimal(
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds, half=st.booleans())
-def test_a_hand_that_is_late_slows_down_on_its_path(seed: int, half: bool) -> None:
+def test_a_hand_that_is_late_slows_down_on_its_path(seed, half):
     """In a box that holds the solution it keeps its speed; in half of it, half of it."""
     jac, twist = jacobian(random_posture(seed)), np.random.default_rng(seed).normal(size=6)
     assume(np.linalg.svd(jac)[1][-1] > 0.05)
@@ -236,7 +232,7 @@ def test_a_hand_that_is_late_slows_down_on_its_path(seed: int, half: bool) -> No
     assert np.linalg.norm(moved - along * asked) <= 0.01 * np.linalg.norm(asked)
 
 
-def test_without_a_solution_the_joints_brake() -> None:
+def test_without_a_solution_the_joints_brake():
     low, high = np.full(7, -0.2), np.array([-0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
     jac, one, free = np.full((6, 7), 1e200), np.ones(6), np.zeros(7)
     qd = scaled_least_squares(jac, one, free, 0.0, 0.0, np.stack((low, high)))
@@ -250,7 +246,7 @@ def test_without_a_solution_the_joints_brake() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
-def test_manipulability_and_smallest_singular_value_are_those_of_the_jacobian(seed: int) -> None:
+def test_manipulability_and_smallest_singular_value_are_those_of_the_jacobian(seed):
     jac = jacobian(random_posture(seed))
     values = np.linalg.svd(jac)[1]
     assume(values[-1] < 0.9 * values[-2])  # else the direction converges more slowly
@@ -261,9 +257,7 @@ def test_manipulability_and_smallest_singular_value_are_those_of_the_jacobian(se
 
 
 @given(value=st.floats(1e-3, 1.0), damping=st.floats(0.0, 1.0))
-def test_the_damping_grows_from_nothing_to_its_most_at_the_singularity(
-    value: float, damping: float
-) -> None:
+def test_the_damping_grows_from_nothing_to_its_most_at_the_singularity(value, damping):
     gains = Gains(singular_value=value, singular_damping=damping)
     course = [singular_damping(share * value, gains) for share in np.linspace(0.0, 1.2, 25)]
     assert course[0] == damping
@@ -275,7 +269,7 @@ def test_the_damping_grows_from_nothing_to_its_most_at_the_singularity(
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
-def test_the_inertia_force_is_that_of_the_arm(seed: int) -> None:
+def test_the_inertia_force_is_that_of_the_arm(seed):
     """As the full dynamics without gravity, velocities and passive forces give it."""
     q, (model, data) = random_posture(seed), arm()
     qdd = np.random.default_rng(seed).normal(size=model.nv)

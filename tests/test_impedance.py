@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -53,7 +52,7 @@ def settled(controller: Controller) -> Array:
 
 
 @pytest.mark.parametrize(("law", "others"), [("impedance", OF_SERVOS), ("default", OF_IMPEDANCE)])
-def test_the_gains_of_the_other_laws_change_nothing(law: str, others: frozenset[str]) -> None:
+def test_the_gains_of_the_other_laws_change_nothing(law, others):
     def outputs(gains: Gains) -> Array:
         controller, random = Controller(gains), np.random.default_rng(3)
         at_home(controller)
@@ -75,7 +74,7 @@ def test_the_gains_of_the_other_laws_change_nothing(law: str, others: frozenset[
     assert prepare(scenario).notes[0].startswith(f"[controller] {min(others)}: without effect")
 
 
-def test_springs_offset_and_commanded_force_act_at_the_hand() -> None:
+def test_springs_offset_and_commanded_force_act_at_the_hand():
     controller = Controller(replace(REST, offset_rate=0.0))
     plant, _, jac = at_home(controller)
     held = settled(controller)
@@ -91,7 +90,7 @@ def test_springs_offset_and_commanded_force_act_at_the_hand() -> None:
     assert np.linalg.norm(far[:3] - (0.0, 0.0, -8.0)) == pytest.approx(60.0)
 
 
-def test_the_offset_grows_but_along_the_axis_of_a_commanded_force() -> None:
+def test_the_offset_grows_but_along_the_axis_of_a_commanded_force():
     controller = Controller(replace(REST, offset_rate=2.0, offset_limit=(20.0,) * 6))
     _, _, jac = at_home(controller)
     controller.inputs["pos_cmd"] += 1e-3
@@ -102,7 +101,7 @@ def test_the_offset_grows_but_along_the_axis_of_a_commanded_force() -> None:
 
 
 @pytest.mark.parametrize("ratio", [0.7, 1.0])
-def test_each_mode_of_the_hand_on_its_springs_has_the_damping_ratio(ratio: float) -> None:
+def test_each_mode_of_the_hand_on_its_springs_has_the_damping_ratio(ratio):
     controller = Controller(replace(REST, damping_ratio=ratio, offset_rate=0.0))
     _, inertia, jac = at_home(controller)
     held = settled(controller)
@@ -123,9 +122,7 @@ def test_each_mode_of_the_hand_on_its_springs_has_the_damping_ratio(ratio: float
 @pytest.mark.own_process
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("force", [-150.0, 150.0])  # N
-def test_a_hand_that_is_pushed_comes_back_to_its_path(
-    tmp_path: Path, axis: int, force: float
-) -> None:
+def test_a_hand_that_is_pushed_comes_back_to_its_path(tmp_path, axis, force):
     push = Push(start=0.6, duration=0.3, force=tuple(force * np.eye(3)[axis]))
     record = run_scenario(replace(MOVING, push=(push,)), tmp_path / "run").recording
     error = np.linalg.norm(record["plant.hand_xpos"] - record["controller.pos_cmd"], axis=1)
@@ -137,7 +134,7 @@ def test_a_hand_that_is_pushed_comes_back_to_its_path(
 
 
 @pytest.mark.own_process
-def test_both_kinds_of_fmus_run_it_to_the_same_bits(tmp_path: Path) -> None:
+def test_both_kinds_of_fmus_run_it_to_the_same_bits(tmp_path):
     short = replace(MOVING, duration=0.3)
     runs = [
         run_scenario(short, tmp_path / kind, Options(kind=kind)) for kind in ("native", "python")
@@ -149,7 +146,7 @@ def test_both_kinds_of_fmus_run_it_to_the_same_bits(tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", TASKS)
-def test_a_task_in_contact_succeeds_with_other_robots(tmp_path: Path, name: str) -> None:
+def test_a_task_in_contact_succeeds_with_other_robots(tmp_path, name):
     for seed in (2, 3):
         varied = load_scenario(name).changed({"mismatch.seed": seed})
         assert run_scenario(varied, tmp_path / str(seed)).summary.success
@@ -163,12 +160,12 @@ def test_a_task_in_contact_succeeds_with_other_robots(tmp_path: Path, name: str)
         ({**TORQUES, "controller.reaction": "stop"}, "with impedance, it must be"),
     ],
 )
-def test_what_does_not_fit_is_refused(values: dict[str, Any], words: str) -> None:
+def test_what_does_not_fit_is_refused(values, words):
     with pytest.raises((InputError, ValueError), match=words):
         prepare(load_scenario("pick_and_place").changed(values))
 
 
-def test_mismatch_needs_a_plant_that_extends_ours(tmp_path: Path) -> None:
+def test_mismatch_needs_a_plant_that_extends_ours(tmp_path):
     (tmp_path / "arm.xml").write_text(
         "<mujoco><worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>"
         "<actuator><motor joint='j'/></actuator></mujoco>"

@@ -31,7 +31,7 @@ def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_the_import_contracts_hold() -> None:
+def test_the_import_contracts_hold():
     done = lint_imports(ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -48,9 +48,7 @@ def test_the_import_contracts_hold() -> None:
         ),
     ],
 )
-def test_a_forbidden_import_is_seen(
-    module: str, statement: str, contract: str, tmp_path: Path
-) -> None:
+def test_a_forbidden_import_is_seen(module, statement, contract, tmp_path):
     for folder in ("assets", "plant", "controller", "fmus", "src"):
         ignored = shutil.ignore_patterns("__pycache__", "*.parquet", "native")
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignored, symlinks=True)
@@ -70,7 +68,7 @@ def test_a_forbidden_import_is_seen(
         ("import xml.etree.ElementTree as e\ne.fromstring(input())", "S314"),
     ],
 )
-def test_code_that_turns_data_into_code_is_refused(source: str, rule: str) -> None:
+def test_code_that_turns_data_into_code_is_refused(source, rule):
     command = [
         BIN / "ruff",
         "check",
@@ -94,7 +92,7 @@ def modules_after(code: str) -> set[str]:
     return set(done.stdout.split("LOADED ")[-1].split())
 
 
-def test_help_loads_nothing_heavy() -> None:
+def test_help_loads_nothing_heavy():
     code = """
 from panda_cosim.cli.app import app
 try:
@@ -105,7 +103,7 @@ except SystemExit:
     assert not modules_after(code) & HEAVY
 
 
-def test_the_packages_themselves_cost_nothing() -> None:
+def test_the_packages_themselves_cost_nothing():
     packages = (
         "",
         ".task",

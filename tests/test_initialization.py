@@ -63,7 +63,7 @@ def start_fmu(path: Path, fmi: int, experiment: str = "", g: float = 1.0) -> Pat
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Path]:
+def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmus")
     return {fmi: start_fmu(folder / f"start{fmi}.fmu", fmi) for fmi in (2, 3)}
 
@@ -100,13 +100,7 @@ SYSTEMS = st.dictionaries(st.sampled_from(ALL), st.sampled_from(ALL))
     biases=st.tuples(*[st.floats(-5.0, 5.0)] * 4),
     kinds=st.tuples(*[st.sampled_from([2, 3])] * 4),
 )
-def test_inputs_have_their_values_before_initialization_ends(
-    files: Mapping[int, Path],
-    feeds: Mapping[str, str],
-    gains: tuple[float, ...],
-    biases: tuple[float, ...],
-    kinds: tuple[int, ...],
-) -> None:
+def test_inputs_have_their_values_before_initialization_ends(files, feeds, gains, biases, kinds):
     """Chains are exact; loops, which may also grow from pass to pass, to a tolerance."""
     fmus = {name: files[fmi] for name, fmi in zip(ALL, kinds, strict=True)}
     values = {n: {"g": g, "c": c} for n, g, c in zip(ALL, gains, biases, strict=True)}
@@ -132,9 +126,7 @@ def test_inputs_have_their_values_before_initialization_ends(
 
 
 @pytest.mark.parametrize("isolate", [False, True])
-def test_a_loop_that_does_not_settle_is_told_and_has_its_start_values(
-    files: Mapping[int, Path], *, isolate: bool
-) -> None:
+def test_a_loop_that_does_not_settle_is_told_and_has_its_start_values(files, isolate):
     fmus, feeds = {"a": files[2], "b": files[3]}, {"a": "b", "b": "a"}
     values = {"a": {"c": 1.0}, "b": {"c": 2.0}}
     found, said = at_start(fmus, feeds, values, isolate=isolate)
@@ -156,7 +148,7 @@ def run(folder: Path, text: str, **options: bool) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_inputs_over_time_have_their_first_values(tmp_path: Path, fmi: int) -> None:
+def test_inputs_over_time_have_their_first_values(tmp_path, fmi):
     start_fmu(tmp_path / "f.fmu", fmi)
     (tmp_path / "in.csv").write_text("time,f.u\n-1.0,1.0\n1.0,3.0\n")
     row = run(tmp_path, '[inputs]\nfile = "in.csv"\n[fmus]\nf = "f.fmu"\n')
@@ -164,9 +156,7 @@ def test_inputs_over_time_have_their_first_values(tmp_path: Path, fmi: int) -> N
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_what_is_stated_is_sent_even_if_the_description_says_the_same(
-    tmp_path: Path, fmi: int
-) -> None:
+def test_what_is_stated_is_sent_even_if_the_description_says_the_same(tmp_path, fmi):
     """The FMU's own value is 1, its description says 4."""
     start_fmu(tmp_path / "f.fmu", fmi, g=4.0)
     fmus = '[inputs]\n"f.u" = 1.0\n[fmus]\nf = "f.fmu"\n'
@@ -177,9 +167,7 @@ def test_what_is_stated_is_sent_even_if_the_description_says_the_same(
 
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("isolate", [False, True])
-def test_the_tolerance_is_the_description_s_or_the_scenario_s(
-    tmp_path: Path, fmi: int, *, isolate: bool
-) -> None:
+def test_the_tolerance_is_the_description_s_or_the_scenario_s(tmp_path, fmi, isolate):
     fmus = '[fmus]\nf = "f.fmu"\n'
     start_fmu(tmp_path / "f.fmu", fmi)
     assert run(tmp_path, fmus, isolate=isolate)["f.tolerance"] == -1.0

@@ -1,7 +1,5 @@
 """What is given from outside is the same, made at once or a part at a time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,9 +17,7 @@ INPUTS = prepare(load_scenario("pick_and_place")).inputs()
 
 @pytest.mark.parametrize("name", ["tutorial", "push", "fast_circle"])
 @pytest.mark.parametrize("part", [100, 16_384])
-def test_parts_hold_what_the_whole_does(
-    name: str, part: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_hold_what_the_whole_does(name, part, monkeypatch):
     monkeypatch.setattr(preparing, "CHUNK", part)
     scenario = load_scenario(name)
     values = start_values(scenario)
@@ -35,12 +31,12 @@ def test_parts_hold_what_the_whole_does(
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 7000), st.integers(0, 7000))
-def test_a_slice_is_cut_off_as_that_of_an_array(start: int, stop: int) -> None:
+def test_a_slice_is_cut_off_as_that_of_an_array(start, stop):
     assert len(INPUTS[start:stop]) == len(range(INPUTS.shape[0])[start:stop])
 
 
 @pytest.mark.parametrize("body", ["hand", "block"])
-def test_a_push_begins_and_ends_with_its_ticks(body: str) -> None:
+def test_a_push_begins_and_ends_with_its_ticks(body):
     scenario = load_scenario("push")
     scenario = replace(scenario, push=tuple(replace(p, on=body) for p in scenario.push))
     made = prepare(scenario).inputs()

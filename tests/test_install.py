@@ -68,7 +68,7 @@ if __name__ == "__main__":
 
 
 @pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def own(tmp_path_factory):
     folder = tmp_path_factory.mktemp("own")
     for name, text in OWN.items():
         (folder / name).parent.mkdir(exist_ok=True)
@@ -78,7 +78,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.fmu
-def test_a_script_beside_modules_of_the_same_names_runs(own: Path) -> None:
+def test_a_script_beside_modules_of_the_same_names_runs(own):
     done = run(sys.executable, "script.py", cwd=own)
     assert done.stdout == "done\n", done.stderr
 
@@ -96,8 +96,8 @@ def test_a_script_beside_modules_of_the_same_names_runs(own: Path) -> None:
     ],
 )
 def test_a_build_needs_headers_and_a_compiler_only_where_it_compiles(
-    kind: str, compiler: bool, needed: set[str], tmp_path: Path
-) -> None:
+    kind, compiler, needed, tmp_path
+):
     (tmp_path / "pyproject.toml").write_text('[project]\nname = "p"\nversion = "1"\n')
     if compiler:
         (tmp_path / "cc").touch(mode=0o755)
@@ -108,9 +108,7 @@ def test_a_build_needs_headers_and_a_compiler_only_where_it_compiles(
     assert {re.split(r"\W", name)[0] for name in names} - {""} == needed, done.stderr
 
 
-def test_an_editable_install_compiles_modules_where_python_keeps_no_byte_code(
-    tmp_path: Path,
-) -> None:
+def test_an_editable_install_compiles_modules_where_python_keeps_no_byte_code(tmp_path):
     source = copied_source(tmp_path)
     code = "import build_backend; build_backend.build_editable('.')"
     backend = str(source / ".ci")
@@ -138,7 +136,7 @@ def copied_source(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(tmp_path_factory):
     """Install a wheel into a fresh environment that has the other packages, and not the source."""
     folder = tmp_path_factory.mktemp("wheel")
     source = copied_source(folder)
@@ -162,7 +160,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_wheel_is_tagged_for_the_platform_of_its_libraries(installed: Path) -> None:
+def test_a_wheel_is_tagged_for_the_platform_of_its_libraries(installed):
     (wheel,) = installed.glob("*.whl")
     platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
     assert wheel.name.endswith(f"-py3-none-{platform}.whl")
@@ -217,15 +215,15 @@ def run_commands(installed: Path, commands: list[str], cache: Path | None) -> No
 
 
 @pytest.mark.fmu
-def test_a_wheel_without_the_source_runs_a_scenario(installed: Path) -> None:
+def test_a_wheel_without_the_source_runs_a_scenario(installed):
     run_commands(installed, LINES[:3], cache=None)
 
 
 @pytest.mark.fmu
 @pytest.mark.long
-def test_a_wheel_without_the_source_runs_every_command(installed: Path) -> None:
+def test_a_wheel_without_the_source_runs_every_command(installed):
     run_commands(installed, LINES, cache=installed / "cache")
 
 
-def test_the_list_of_commands_is_complete() -> None:
+def test_the_list_of_commands_is_complete():
     assert {line.split()[0] for line in LINES} == set(COMMANDS)

@@ -1,13 +1,10 @@
 """Ctrl-C leaves no process, and no folder of one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -63,7 +60,7 @@ except cli.INTERRUPTS as error:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_whose_exception_nobody_sees_ends_the_command(number: signal.Signals) -> None:
+def test_a_signal_whose_exception_nobody_sees_ends_the_command(number):
     command = [sys.executable, "-c", UNSEEN, str(int(number))]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
     assert done.returncode == 128 + number, done.stderr
@@ -73,9 +70,7 @@ def test_a_signal_whose_exception_nobody_sees_ends_the_command(number: signal.Si
 @pytest.mark.parametrize(
     ("number", "what"), [(signal.SIGINT, "own"), (signal.SIGTERM, "slave")], ids=["own", "slave"]
 )
-def test_a_first_build_that_is_interrupted_ends_its_compilers(
-    tmp_path: Path, number: signal.Signals, what: str
-) -> None:
+def test_a_first_build_that_is_interrupted_ends_its_compilers(tmp_path, number, what):
     """The project's own FMUs are compiled in threads, a single one in the main thread."""
     compiler, slave = tmp_path / "bin" / "cc", tmp_path / "slave.py"
     compiler.parent.mkdir()

@@ -51,7 +51,7 @@ def spread(values: Array) -> float:
 
 
 @pytest.mark.long
-def test_the_sheet_is_that_of_the_recordings(tmp_path: Path) -> None:
+def test_the_sheet_is_that_of_the_recordings(tmp_path):
     sweep(load_sweep("iso9283"), tmp_path / "iso")
     sheet = ISO["sheet"](tmp_path / "iso")
     runs = [Recording.open(tmp_path / "iso" / "runs" / f"{i:07d}") for i in range(30)]
@@ -84,7 +84,7 @@ def test_the_sheet_is_that_of_the_recordings(tmp_path: Path) -> None:
     assert sheet["OV, t_s at P1"] is None
 
 
-def test_repeatability_by_hand() -> None:
+def test_repeatability_by_hand():
     """Four poses on a circle of 1 mm: no distance differs; angles of +-1 deg twice."""
     poses = np.zeros((4, 6))
     poses[:, :2] = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
@@ -95,7 +95,7 @@ def test_repeatability_by_hand() -> None:
     assert values["R_a"] == 0.0
 
 
-def test_overshoot_begins_with_the_first_crossing() -> None:
+def test_overshoot_begins_with_the_first_crossing():
     time = 0.001 * np.arange(7)
     distance = np.array([9.0, 0.5, 2.0, 3.0, 0.5, 0.1, 0.0])
     assert ISO["stabilization"](time, distance, 1.0) == pytest.approx((3.0, 0.003))
@@ -104,6 +104,6 @@ def test_overshoot_begins_with_the_first_crossing() -> None:
     assert ISO["stabilization"](time, distance, 1.0) is None
 
 
-def test_a_sweep_without_recordings_has_no_sheet(tmp_path: Path) -> None:
+def test_a_sweep_without_recordings_has_no_sheet(tmp_path):
     with pytest.raises(SystemExit, match="0 kept cycles; must be 30"):
         ISO["sheet"](tmp_path)

@@ -37,7 +37,7 @@ ROUNDING = 1e-12  # m, N
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recording(tmp_path_factory):
     """Signal a = (0.3, 0.4) m, b = 0; step: 0 to 1 m by way of 1.2 m; f: 30 N for 0.4 s."""
     step = np.where(TIME < 0.5, 0.0, np.where(TIME < 0.75, 1.2, 1.0))
     force = np.where((TIME >= 1.0) & (TIME < 1.4), 30.0, 0.0)
@@ -85,23 +85,19 @@ def judged(recording: Recording, **keys: object) -> Criterion:
         ({"signal": "a[1]", "reduce": "min"}, 0.3, "m"),
     ],
 )
-def test_a_reduction_gives_its_number(
-    recording: Recording, keys: dict[str, object], value: float, unit: str
-) -> None:
+def test_a_reduction_gives_its_number(recording, keys, value, unit):
     result = judged(recording, **keys, below=100.0)
     assert result.value == pytest.approx(value, abs=1e-9)
     assert (result.unit, result.ok) == (unit, True)
 
 
-def test_what_does_not_settle_is_missed_by_at_least_the_rest_of_its_window(
-    recording: Recording,
-) -> None:
+def test_what_does_not_settle_is_missed_by_at_least_the_rest_of_its_window(recording):
     result = judged(recording, signal="step", reduce="settle", band=0.1, target=3.0, below=0.5)
     assert result.word == "missed"
     assert result.value == pytest.approx(2.001, abs=1e-9)  # s: the row after the last
 
 
-def test_every_reduction_is_there() -> None:
+def test_every_reduction_is_there():
     assert tuple(REDUCE) == tuple(REDUCTIONS)
     page = Path(__file__).parent.parent / "docs" / "reference" / "scenario.md"
     reference = page.read_text(encoding="utf-8")
@@ -109,12 +105,12 @@ def test_every_reduction_is_there() -> None:
         assert f"| `{name}` | {what} |" in reference
 
 
-def test_against_a_lower_bound_the_smallest_element_counts(recording: Recording) -> None:
+def test_against_a_lower_bound_the_smallest_element_counts(recording):
     result = judged(recording, signal="a", reduce="max", above=0.35)
     assert (result.value, result.ok) == (pytest.approx(0.3, abs=ROUNDING), False)
 
 
-def test_two_bounds_are_two_criteria(recording: Recording) -> None:
+def test_two_bounds_are_two_criteria(recording):
     both = SignalCriterion("f", "max", below=40.0, above=31.0, name="force")
     results = judge_signals([both], recording, HAPPENED)
     told = [(c.name, c.direction, c.ok, round(c.margin, 3)) for c in results]
@@ -137,9 +133,7 @@ def test_two_bounds_are_two_criteria(recording: Recording) -> None:
         ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
     ],
 )
-def test_what_cannot_be_measured_neither_holds_nor_is_missed(
-    recording: Recording, keys: dict[str, object], word: str
-) -> None:
+def test_what_cannot_be_measured_neither_holds_nor_is_missed(recording, keys, word):
     result = judged(recording, **keys, below=1.0)
     assert (result.value, result.margin, result.word) == (None, None, "not measured")
     assert re.search(word, str(result.reason))
@@ -154,9 +148,7 @@ SIZES = st.floats(-1e6, 1e6).map(lambda size: round(size, 3))
     bound=st.floats(-1e6, 1e6),
     above=st.booleans(),
 )
-def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(
-    value: float, bound: float, above: bool
-) -> None:
+def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(value, bound, above):
     criterion = Criterion.judge("x", value, bound, "m", "above" if above else "below")
     assert criterion.ok == (value >= bound if above else value <= bound)
     assert criterion.margin is not None
@@ -164,16 +156,14 @@ def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(
 
 
 @given(values=st.lists(SIZES, min_size=2, unique=True), bound=SIZES)
-def test_a_worse_value_has_a_smaller_margin_however_bad_both_are(
-    values: list[float], bound: float
-) -> None:
+def test_a_worse_value_has_a_smaller_margin_however_bad_both_are(values, bound):
     margins = [margin(value, bound, "below") for value in sorted(values)]
     assert margins == sorted(margins, reverse=True)
     assert margin(50.0, 1.0, "below") == -49.0
     assert margin(0.25, 0.0, "below") == -0.25  # a bound of 0 leaves it in the unit
 
 
-def test_a_value_that_is_not_finite_is_not_measured() -> None:
+def test_a_value_that_is_not_finite_is_not_measured():
     for value in (math.nan, math.inf):
         result = Criterion.judge("x", value, 1.0, "m", "above")
         assert (result.word, result.reason) == ("not measured", f"is {value}")
@@ -181,9 +171,7 @@ def test_a_value_that_is_not_finite_is_not_measured() -> None:
 
 
 @given(st.lists(st.sampled_from([0.5, 2.0, None]), max_size=4))
-def test_a_missed_criterion_is_a_verdict_and_then_one_that_was_not_measured_is_none(
-    values: list[float | None],
-) -> None:
+def test_a_missed_criterion_is_a_verdict_and_then_one_that_was_not_measured_is_none(values):
     criteria = [Criterion.judge("x", value, 1.0, "m", "below") for value in values]
     expected = "missed" if 2.0 in values else "not measured" if None in values else "ok"
     assert verdict_of(criteria) == expected
@@ -247,7 +235,7 @@ PARAMETERS = {
 
 @settings(deadline=None)
 @given(data=st.data())
-def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data: st.DataObject) -> None:
+def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data):
     """Among signals that move or stay there is one that meets it, and one that misses it."""
     numbers = [-1.0, 0.0, 0.25, 1.0, 2.0, 3.0]
     reduce = data.draw(st.sampled_from(list(REDUCTIONS)))
@@ -274,9 +262,7 @@ def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data: st.DataObjec
 
 
 @pytest.mark.parametrize(("right", "wrong", "told"), WRONG)
-def test_bad_input_is_reported_in_one_line(
-    tmp_path: Path, right: str, wrong: str, told: str
-) -> None:
+def test_bad_input_is_reported_in_one_line(tmp_path, right, wrong, told):
     with pytest.raises(InputError) as caught:
         check_criteria(Scenario.read(written(tmp_path, SIGNAL.replace(right, wrong))))
     assert told in str(caught.value)
@@ -284,14 +270,14 @@ def test_bad_input_is_reported_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_an_expected_failure_needs_its_reason(tmp_path: Path) -> None:
+def test_an_expected_failure_needs_its_reason(tmp_path):
     with pytest.raises(InputError, match="expect_reason: must say why"):
         Scenario.read(written(tmp_path, "", 'expect = "failure"'))
     with pytest.raises(InputError, match="must be one of success, failure"):
         Scenario.read(written(tmp_path / "b", "", 'expect = "fail"'))
 
 
-def test_a_written_scenario_reads_back_the_same(tmp_path: Path) -> None:
+def test_a_written_scenario_reads_back_the_same(tmp_path):
     criteria = (
         SignalCriterion("plant.contact_force", "max", "grasp + 0.5", 2.0, below=60.0),
         SignalCriterion(("norm", ("plant.hand_xpos", "controller.pos_cmd")), "settle", band=1e-3,
@@ -307,7 +293,7 @@ def test_a_written_scenario_reads_back_the_same(tmp_path: Path) -> None:
     assert replace(Scenario.read(tmp_path / "push"), folder=scenario.folder) == scenario
 
 
-def test_signals_of_foreign_systems_are_checked_against_their_columns() -> None:
+def test_signals_of_foreign_systems_are_checked_against_their_columns():
     units = {"time": "s", "ball.h": "m"}
     check_signals([SignalCriterion("ball.h", "min", above=0.0)], units)
     with pytest.raises(InputError, match=r"did you mean 'ball\.h'"):
@@ -319,7 +305,5 @@ def test_signals_of_foreign_systems_are_checked_against_their_columns() -> None:
     [(4.89e-10, False, "0 mm"), (1.2344e-3, False, "1.234 mm"), (2.6e-7, False, "0.0003 mm"),
      (1e-9, True, "1e-06 mm")],
 )  # fmt: skip
-def test_measured_lengths_are_rounded_and_bounds_are_not(
-    value: float, is_bound: bool, text: str
-) -> None:
+def test_measured_lengths_are_rounded_and_bounds_are_not(value, is_bound, text):
     assert quantity(value, "m", is_bound=is_bound) == text

@@ -37,7 +37,7 @@ STEPPERS: dict[str, Callable[[], Any]] = {"in C": load_stepper, "in Python": lam
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("toys")
     for fmi in (2, 3):
         toy_fmu(folder / f"{fmi}.fmu", fmi)
@@ -105,7 +105,7 @@ def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
 
 @settings(max_examples=4, deadline=None)
 @given(st.lists(systems(), min_size=10, max_size=10))
-def test_both_give_the_same_bits(folder: Path, plans: list[dict[str, Any]]) -> None:
+def test_both_give_the_same_bits(folder, plans):
     for in_c, in_python in in_process(run, str(folder), json.loads(json.dumps(plans))):
         assert in_c == in_python
 
@@ -122,7 +122,7 @@ def plan(version: int, **changes: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("act", ["warn", "discard", "error", "end", "early"])
-def test_both_end_alike(folder: Path, version: int, act: str) -> None:
+def test_both_end_alike(folder, version, act):
     acting = plan(version, start={"toy0": {"act": act}})
     [[in_c, in_python]] = in_process(run, str(folder), [acting])
     assert in_c == in_python
@@ -131,7 +131,7 @@ def test_both_end_alike(folder: Path, version: int, act: str) -> None:
     assert in_c.endswith(", 3 steps") == ends
 
 
-def test_both_end_at_a_value_that_is_not_finite(folder: Path) -> None:
+def test_both_end_at_a_value_that_is_not_finite(folder):
     spoilt = plan(2, spoilt=301)
     [[in_c, in_python]] = in_process(run, str(folder), [spoilt])
     assert in_c == in_python
@@ -141,7 +141,7 @@ def test_both_end_at_a_value_that_is_not_finite(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("allowed", [False, True])
-def test_both_allow_the_same_values_that_are_not_finite(folder: Path, *, allowed: bool) -> None:
+def test_both_allow_the_same_values_that_are_not_finite(folder, allowed):
     """Outputs of the first toy overflow where its input is large; the other's follow."""
     free = [(toy, f"y{i}") for toy in ("toy0", "toy1") for i in INDICES] if allowed else []
     start = {"toy0": {"k": 1.5e308}}
@@ -169,7 +169,7 @@ def shipped(names: list[str], stepper: Stepper) -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.parametrize("share", range(4))
-def test_both_give_the_same_bits_over_all_shipped_scenarios(share: int) -> None:
+def test_both_give_the_same_bits_over_all_shipped_scenarios(share):
     names = sorted(shipped_scenarios())[share::4]
     in_c, in_python = (in_process(shipped, names, stepper) for stepper in get_args(Stepper))
     assert [(name, digest) for name, _, digest in in_c] == [(n, d) for n, _, d in in_python]

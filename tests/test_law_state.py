@@ -1,13 +1,10 @@
 """The state of a law's FMU restores every bit."""
 
-from __future__ import annotations
-
 from ctypes import byref, c_void_p
-from pathlib import Path
 
 import pytest
 
-from fmu_instance import ERROR, OK, Instance, Unpacked, unpacked_fmu
+from fmu_instance import ERROR, OK, Instance, unpacked_fmu
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.law import law_fmu, law_interface, read_law
 
@@ -46,7 +43,7 @@ class Law:
 
 
 @pytest.fixture
-def fmu(tmp_path: Path) -> Unpacked:
+def fmu(tmp_path):
     file = tmp_path / "my_law.py"
     file.write_text(LAW)
     law = read_law(file, "Law")
@@ -54,7 +51,7 @@ def fmu(tmp_path: Path) -> Unpacked:
     return unpacked_fmu(law_fmu(law, interface, (0.0,) * 8))
 
 
-def test_a_laws_state_restores_every_bit(fmu: Unpacked) -> None:
+def test_a_laws_state_restores_every_bit(fmu):
     it, other = Instance(fmu).start(), Instance(fmu).start()
     it.play(0, 10)
     other.play(0, 20)
@@ -70,9 +67,7 @@ def test_a_laws_state_restores_every_bit(fmu: Unpacked) -> None:
     ("switch", "told"),
     [("lock", "self.thing holds a lock"), ("objects", "self.things holds a ndarray")],
 )
-def test_a_law_that_cannot_be_saved_says_which_attribute(
-    fmu: Unpacked, switch: str, told: str
-) -> None:
+def test_a_law_that_cannot_be_saved_says_which_attribute(fmu, switch, told):
     it = Instance(fmu).start({switch: [True]})
     assert it("GetFMUstate", byref(c_void_p())) == ERROR
     assert f"{told}; must be numbers, texts" in it.messages()

@@ -42,7 +42,7 @@ def binding(choice: int, q: Array, qd: Array, qdd: Array = NONE) -> Array:
     return LIMITS.binding(box[choice], q, qd, qdd, NONE, np.stack(box))
 
 
-def test_at_rest_the_jerk_limits() -> None:
+def test_at_rest_the_jerk_limits():
     low, high = box = box_at(HOME, NONE)
     assert np.allclose(high, QDDD_MAX * PERIOD**2)
     assert np.allclose(low, -QDDD_MAX * PERIOD**2)
@@ -50,23 +50,23 @@ def test_at_rest_the_jerk_limits() -> None:
     assert (LIMITS.binding(NONE, HOME, NONE, NONE, NONE, np.stack(box)) == 0.0).all()
 
 
-def test_at_full_acceleration_the_acceleration_limits() -> None:
+def test_at_full_acceleration_the_acceleration_limits():
     assert np.allclose(box_at(HOME, NONE, QDD_MAX)[1], QDD_MAX * PERIOD)
     assert (binding(1, HOME, NONE, QDD_MAX) == ACCELERATION).all()
 
 
-def test_at_full_speed_the_velocity_limits() -> None:
+def test_at_full_speed_the_velocity_limits():
     assert np.allclose(box_at(HOME, QD_MAX)[1], QD_MAX)
     assert (binding(1, HOME, QD_MAX) == VELOCITY).all()
 
 
-def test_near_an_end_the_position_limits() -> None:
+def test_near_an_end_the_position_limits():
     close, speed = Q_MAX - END_MARGIN - 2e-5, 0.01 * QD_MAX  # rad, rad/s
     assert (box_at(close, speed)[1] < speed).all()
     assert (binding(1, close, speed) == POSITION).all()
 
 
-def test_joints_come_gradually_to_their_ends() -> None:
+def test_joints_come_gradually_to_their_ends():
     q, qd, qdd, jerks = HOME, NONE, NONE, list[Array]()
     for _ in range(3500):
         before, qd = qd, box_at(q, qd, qdd)[1]
@@ -79,7 +79,7 @@ def test_joints_come_gradually_to_their_ends() -> None:
     assert (np.max(jerks, axis=0) > 0.9 * QDDD_MAX).all()  # where there is room
 
 
-def test_joints_are_pulled_away_from_their_ends_and_nowhere_else() -> None:
+def test_joints_are_pulled_away_from_their_ends_and_nowhere_else():
     assert not pull_from_ends(HOME).any()
     assert not pull_from_ends(0.5 * (Q_MIN + Q_MAX)).any()
     assert pull_from_ends(Q_MIN)[3] == pull_from_ends(Q_MAX)[3] == 0.0  # the stretched arm
@@ -95,7 +95,7 @@ def test_joints_are_pulled_away_from_their_ends_and_nowhere_else() -> None:
 
 @settings(max_examples=5, deadline=None)
 @given(seed=seeds)
-def test_a_reference_comes_back_within_its_speed_and_its_ends(seed: int) -> None:
+def test_a_reference_comes_back_within_its_speed_and_its_ends(seed):
     """However far it has run ahead, and wherever its joint is held."""
     rng = np.random.default_rng(seed)
     q, qd, qdd = rng.uniform(Q_MIN, Q_MAX), NONE, NONE
@@ -116,7 +116,7 @@ def test_a_reference_comes_back_within_its_speed_and_its_ends(seed: int) -> None
 
 @settings(max_examples=5, deadline=None)
 @given(seed=seeds, towards=st.booleans())
-def test_no_joint_passes_its_end_however_it_is_driven(seed: int, towards: bool) -> None:
+def test_no_joint_passes_its_end_however_it_is_driven(seed, towards):
     rng = np.random.default_rng(seed)
     q, qd, qdd = rng.uniform(Q_MIN, Q_MAX), NONE, NONE
     side = rng.choice([-1.0, 1.0], 7)
@@ -139,7 +139,7 @@ def test_no_joint_passes_its_end_however_it_is_driven(seed: int, towards: bool) 
 
 @settings(max_examples=300, deadline=None)
 @given(seed=seeds, size=st.sampled_from([0.5, 0.9, 1.0, 1.5]))
-def test_where_limits_are_inactive_the_box_contains_the_velocities(seed: int, size: float) -> None:
+def test_where_limits_are_inactive_the_box_contains_the_velocities(seed, size):
     """The glance at the limits is never wrong, and spares the box in the middle of things."""
     rng = np.random.default_rng(seed)
     q_ref = 0.5 * (Q_MIN + Q_MAX) + size * rng.uniform(-1.0, 1.0, 7)  # rad

@@ -7,7 +7,6 @@ import json
 import math
 import time
 import zipfile
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -19,7 +18,7 @@ from websockets.sync.client import connect
 
 from browser import Page
 from forked import command
-from live_support import READY, Live, asked, live, told, wait_to_act
+from live_support import READY, asked, live, told, wait_to_act
 from panda_cosim import Session
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.live.page import offset_of
@@ -125,7 +124,7 @@ def replayed(folder: Path, out: Path) -> Recording:
     return Recording.open(out)
 
 
-def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_path: Path) -> None:
+def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page, tmp_path):
     page.errors.clear()
     page.requests.clear()
     with live(tmp_path / "run", "--speed", "0.1", "--paused") as server:
@@ -175,7 +174,7 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
         assert np.array_equal(before[name].view("u8"), again[name].view("u8")), name
 
 
-def test_a_run_ends_with_its_verdict_and_nothing_is_journalled_after_it(tmp_path: Path) -> None:
+def test_a_run_ends_with_its_verdict_and_nothing_is_journalled_after_it(tmp_path):
     with live(tmp_path / "run", "--paused") as server:
         address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
         with connect(address, origin=origin) as socket:
@@ -193,7 +192,7 @@ def test_a_run_ends_with_its_verdict_and_nothing_is_journalled_after_it(tmp_path
     assert json.loads(before.splitlines()[-1]) == {"tick": 6500, "action": "end"}
 
 
-def test_buttons_and_curves_have_their_names(page: Page, tmp_path: Path) -> None:
+def test_buttons_and_curves_have_their_names(page, tmp_path):
     with live(tmp_path / "run", "--paused") as server:
         page.visit(server.address, 720, 400)
         page.wait(READY)
@@ -211,7 +210,7 @@ def test_buttons_and_curves_have_their_names(page: Page, tmp_path: Path) -> None
         server.end()
 
 
-def test_restart_begins_another_run_and_keeps_the_one_before(page: Page, tmp_path: Path) -> None:
+def test_restart_begins_another_run_and_keeps_the_one_before(page, tmp_path):
     with live(tmp_path / "run") as server:
         page.visit(server.address, 720, 400)
         page.wait(READY)
@@ -227,12 +226,12 @@ def test_restart_begins_another_run_and_keeps_the_one_before(page: Page, tmp_pat
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+def server(tmp_path_factory):
     with live(tmp_path_factory.mktemp("live") / "run", "--speed", "0.05") as opened:
         yield opened
 
 
-def test_only_the_token_gets_the_page(server: Live) -> None:
+def test_only_the_token_gets_the_page(server):
     status, body = asked(server, f"/?token={server.token}")
     assert status == 200
     assert b"connect-src 'self'" in body
@@ -243,7 +242,7 @@ def test_only_the_token_gets_the_page(server: Live) -> None:
     assert asked(server, f"/other?token={server.token}")[0] == 404
 
 
-def test_a_socket_is_the_pages_own(server: Live) -> None:
+def test_a_socket_is_the_pages_own(server):
     address = f"ws://{server.host}/live?token="
     ours = f"http://{server.host}"
     refused = [(server.token, "http://evil.example"), (server.token, None), ("wrong", ours),
@@ -257,7 +256,7 @@ def test_a_socket_is_the_pages_own(server: Live) -> None:
         assert len(socket.recv(20)) % 8 == 0
 
 
-def test_several_look_and_one_acts(server: Live) -> None:
+def test_several_look_and_one_acts(server):
     address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
     with connect(address, origin=origin) as first, connect(address, origin=origin) as second:
         assert told(first, "status")["status"]["acts"] is True
@@ -271,7 +270,7 @@ def test_several_look_and_one_acts(server: Live) -> None:
     assert '"set"' not in (server.folder / "session.jsonl").read_text()
 
 
-def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
+def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path):
     scenario = load_scenario("pick_and_place")
     turned = ("--set", "plant.block_yaw=0.3")  # rad; offsets to the block turn with it
     with live(tmp_path / "run", "--speed", "0.05", *turned) as server:
@@ -300,7 +299,7 @@ def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
     }
 
 
-def test_a_waypoint_stays_where_it_is_dropped_whatever_the_camera_sees() -> None:
+def test_a_waypoint_stays_where_it_is_dropped_whatever_the_camera_sees():
     wrong = Mismatch(block_position_error=(0.01, 0.0, 0.0), block_yaw_error=0.3)
     session = Session(replace(load_scenario("pick_and_place"), mismatch=wrong))
     row = next(i for i, row in enumerate(session.table.rows) if row.frame == "target")

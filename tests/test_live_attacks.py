@@ -7,7 +7,6 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 
 import pytest
@@ -22,7 +21,7 @@ WRONG_FRAME = bytes((0x81, 0x82, 0, 0, 0, 0)) + b"{}"  # masked with zeros
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+def server(tmp_path_factory):
     """A server that ends soon and without a word, also while clients stall."""
     with live(tmp_path_factory.mktemp("live") / "run", "--speed", "0.05") as opened:
         yield opened
@@ -61,7 +60,7 @@ MALFORMED: dict[str, tuple[bytes, bytes | None]] = {
 
 
 @pytest.mark.parametrize("kind", MALFORMED)
-def test_malformed_requests_get_nothing(server: Live, kind: str) -> None:
+def test_malformed_requests_get_nothing(server, kind):
     content, status = MALFORMED[kind]
     content = content.replace(b"HOST", server.host.encode())
     with raw(server, content.replace(b"TOKEN", server.token.encode())) as opened:
@@ -73,7 +72,7 @@ def test_malformed_requests_get_nothing(server: Live, kind: str) -> None:
     assert b"run" not in answer.partition(b"\r\n\r\n")[2]
 
 
-def test_half_open_connections_are_cut_off(server: Live) -> None:
+def test_half_open_connections_are_cut_off(server):
     with raw(server, b"GET / HT") as alone:
         assert asked(server, f"/?token={server.token}")[0] == 200
         alone.settimeout(OPEN_TIME + 20.0)
@@ -81,7 +80,7 @@ def test_half_open_connections_are_cut_off(server: Live) -> None:
             pass
 
 
-def test_no_more_than_a_few_may_look(server: Live) -> None:
+def test_no_more_than_a_few_may_look(server):
     with ExitStack() as stack:
         sockets = [stack.enter_context(raw(server, upgrade(server))) for _ in range(40)]
         begins = [opened.recv(12) for opened in sockets]
@@ -104,7 +103,7 @@ WRONG = [
 ]  # fmt: skip
 
 
-def test_messages_of_wrong_type_and_size_change_nothing(server: Live) -> None:
+def test_messages_of_wrong_type_and_size_change_nothing(server):
     before = journal(server)
     for message in WRONG:
         with viewer(server) as opened:
@@ -119,7 +118,7 @@ def test_messages_of_wrong_type_and_size_change_nothing(server: Live) -> None:
     assert server.process.poll() is None
 
 
-def test_a_flood_does_not_hold_up_the_simulation(server: Live) -> None:
+def test_a_flood_does_not_hold_up_the_simulation(server):
     messages: list[str | bytes] = []
 
     def listen() -> None:

@@ -135,12 +135,12 @@ def check(figures: list[dict[str, Any]], growth: float) -> None:
     assert growth <= MEMORY
 
 
-def test_two_cycles_bring_the_block_there_and_back() -> None:
+def test_two_cycles_bring_the_block_there_and_back():
     check(*in_process(carry, 2))
 
 
 @pytest.mark.long
-def test_an_hour_of_cycles_is_like_the_first() -> None:
+def test_an_hour_of_cycles_is_like_the_first():
     figures, growth = in_process(carry, HOUR, timeout=36_000.0)
     check(figures, growth)
     rms = [cycle["rms_mm"] for cycle in figures]

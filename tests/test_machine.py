@@ -1,7 +1,5 @@
 """What machines do to the commands: limits, full disks, odd environments, other users."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess
@@ -26,7 +24,7 @@ QUIET = ("--no-video", "--no-view", "--no-plot")
 
 
 @pytest.mark.fmu
-def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
+def test_a_poor_machine_is_enough_for_a_run(tmp_path):
     """20 open files, 2 GB of addresses, no home, no folder for temporary files, no output."""
     scenario = write_scenario(tmp_path / "scenario", 0.02)
     poor = {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "COLUMNS": "0", "TERM": "dumb"}
@@ -45,7 +43,7 @@ def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("duration", [0.02, 3.0])
-def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path: Path, duration: float) -> None:
+def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path, duration):
     scenario = write_scenario(tmp_path / "scenario", duration)
     done = subprocess.run(
         [*limited(FSIZE=8192), *COMMAND, "run", scenario, "--out", tmp_path / "run", *QUIET],
@@ -61,7 +59,7 @@ def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path: Path, duratio
 
 
 @pytest.mark.fmu
-def test_a_build_that_does_not_come_to_its_end_leaves_all_the_old_files(tmp_path: Path) -> None:
+def test_a_build_that_does_not_come_to_its_end_leaves_all_the_old_files(tmp_path):
     """Whole, with their reference experiments; nor does one that is killed meanwhile."""
     build_all(load_scenario("pick_and_place"), tmp_path)
     system = tmp_path / "Panda.ssp"
@@ -83,7 +81,7 @@ def test_a_build_that_does_not_come_to_its_end_leaves_all_the_old_files(tmp_path
 
 
 @pytest.mark.parametrize("number", ["EMFILE", "ENOSPC", "ENOMEM"])
-def test_a_limit_is_reported_in_one_line(number: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_limit_is_reported_in_one_line(number, capsys):
     code = getattr(errno, number)
     assert report(OSError(code, os.strerror(code))) == 1
     said = capsys.readouterr().err
@@ -92,16 +90,14 @@ def test_a_limit_is_reported_in_one_line(number: str, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize("given", ["", "relative", "./x"])
-def test_the_cache_is_never_in_the_working_directory(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given: str
-) -> None:
+def test_the_cache_is_never_in_the_working_directory(monkeypatch, tmp_path, given):
     monkeypatch.delenv("PANDA_COSIM_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", given)
     monkeypatch.setenv("HOME", str(tmp_path))
     assert cache_folder() == tmp_path / ".cache" / "panda-cosim"
 
 
-def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_user_without_a_home_is_told_what_to_set(monkeypatch):
     for name in ("PANDA_COSIM_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 4_000_000)  # whom no table knows
@@ -110,7 +106,7 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("age", [2 * KEPT, -2 * KEPT], ids=["old", "of the future"])
-def test_what_a_killed_process_left_goes_a_week_later(tmp_path: Path, age: float) -> None:
+def test_what_a_killed_process_left_goes_a_week_later(tmp_path, age):
     file, folder, new = (tmp_path / f"{TEMPORARY}{n}" for n in ("0.txt", "1", "2.txt"))
     file.touch()
     folder.mkdir()
@@ -124,7 +120,7 @@ def test_what_a_killed_process_left_goes_a_week_later(tmp_path: Path, age: float
 
 
 @pytest.mark.parametrize("age", [2 * KEPT, -2 * KEPT], ids=["old", "of the future"])
-def test_what_is_in_use_stays_however_old_it_is(tmp_path: Path, age: float) -> None:
+def test_what_is_in_use_stays_however_old_it_is(tmp_path, age):
     with temporary_folder(tmp_path) as folder:
         os.utime(folder, (time.time() - age,) * 2)
         with replacing(tmp_path / "x.txt") as partial:
@@ -133,7 +129,7 @@ def test_what_is_in_use_stays_however_old_it_is(tmp_path: Path, age: float) -> N
     assert [path.name for path in tmp_path.iterdir()] == ["x.txt"]
 
 
-def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path: Path) -> None:
+def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path):
     scenario = write_scenario(tmp_path / "größer", 0.02)
     done = subprocess.run(
         [*COMMAND, "check", scenario],
@@ -149,7 +145,7 @@ def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path: Path)
 
 
 @pytest.mark.long
-def test_eight_first_starts_at_once(tmp_path: Path) -> None:
+def test_eight_first_starts_at_once(tmp_path):
     scenario = write_scenario(tmp_path / "scenario", 0.02)
     env = os.environ | {"PANDA_COSIM_CACHE": str(tmp_path / "cache")}
     started = [

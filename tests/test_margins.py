@@ -93,7 +93,7 @@ def loops(draw: st.DrawFn, most: int = 3) -> Loops:
 
 @settings(deadline=None, max_examples=60)
 @given(loops())
-def test_loops_are_stable_up_to_each_limit_and_not_beyond(made: Loops) -> None:
+def test_loops_are_stable_up_to_each_limit_and_not_beyond(made):
     """Gains, phases and whole ticks of delay of all loops alike, by the poles."""
     found = limits(made.sensitivity)
     for sign, decibels in ((1.0, found.gain_up_db), (-1.0, found.gain_down_db)):
@@ -122,7 +122,7 @@ def test_loops_are_stable_up_to_each_limit_and_not_beyond(made: Loops) -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(loops(most=1))
-def test_margins_of_one_loop_are_those_of_python_control(made: Loops) -> None:
+def test_margins_of_one_loop_are_those_of_python_control(made):
     import control  # noqa: PLC0415 - takes a second, in each of xdist's processes
 
     found = limits(made.sensitivity)
@@ -144,7 +144,7 @@ def test_margins_of_one_loop_are_those_of_python_control(made: Loops) -> None:
 
 @settings(deadline=None, max_examples=15)
 @given(loops())
-def test_the_disk_margin_is_that_of_python_control(made: Loops) -> None:
+def test_the_disk_margin_is_that_of_python_control(made):
     import control  # noqa: PLC0415 - as above
 
     if made.b.shape[1] > 1:
@@ -178,7 +178,7 @@ def responses_of(made: Loops, positions: Matrix) -> Responses:
 
 @settings(deadline=None, max_examples=30)
 @given(loops(), st.integers(0, 2**32))
-def test_each_number_of_an_analysis_is_what_its_definition_says(made: Loops, seed: int) -> None:
+def test_each_number_of_an_analysis_is_what_its_definition_says(made, seed):
     """Computed again from the words of definitions.toml: by poles, and by L on a dense grid."""
     n = made.b.shape[1]
     positions = np.random.default_rng(seed).normal(size=(n, len(made.a)))
@@ -218,7 +218,7 @@ def test_each_number_of_an_analysis_is_what_its_definition_says(made: Loops, see
 
 
 @given(st.floats(1.001, 1.05))
-def test_what_grows_is_unstable_and_what_is_cut_off_has_no_margins(modulus: float) -> None:
+def test_what_grows_is_unstable_and_what_is_cut_off_has_no_margins(modulus):
     """Whatever has not fallen below 1 % of its peak has no margins, and one line says why."""
     growing = modulus ** np.arange(TICKS)[:, None, None] * np.ones((1, 2, 2))
     about = (("plant.ctrl[1]", "plant.ctrl[2]"), (), 0.5, PERIOD)

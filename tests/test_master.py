@@ -129,7 +129,7 @@ def in_a_plain_loop(steps: int, *, delayed: bool) -> Array:
 
 @pytest.mark.parametrize("steps", [0, 1, 2, 100, BLOCK_ROWS - 1, BLOCK_ROWS, BLOCK_ROWS + 1, 1000])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_a_run_is_the_plain_loop(steps: int, coupling: Coupling) -> None:
+def test_a_run_is_the_plain_loop(steps, coupling):
     rows = run(loop(coupling), steps)
     expected = in_a_plain_loop(steps, delayed=coupling == "jacobi")
     np.testing.assert_array_equal(rows, expected)
@@ -138,9 +138,7 @@ def test_a_run_is_the_plain_loop(steps: int, coupling: Coupling) -> None:
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 @settings(max_examples=25, deadline=None)
 @given(counts=st.lists(st.integers(0, 2 * BLOCK_ROWS + 3), max_size=8))
-def test_however_it_is_stepped_from_outside_the_rows_are_those_of_a_run(
-    coupling: Coupling, counts: list[int]
-) -> None:
+def test_however_it_is_stepped_from_outside_the_rows_are_those_of_a_run(coupling, counts):
     master, steps = loop(coupling), sum(counts)
     external = references(steps)
     rows: list[Array] = []
@@ -154,9 +152,7 @@ def test_however_it_is_stepped_from_outside_the_rows_are_those_of_a_run(
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("steps", [0, 1, BLOCK_ROWS, BLOCK_ROWS + 1])
-def test_the_latest_row_has_what_is_known_before_the_next_tick(
-    coupling: Coupling, steps: int
-) -> None:
+def test_the_latest_row_has_what_is_known_before_the_next_tick(coupling, steps):
     master = loop(coupling)
     rows: list[Array] = []
     master.begin(lambda block: rows.append(block.copy()))
@@ -173,7 +169,7 @@ def test_the_latest_row_has_what_is_known_before_the_next_tick(
 
 @pytest.mark.parametrize("at", [0, 1, BLOCK_ROWS - 1, BLOCK_ROWS, 300])
 @pytest.mark.parametrize("first", ["gauss-seidel", "jacobi"])
-def test_the_coupling_changes_between_two_ticks(first: Coupling, at: int) -> None:
+def test_the_coupling_changes_between_two_ticks(first, at):
     """The plain loop with a coupling that changes: outputs act until the next ones are read."""
     second: Coupling = "jacobi" if first == "gauss-seidel" else "gauss-seidel"
     steps = 600
@@ -201,14 +197,14 @@ def test_the_coupling_changes_between_two_ticks(first: Coupling, at: int) -> Non
      ("jacobi", "set c, set p, step c, step p, get c, get p", [])],
 )  # fmt: skip
 def test_gauss_seidel_asks_the_leader_first_and_jacobi_sets_all_then_steps_all(
-    coupling: Coupling, tick: str, last: list[str]
-) -> None:
+    coupling, tick, last
+):
     log: list[str] = []
     run(loop(coupling, log), 2)
     assert log == ["get c", "get p", *tick.split(", ") * 2, *last]
 
 
-def test_an_earlier_leader_hears_a_later_one_a_tick_later() -> None:
+def test_an_earlier_leader_hears_a_later_one_a_tick_later():
     """Three in a ring, a -> b -> c -> a and b -> a: b's answer reaches a at the next tick."""
 
     def add(inputs: dict[str, float], outputs: dict[str, float]) -> None:
@@ -236,7 +232,7 @@ def adopt(inputs: dict[str, float], outputs: dict[str, float]) -> None:
     outputs["x"] += sum(inputs.values())
 
 
-def test_iterations_take_inputs_from_outside_at_the_step_s_end_as_connected_ones() -> None:
+def test_iterations_take_inputs_from_outside_at_the_step_s_end_as_connected_ones():
     """`own` has the values from outside, `fed` those of a source that counts alike."""
     own, fed = (FakeSlave(name, adopt, {"x": 0.0}) for name in ("own", "fed"))
 
@@ -254,7 +250,7 @@ def test_iterations_take_inputs_from_outside_at_the_step_s_end_as_connected_ones
 
 
 @pytest.mark.parametrize("first", ["a 0", 2**62, b"\x00"], ids=["text", "integer", "binary"])
-def test_what_is_no_real_number_takes_part_in_iterations(first: Any) -> None:
+def test_what_is_no_real_number_takes_part_in_iterations(first):
     """The reader is stepped first, and has what the source says at the step's end."""
     following = {first: first + first[:1] if isinstance(first, str | bytes) else first + 1}
 
@@ -273,7 +269,7 @@ def test_what_is_no_real_number_takes_part_in_iterations(first: Any) -> None:
 
 
 @pytest.mark.parametrize("multiple", [1, 4])
-def test_a_leader_is_never_stepped_beyond_its_stop(multiple: int) -> None:
+def test_a_leader_is_never_stepped_beyond_its_stop(multiple):
     """In the last row are its outputs as they are; one without an end takes a step more."""
     ticks = []
     for stop in (6 * H, math.inf):
@@ -290,7 +286,7 @@ def test_a_leader_is_never_stepped_beyond_its_stop(multiple: int) -> None:
 
 
 @pytest.mark.parametrize("leads", [False, True])
-def test_a_slow_slave_goes_back_to_its_place_in_the_step(*, leads: bool) -> None:
+def test_a_slow_slave_goes_back_to_its_place_in_the_step(leads):
     fake = FakeSlave("c", lambda _inputs, outputs: outputs.update(y=outputs["y"] + 1.0), {"y": 0.0})
     slave, block = SlowSlave(fake, 4), np.zeros((40, 1))
     slave.leads, fake.stop = leads, 40 * H
@@ -312,7 +308,7 @@ def test_a_slow_slave_goes_back_to_its_place_in_the_step(*, leads: bool) -> None
 
 @pytest.mark.parametrize("reached", [3 * H, 2.4 * H])
 @pytest.mark.parametrize("by", ["c", "p", "alone"])
-def test_a_slave_may_end_the_simulation(by: str, reached: float) -> None:
+def test_a_slave_may_end_the_simulation(by, reached):
     """Together with a step, which the others finish, or within it: the row before is the last."""
 
     def end(outputs: dict[str, float]) -> None:
@@ -382,7 +378,7 @@ def broken(
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS, 299])
-def test_a_value_that_is_not_finite_ends_the_run(at: int, value: float) -> None:
+def test_a_value_that_is_not_finite_ends_the_run(at, value):
     error, rows = collect(broken(breaks(at, spoil(value))), 300)
     assert (error.instance, error.variable) == ("p", "v")
     assert error.time == pytest.approx((at + 1) * H), "what is read after a tick is of its end"
@@ -391,7 +387,7 @@ def test_a_value_that_is_not_finite_ends_the_run(at: int, value: float) -> None:
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_no_slave_is_given_a_value_that_is_not_finite(coupling: Coupling) -> None:
+def test_no_slave_is_given_a_value_that_is_not_finite(coupling):
     def careful(inputs: dict[str, float], outputs: dict[str, float]) -> None:
         assert all(map(math.isfinite, inputs.values()))
         drive(inputs, outputs)
@@ -402,7 +398,7 @@ def test_no_slave_is_given_a_value_that_is_not_finite(coupling: Coupling) -> Non
         assert (error.instance, error.variable) == ("p", "v")
 
 
-def test_what_a_refused_value_leads_to_is_reported_as_that_value() -> None:
+def test_what_a_refused_value_leads_to_is_reported_as_that_value():
     """If a slave refuses a value, the error names the value's source."""
 
     def refuse(inputs: dict[str, float], outputs: dict[str, float]) -> None:
@@ -419,7 +415,7 @@ def test_what_a_refused_value_leads_to_is_reported_as_that_value() -> None:
 
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_a_failure_keeps_all_rows_up_to_it(at: int, coupling: Coupling) -> None:
+def test_a_failure_keeps_all_rows_up_to_it(at, coupling):
     error, rows = collect(broken(breaks(at, fail), coupling), 300)
     assert "no more" in str(error)
     assert f"{at * H:.3f}" in str(error)
@@ -427,7 +423,7 @@ def test_a_failure_keeps_all_rows_up_to_it(at: int, coupling: Coupling) -> None:
     np.testing.assert_array_equal(rows, expected[: at + 1])
 
 
-def test_a_run_stops_on_request_after_whole_steps() -> None:
+def test_a_run_stops_on_request_after_whole_steps():
     master: Master
 
     def ask(_outputs: dict[str, float]) -> None:
@@ -440,7 +436,7 @@ def test_a_run_stops_on_request_after_whole_steps() -> None:
     np.testing.assert_array_equal(np.concatenate(rows), in_a_plain_loop(100, delayed=False)[:10])
 
 
-def test_an_error_of_the_sink_ends_the_run() -> None:
+def test_an_error_of_the_sink_ends_the_run():
     def full(_rows: Array) -> None:
         raise SimulationError("disk full")
 
@@ -450,7 +446,7 @@ def test_an_error_of_the_sink_ends_the_run() -> None:
         loop().run(BLOCK_ROWS + 5, external, full)
 
 
-def test_an_unknown_coupling_is_named() -> None:
+def test_an_unknown_coupling_is_named():
     with pytest.raises(InputError, match="'gauss'; valid: gauss-seidel, jacobi"):
         Master([], {}, (), (), H, "gauss")  # type: ignore[arg-type]
 
@@ -474,7 +470,7 @@ class Clock:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
+def clock(monkeypatch):
     def make(look: float) -> Clock:
         it = Clock(look)
         monkeypatch.setattr(panda_cosim.fmus.master.master, "clock", it)
@@ -484,9 +480,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0])
-def test_a_run_in_real_time_sleeps_until_each_tick_is_due(
-    clock: Callable[[float], Clock], speed: float
-) -> None:
+def test_a_run_in_real_time_sleeps_until_each_tick_is_due(clock, speed):
     it = clock(1e-5)
     statistics = loop().run(100, references(100), lambda _rows: None, realtime=speed)
     assert statistics.overruns == 0
@@ -494,7 +488,7 @@ def test_a_run_in_real_time_sleeps_until_each_tick_is_due(
     assert it.now == pytest.approx(0.1 / speed, abs=2e-3)
 
 
-def test_what_is_late_is_reported(clock: Callable[[float], Clock]) -> None:
+def test_what_is_late_is_reported(clock):
     it = clock(1e-3)  # two readings per tick of 1 ms
     statistics = loop().run(50, references(50), lambda _rows: None, realtime=1.0)
     assert not it.slept

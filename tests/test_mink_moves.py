@@ -1,7 +1,5 @@
 """The comparison with mink runs, and shows what each side is good at."""
 
-from __future__ import annotations
-
 import pytest
 from mink_moves import MinkController, described
 from random_moves import HOME, random_goals, run_move
@@ -10,7 +8,7 @@ from panda_cosim.controller.gains import Gains
 
 
 @pytest.mark.long
-def test_both_follow_a_plain_move_and_the_table_counts() -> None:
+def test_both_follow_a_plain_move_and_the_table_counts():
     goal = next(random_goals(1))
     ours, theirs = (
         run_move(1, HOME, goal, Gains()),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ PUSH = load_scenario("push")
 
 
 @pytest.mark.parametrize("preset", SIZES)
-def test_a_preset_draws_within_its_sizes_and_by_its_seed(preset: str) -> None:
+def test_a_preset_draws_within_its_sizes_and_by_its_seed(preset):
     sizes = SIZES[preset]
     robots = [draw_robot(sizes, seed) for seed in range(300)]
     assert robots[3] == draw_robot(sizes, 3)
@@ -39,7 +38,7 @@ def test_a_preset_draws_within_its_sizes_and_by_its_seed(preset: str) -> None:
         assert np.abs(np.array([robot[name] for robot in robots]) - 1.0).max() <= sizes.share
 
 
-def test_a_key_takes_precedence_over_the_preset_and_the_plants_section_over_both() -> None:
+def test_a_key_takes_precedence_over_the_preset_and_the_plants_section_over_both():
     mismatch = Mismatch(preset="calibrated", seed=2, joint_offset=0.0, payload=1.0)
     scenario = replace(PUSH, mismatch=mismatch, plant={"payload": 2.0})
     values = start_values(scenario)
@@ -51,7 +50,7 @@ def test_a_key_takes_precedence_over_the_preset_and_the_plants_section_over_both
     assert values["plant"]["joint_friction[1]"] > 0.2
 
 
-def test_the_sensors_stand_between_plant_and_controller() -> None:
+def test_the_sensors_stand_between_plant_and_controller():
     scenario = replace(PUSH, mismatch=Mismatch(delay=0.002))
     assembly = assemble(scenario)
     assert list(assembly.interfaces) == ["sensors", "controller", "plant"]
@@ -64,7 +63,7 @@ def test_the_sensors_stand_between_plant_and_controller() -> None:
     assert {c.source[0] for c in assembly.connections if c.target[0] == "sensors"} == {"plant"}
 
 
-def test_the_camera_moves_the_table_with_the_block_it_sees() -> None:
+def test_the_camera_moves_the_table_with_the_block_it_sees():
     scenario = load_scenario("pick_and_place")
     seen = Mismatch(block_position_error=(0.002, -0.001, 0.0005), block_yaw_error=0.1)
     true, shifted = (
@@ -79,7 +78,7 @@ def test_the_camera_moves_the_table_with_the_block_it_sees() -> None:
 
 
 @pytest.mark.parametrize("key", ["seed", "joint_noise", "joint_offset[3]", "payload", "dropout"])
-def test_keys_can_be_set_and_swept(key: str) -> None:
+def test_keys_can_be_set_and_swept(key):
     value = 3.0 if key == "seed" else 0.01
     changed = PUSH.changed({"mismatch.preset": "worn", f"mismatch.{key}": value})
     found = getattr(changed.mismatch, key.partition("[")[0])
@@ -101,7 +100,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("line", BAD)
-def test_what_is_impossible_is_refused_in_one_line(line: str, tmp_path: Path) -> None:
+def test_what_is_impossible_is_refused_in_one_line(line, tmp_path):
     write_scenario(PUSH, tmp_path)
     with (tmp_path / "scenario.toml").open("a", encoding="utf-8") as file:
         file.write(f"\n[mismatch]\n{line}\n")
@@ -113,7 +112,7 @@ def test_what_is_impossible_is_refused_in_one_line(line: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_written_scenario_is_read_as_the_same(preset: str, tmp_path: Path) -> None:
+def test_a_written_scenario_is_read_as_the_same(preset, tmp_path):
     mismatch = Mismatch(preset=preset, seed=4, delay=0.003, joint_offset=(0.1, *[0.0] * 6))
     scenario = replace(PUSH, mismatch=mismatch, folder=None)
     write_scenario(scenario, tmp_path / "push")
@@ -141,7 +140,7 @@ def record_late(folder: str) -> None:
 
 
 @pytest.mark.fmu
-def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path: Path) -> None:
+def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path):
     """The hand is ahead by its speed times the delay, unless the controller knows the delay."""
     in_process(record_late, str(tmp_path))
     unknown, known = (Recording.open(tmp_path / f"{delay}") for delay in (0.0, 0.003))
@@ -154,7 +153,7 @@ def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path: Path) -> None:
 
 
 @pytest.mark.fmu
-def test_runs_with_sensors(tmp_path: Path) -> None:
+def test_runs_with_sensors(tmp_path):
     in_process(record, str(tmp_path))
     plain, zero, one, again = (
         Recording.open(tmp_path / name) for name in ("plain", "zero", "one", "again")
@@ -169,7 +168,7 @@ def test_runs_with_sensors(tmp_path: Path) -> None:
     np.testing.assert_allclose(offset[:50].mean(0), told, atol=1e-5)  # rad; late by one tick
 
 
-def test_a_law_knows_of_no_mass_unless_it_asks_for_the_truth_by_name() -> None:
+def test_a_law_knows_of_no_mass_unless_it_asks_for_the_truth_by_name():
     circle = load_scenario("draw_circle")  # its law takes both
     plain = replace(circle, duration=0.1, success=Success())
     nominal = run_in_memory(plain).signals

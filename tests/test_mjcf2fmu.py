@@ -26,7 +26,7 @@ from panda_cosim.plant.mujoco_warnings import taken_warnings
 
 
 @pytest.fixture
-def box(tmp_path: Path) -> Path:
+def box(tmp_path):
     return Path(shutil.copy(Path(__file__).parent / "mjcf" / "box.xml", tmp_path))
 
 
@@ -35,7 +35,7 @@ def write(model: Path, out: Path, options: ModelOptions, fmi: int = 2) -> Path:
     return build_fmu(model_fmu(model, options, out.stem), out, Target(fmi=fmi))
 
 
-def test_variables_have_the_units_that_mujoco_defines(box: Path) -> None:
+def test_variables_have_the_units_that_mujoco_defines(box):
     options = ModelOptions(
         inputs=["body box force"],
         outputs=["body box xpos", "body post jacobian turn", "site tip xmat"],
@@ -58,7 +58,7 @@ def test_variables_have_the_units_that_mujoco_defines(box: Path) -> None:
 
 @pytest.mark.fmu
 @pytest.mark.own_process
-def test_parameters_and_keyframe_are_the_start(box: Path, tmp_path: Path) -> None:
+def test_parameters_and_keyframe_are_the_start(box, tmp_path):
     def instance(fmi: int, values: dict[str, list[float]], **options: Any) -> Instance:
         fmu = model_fmu(box, ModelOptions(**options), "Other")
         return Instance(with_content(fmu, tmp_path / f"{fmi}{len(values)}", fmi)).start(values)
@@ -75,19 +75,19 @@ def test_parameters_and_keyframe_are_the_start(box: Path, tmp_path: Path) -> Non
     assert it.get("ctrl") == [0.25]
 
 
-def test_the_interface_that_is_printed_gives_the_same_fmu(box: Path, tmp_path: Path) -> None:
+def test_the_interface_that_is_printed_gives_the_same_fmu(box, tmp_path):
     options = ModelOptions(outputs=["site tip jacobian"], parameters=["body box mass"])
     file = tmp_path / "box.toml"
     file.write_text(describe(box, options))
     assert model_fmu(box, options).digest == model_fmu(box, ModelOptions(interface=file)).digest
 
 
-def test_an_interface_that_is_no_file_is_refused(box: Path) -> None:
+def test_an_interface_that_is_no_file_is_refused(box):
     with pytest.raises(InputError, match="/dev/null: not a regular file"):
         model_fmu(box, ModelOptions(interface=Path("/dev/null")))
 
 
-def test_suggestions_of_the_interface_are_valid(box: Path, tmp_path: Path) -> None:
+def test_suggestions_of_the_interface_are_valid(box, tmp_path):
     file = tmp_path / "box.toml"
     text = describe(box, ModelOptions()).replace("\n# ", "\n")
     file.write_text("\n".join(line for line in text.splitlines() if "=" in line or "[" in line)
@@ -129,7 +129,7 @@ BAD_INTERFACES = {
 
 
 @pytest.mark.parametrize("text", BAD_INTERFACES)
-def test_a_bad_interface_is_refused_in_one_line(box: Path, tmp_path: Path, text: str) -> None:
+def test_a_bad_interface_is_refused_in_one_line(box, tmp_path, text):
     file = tmp_path / "bad.toml"
     file.write_text(text)
     with pytest.raises(InputError, match=BAD_INTERFACES[text]) as caught:
@@ -143,7 +143,7 @@ def test_a_bad_interface_is_refused_in_one_line(box: Path, tmp_path: Path, text:
      ("<mujoco><worldbody><body/></worldbody></mujoco>x", "refuses"),
      ("<mujoco><asset><mesh name='m' file='none.stl'/></asset></mujoco>", "none.stl")],
 )  # fmt: skip
-def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, told: str) -> None:
+def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path, text, told):
     model = tmp_path / "model.xml"
     model.write_text(text)
     result = CliRunner().invoke(app, ["mjcf2fmu", str(model), "--out", str(tmp_path / "x.fmu")])
@@ -155,9 +155,7 @@ def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, t
     assert not (tmp_path / "x.fmu").exists()
 
 
-def test_a_warning_of_mujoco_is_reported_and_no_file_is_left(
-    box: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_warning_of_mujoco_is_reported_and_no_file_is_left(box, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     odd = Path("odd.xml")
     odd.write_text(box.read_text().replace('ctrl="0.25"', 'ctrl="nan"'))
@@ -167,7 +165,7 @@ def test_a_warning_of_mujoco_is_reported_and_no_file_is_left(
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
-def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_it_was() -> None:
+def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_it_was():
     before = mujoco.get_mju_user_warning()
     first_is_in, first_may_leave = threading.Event(), threading.Event()
 
@@ -189,14 +187,14 @@ def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_
     assert mujoco.get_mju_user_warning() is before
 
 
-def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> None:
+def test_an_fmu_can_be_made_of_a_compiled_model(box, tmp_path):
     compiled = tmp_path / "box.mjb"
     mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(compiled))
     one, two = (model_fmu(path, ModelOptions()) for path in (box, compiled))
     assert one.digest == two.digest
 
 
-def test_a_model_that_was_cut_off_is_refused_in_a_line(box: Path, tmp_path: Path) -> None:
+def test_a_model_that_was_cut_off_is_refused_in_a_line(box, tmp_path):
     path = tmp_path / "box.mjb"
     mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(path))
     path.write_bytes(path.read_bytes()[:1000])
@@ -206,9 +204,7 @@ def test_a_model_that_was_cut_off_is_refused_in_a_line(box: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize("clamps", [True, False])
-def test_controls_start_where_mujoco_clamps_them(
-    box: Path, tmp_path: Path, *, clamps: bool
-) -> None:
+def test_controls_start_where_mujoco_clamps_them(box, tmp_path, clamps):
     model, text = tmp_path / "other.xml", box.read_text().replace('"-1 1"', '"0.5 1"')
     option = "" if clamps else '<option><flag clampctrl="disable"/></option>'
     model.write_text(text.replace("<worldbody>", f"{option}<worldbody>"))
@@ -217,7 +213,7 @@ def test_controls_start_where_mujoco_clamps_them(
     assert (ctrl.start, ctrl.minimum, ctrl.maximum) == (0.5 * clamps, low, high)
 
 
-def test_fmi_3_has_a_terminal_with_all_signals(box: Path, tmp_path: Path) -> None:
+def test_fmi_3_has_a_terminal_with_all_signals(box, tmp_path):
     file = write(box, tmp_path / "box.fmu", ModelOptions(), 3)
     signals = [v.name for v in Fmu(file).description.modelVariables
                if v.causality in ("input", "output")]  # fmt: skip
@@ -231,7 +227,7 @@ def test_fmi_3_has_a_terminal_with_all_signals(box: Path, tmp_path: Path) -> Non
 
 @pytest.mark.fmu
 @pytest.mark.own_process
-def test_elements_are_named_after_joints_and_actuators(box: Path, tmp_path: Path) -> None:
+def test_elements_are_named_after_joints_and_actuators(box, tmp_path):
     file = write(box, tmp_path / "box.fmu", ModelOptions(step=0.0005))
     variables = {v.name: v for v in Fmu(file).description.modelVariables}
     assert variables["qpos[3]"].description == "Position z of joint free"
@@ -252,7 +248,7 @@ ACTUATORS = """<mujoco><worldbody><body><joint name="h" type="hinge"/><geom size
 <intvelocity joint="h" kp="5" actrange="0 1"/></actuator></mujoco>"""
 
 
-def test_units_of_actuators_follow_their_joints(tmp_path: Path) -> None:
+def test_units_of_actuators_follow_their_joints(tmp_path):
     model = tmp_path / "arm.xml"
     model.write_text(ACTUATORS)
     units = {s.name: s.unit for s in model_fmu(model, ModelOptions()).interface.scalars()}
@@ -265,7 +261,7 @@ def test_units_of_actuators_follow_their_joints(tmp_path: Path) -> None:
 @pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_keyframe_and_gains_are_parameters(box: Path, tmp_path: Path, fmi: int) -> None:
+def test_keyframe_and_gains_are_parameters(box, tmp_path, fmi):
     fmu = model_fmu(box, ModelOptions(parameters=["actuator turn gain"]), "Other")
     place = with_content(fmu, tmp_path / "fmu", fmi)
     it = Instance(place).start({"keyframe": [2], "turn_gain": [3.0], "ctrl": [0.5]})
@@ -278,7 +274,7 @@ def test_keyframe_and_gains_are_parameters(box: Path, tmp_path: Path, fmi: int) 
     assert "out of range" in other.messages()
 
 
-def test_a_weld_is_as_soft_as_its_parameter(tmp_path: Path) -> None:
+def test_a_weld_is_as_soft_as_its_parameter(tmp_path):
     model = tmp_path / "pair.xml"
     body = '<body name="{0}" pos="0 0 {1}"><freejoint/><geom size=".1" mass="1"/></body>'
     model.write_text(

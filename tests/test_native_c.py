@@ -50,7 +50,7 @@ def compile_drive(folder: Path, *arguments: str | Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def layer(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def layer(tmp_path_factory):
     """The FMI layer and the drive, compiled once for all."""
     folder = tmp_path_factory.mktemp("layer")
     compiled(folder, *SANITIZED, "-c", *sources(native.FMI_LAYER), DRIVE)
@@ -91,18 +91,14 @@ def drive_sanitized(
     [("native", "plant", 2), ("native", "controller", 3), ("native", "trajectory", 2),
      ("python", "controller", 3), ("python", "trajectory", 2)],
 )  # fmt: skip
-def test_random_calls_leave_an_fmu_sound(
-    layer: list[Path], tmp_path: Path, kind: Kind, name: str, version: int
-) -> None:
+def test_random_calls_leave_an_fmu_sound(layer, tmp_path, kind, name, version):
     drive_sanitized(layer, tmp_path, kind, name, version, SHORT, 1)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
 @pytest.mark.parametrize(("kind", "name"), MODELS)
-def test_random_calls_leave_every_fmu_sound(
-    layer: list[Path], tmp_path: Path, kind: Kind, name: str, version: int
-) -> None:
+def test_random_calls_leave_every_fmu_sound(layer, tmp_path, kind, name, version):
     drive_sanitized(layer, tmp_path, kind, name, version, ACCEPTANCE, 11)
 
 
@@ -120,9 +116,7 @@ def library_without_cc(backend: str) -> bytes:
 
 @pytest.mark.parametrize("calls", [SHORT, pytest.param(ACCEPTANCE, marks=pytest.mark.long)])
 @pytest.mark.parametrize("tool", ["cc", "ziglang"])
-def test_random_calls_leave_the_packages_libraries_sound(
-    tmp_path: Path, tool: str, calls: int
-) -> None:
+def test_random_calls_leave_the_packages_libraries_sound(tmp_path, tool, calls):
     if tool == "ziglang" and find_spec("ziglang") is None:
         pytest.skip("ziglang is not installed")
     shipped = native.library("mujoco", native.this_platform())
@@ -134,7 +128,7 @@ def test_random_calls_leave_the_packages_libraries_sound(
 
 
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="no valgrind")
-def test_valgrind_finds_nothing(tmp_path: Path) -> None:
+def test_valgrind_finds_nothing(tmp_path):
     code = [*sources(native.FMI_LAYER), DRIVE, *sources(native.BACKENDS["player"])]
     program = compile_drive(tmp_path, *PLAIN, *code)
     checker = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full")

@@ -59,7 +59,7 @@ def foreign(platform: str, path: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prefix(tmp_path_factory):
     """Wine's folder for all tests: to make one takes seconds."""
     return tmp_path_factory.mktemp("wine")
 
@@ -90,7 +90,7 @@ def recorded(
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory, prefix: Path) -> Columns:
+def here(tmp_path_factory, prefix):
     return recorded("linux64", 2, tmp_path_factory.mktemp("here"), prefix)
 
 
@@ -98,9 +98,7 @@ def here(tmp_path_factory: pytest.TempPathFactory, prefix: Path) -> Columns:
 @pytest.mark.parametrize(
     ("platform", "fmi"), [pytest.param("win64", 3, marks=pytest.mark.long), ("linux-arm64", 2)]
 )
-def test_the_arm_sets_out_as_it_does_here(
-    platform: str, fmi: int, prefix: Path, tmp_path: Path
-) -> None:
+def test_the_arm_sets_out_as_it_does_here(platform, fmi, prefix, tmp_path):
     (tmp_path / "here").mkdir()
     here = recorded("linux64", fmi, tmp_path / "here", prefix, SET_OUT)
     there = recorded(platform, fmi, tmp_path, prefix, SET_OUT)
@@ -119,9 +117,7 @@ def check_joints(there: Columns, here: Columns) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="Wine and QEMU are used on Linux")
 @pytest.mark.parametrize("fmi", [2, 3], ids=["fmi2", "fmi3"])
 @pytest.mark.parametrize("platform", ["win64", "linux-arm64"])
-def test_the_task_ends_as_it_does_here(
-    platform: str, fmi: int, here: Columns, prefix: Path, tmp_path: Path
-) -> None:
+def test_the_task_ends_as_it_does_here(platform, fmi, here, prefix, tmp_path):
     there = recorded(platform, fmi, tmp_path, prefix)
     check_joints(there, here)
     tick = round(GRIPPED / 0.001)
@@ -139,7 +135,7 @@ def compiled(backend: str, platform: str) -> bytes:
 
 @pytest.mark.parametrize("platform", native.PLATFORMS)
 @pytest.mark.parametrize("backend", native.BACKENDS)
-def test_every_backend_is_built_for_every_platform(backend: str, platform: str) -> None:
+def test_every_backend_is_built_for_every_platform(backend, platform):
     library = compiled(backend, platform)
     if backend == "player":
         assert native.compile_library(backend, platform) == library  # the same bytes again
@@ -155,7 +151,7 @@ OF_MACOS = {"/usr/lib/libSystem.B.dylib", "/usr/lib/libc++.1.dylib"}
 
 @pytest.mark.parametrize("platform", MACS)
 @pytest.mark.parametrize("backend", [b for b in native.BACKENDS if b != native.STEPPER])
-def test_load_commands_are_those_that_a_mac_takes(backend: str, platform: str) -> None:
+def test_load_commands_are_those_that_a_mac_takes(backend, platform):
     found = mach_o.read(compiled(backend, platform))
     assert (found.processor, found.kind) == (MACS[platform], mach_o.DYLIB)
     assert (found.platform, found.minimum) == (mach_o.MACOS, (11, 0))
@@ -167,7 +163,7 @@ def test_load_commands_are_those_that_a_mac_takes(backend: str, platform: str) -
     assert all(name.startswith(("_fmi2", "_fmi3")) for name in others)
 
 
-def test_mujocos_library_for_macs_needs_nothing_else() -> None:
+def test_mujocos_library_for_macs_needs_nothing_else():
     try:
         library = mujoco_library("darwin64")
     except CosimError as error:

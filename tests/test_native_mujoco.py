@@ -45,7 +45,7 @@ EDGES = (0.45, 0.85, 0.1, 0.5, 0.0, -1.0, 1.0)  # [m] of the table, of the base,
 
 
 @pytest.fixture(params=(2, 3), ids=("fmi2", "fmi3"))
-def fmu(request: pytest.FixtureRequest) -> Unpacked:
+def fmu(request):
     return unpacked("native", "plant", request.param)
 
 
@@ -62,7 +62,7 @@ def differing(it: Instance, plant: Plant) -> list[str]:
 
 
 @pytest.mark.parametrize("seed", range(len(CASES)))
-def test_all_outputs_have_the_bits_of_the_plant_in_python(seed: int) -> None:
+def test_all_outputs_have_the_bits_of_the_plant_in_python(seed):
     case, source = CASES[seed], np.random.default_rng(seed)
     plant = Plant(PlantParameters(**case))
     start = {name: as_fmi(value) for name, value in case.items()}
@@ -93,7 +93,7 @@ def test_all_outputs_have_the_bits_of_the_plant_in_python(seed: int) -> None:
     ["data qpos 17", "data nothing 0", "data qpos", "jac body 99 0", "mass_matrix 15", "what 1",
      "contact_sensors 99", "held qpos -1", "data qpos 0 0", "contact_bodies 1 99", "-"],
 )  # fmt: skip
-def test_a_source_that_does_not_fit_the_model_is_refused(tmp_path: Path, source: str) -> None:
+def test_a_source_that_does_not_fit_the_model_is_refused(tmp_path, source):
     def change(table: str) -> str:
         lines = [line.split("\t") for line in table.splitlines(keepends=True)]
         (line,) = (fields for fields in lines if "hand_xpos" in fields)
@@ -105,7 +105,7 @@ def test_a_source_that_does_not_fit_the_model_is_refused(tmp_path: Path, source:
         Instance(place).start()
 
 
-def test_a_damaged_model_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_model_is_refused(tmp_path):
     place = unpacked("native", "mjcf", 3).copy(tmp_path / "fmu")
     (model,) = (place.folder / "resources").glob("*.mjb")
     model.write_bytes(model.read_bytes()[:5000])
@@ -129,12 +129,12 @@ MODELS = [
 ]
 
 
-def test_there_are_ten_models_at_least() -> None:
+def test_there_are_ten_models_at_least():
     assert len(MODELS) >= 10
 
 
 @pytest.mark.parametrize("path", MODELS, ids=lambda path: path.stem)
-def test_any_model_steps_as_mj_step(path: Path, tmp_path: Path) -> None:
+def test_any_model_steps_as_mj_step(path, tmp_path):
     model, source = load(path), np.random.default_rng(1)
     steps = 300 if model.nv < 50 else 60
     data, dt = mujoco.MjData(model), float(model.opt.timestep)
@@ -197,9 +197,7 @@ def places() -> Any:
 
 @settings(max_examples=30, deadline=None)
 @given(st.sampled_from(SCENES), places(), places(), st.floats(*RANGES["block_yaw"]))
-def test_both_plants_agree_on_where_the_block_can_start(
-    scene: str, x: float, y: float, yaw: float
-) -> None:
+def test_both_plants_agree_on_where_the_block_can_start(scene, x, y, yaw):
     native, python = starts(unpacked("native", "plant", 2), scene, x, y, yaw)
     assert native == python
 
@@ -209,9 +207,7 @@ def test_both_plants_agree_on_where_the_block_can_start(
     [((0.4, -0.2), 0.05, ""), ((0.6, 0.35), 0.25, ""), ((0.0, 0.0), None, "inside 'link0'"),
      ((0.44, 0.3), None, "inside 'table'")],
 )  # fmt: skip
-def test_the_block_stands_on_floor_or_table_alone(
-    fmu: Unpacked, place: tuple[float, float], height: float | None, inside: str
-) -> None:
+def test_the_block_stands_on_floor_or_table_alone(fmu, place, height, inside):
     native, python = starts(fmu, SCENES[0], *place, 0.0)
     assert native == python
     if height is None:

@@ -24,7 +24,7 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def others() -> list[str]:
+def others():
     """Pythons of this machine besides the one that runs the tests."""
     names = ["/usr/bin/python3", *(f"python3.{minor}" for minor in range(8, 16))]
     found = [path for path in map(shutil.which, names) if path]
@@ -36,7 +36,7 @@ def others() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[Kind, str], Path]:
+def fmus(tmp_path_factory):
     """Unpacked FMUs by kind and model."""
     folder, found = tmp_path_factory.mktemp("fmus"), {}
     kinds: Sequence[Kind] = ("native", "python")
@@ -53,24 +53,20 @@ def run(python: str | Path, fmu: Path, *more: str) -> subprocess.CompletedProces
 
 
 @pytest.fixture(scope="module")
-def expected(fmus: dict[tuple[Kind, str], Path]) -> dict[str, str]:
+def expected(fmus):
     """Outputs of each model, in the Python that runs the tests."""
     return {model: run(sys.executable, fmus["native", model]).stdout for _, model in fmus}
 
 
 @pytest.mark.parametrize("model", ["PandaPlant", "PandaController"])
-def test_native_fmus_give_the_same_bits_in_every_python(
-    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], others: list[str], model: str
-) -> None:
+def test_native_fmus_give_the_same_bits_in_every_python(fmus, expected, others, model):
     assert len(expected[model].split()) > 30
     for python in others:
         done = run(python, fmus["native", model])
         assert (done.returncode, done.stdout) == (0, expected[model]), f"{python}: {done.stderr}"
 
 
-def test_an_fmu_in_python_runs_in_another_python_or_says_why_not(
-    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], others: list[str]
-) -> None:
+def test_an_fmu_in_python_runs_in_another_python_or_says_why_not(fmus, expected, others):
     for python in others:
         done = run(python, fmus["python", "PandaPlant"])
         if done.returncode:
@@ -83,9 +79,7 @@ def test_an_fmu_in_python_runs_in_another_python_or_says_why_not(
 
 
 @pytest.mark.long  # installs a package
-def test_native_fmus_run_beside_another_mujoco(
-    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], tmp_path: Path
-) -> None:
+def test_native_fmus_run_beside_another_mujoco(fmus, expected, tmp_path):
     subprocess.run(
         [sys.executable, "-m", "venv", "--without-pip", tmp_path], check=True, timeout=300
     )

@@ -1,9 +1,6 @@
 """A new scenario runs at the first try, and what is wrong with one is explained."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -20,20 +17,20 @@ from panda_cosim.task.writer import make_scenario
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     made = tmp_path / "mine" / "lift"
     make_scenario(made)
     return made
 
 
 @pytest.mark.fmu
-def test_a_new_scenario_runs_at_the_first_try(folder: Path, tmp_path: Path) -> None:
+def test_a_new_scenario_runs_at_the_first_try(folder, tmp_path):
     run = run_scenario(folder, tmp_path / "run")
     assert run.summary.success, run.summary.criteria
 
 
 @pytest.mark.fmu
-def test_a_new_scenario_with_parts_of_its_own_runs_and_is_swept(tmp_path: Path) -> None:
+def test_a_new_scenario_with_parts_of_its_own_runs_and_is_swept(tmp_path):
     runner = CliRunner()
     new = runner.invoke(app, ["new", str(tmp_path / "own"), "--law", "--plant", "--sweep"])
     assert new.exit_code == 0, new.output
@@ -45,13 +42,13 @@ def test_a_new_scenario_with_parts_of_its_own_runs_and_is_swept(tmp_path: Path) 
     assert len(design) == 40
 
 
-def test_check_suggests_no_torques_for_a_scene_with_servos(tmp_path: Path) -> None:
+def test_check_suggests_no_torques_for_a_scene_with_servos(tmp_path):
     make_scenario(tmp_path / "own", ["plant"])
     assert [each.level for each in check_folder(tmp_path / "own")] == ["good", "good"]
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
-def test_a_copy_of_a_shipped_scenario_is_equal_to_it(name: str, tmp_path: Path) -> None:
+def test_a_copy_of_a_shipped_scenario_is_equal_to_it(name, tmp_path):
     make_scenario(tmp_path / "copy", copied=name)
     shipped = Scenario.read(shipped_scenarios()[name])
     same = replace(shipped, name="copy", folder=tmp_path / "copy")
@@ -59,7 +56,7 @@ def test_a_copy_of_a_shipped_scenario_is_equal_to_it(name: str, tmp_path: Path) 
     assert not (tmp_path / "copy" / "reference.parquet").exists()
 
 
-def test_what_cannot_be_copied_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_copied_is_refused(tmp_path):
     for options, words in (
         (("--from", "pusch"), "did you mean 'push'"),
         (("--from", "push", "--law"), "--from: cannot be combined with --law, --plant or --slave"),
@@ -71,19 +68,19 @@ def test_what_cannot_be_copied_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["-lift", "li/ft\n", "..", "x" * 201])
-def test_a_bad_name_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_bad_name_is_refused(tmp_path, name):
     with pytest.raises(InputError, match="scenario name"):
         make_scenario(tmp_path / name)
 
 
-def test_nothing_is_written_over(folder: Path) -> None:
+def test_nothing_is_written_over(folder):
     (folder / "trajectory.csv").unlink()
     with pytest.raises(InputError, match="already exists"):
         make_scenario(folder)
     assert not (folder / "trajectory.csv").exists()
 
 
-def test_new_and_check_are_commands(tmp_path: Path) -> None:
+def test_new_and_check_are_commands(tmp_path):
     runner = CliRunner()
     made = runner.invoke(app, ["new", str(tmp_path / "lift")])
     assert made.exit_code == 0
@@ -122,9 +119,7 @@ EDITS = [
 
 
 @pytest.mark.parametrize(("file", "before", "after", "level", "told"), EDITS)
-def test_what_is_wrong_is_explained(
-    folder: Path, file: str, before: str, after: str, level: str, told: str
-) -> None:
+def test_what_is_wrong_is_explained(folder, file, before, after, level, told):
     path = folder / file
     assert before in path.read_text()
     path.write_text(path.read_text().replace(before, after))
@@ -134,7 +129,7 @@ def test_what_is_wrong_is_explained(
 
 
 @pytest.mark.parametrize("name", [pytest.param("beyond_reach", marks=pytest.mark.long), "tutorial"])
-def test_nothing_is_wrong_with_the_shipped_ones(name: str) -> None:
+def test_nothing_is_wrong_with_the_shipped_ones(name):
     diagnostics = check_folder(shipped_scenarios()[name])
     # They ask for what the arm cannot do, the tutorial by its law.
     order, *rest = sorted(diagnostics, key=lambda f: f.level)

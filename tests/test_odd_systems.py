@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -34,7 +34,7 @@ VARIABLES: list[Variable] = [*CONTROL, *OUTPUTS]
 
 
 @pytest.fixture(autouse=True, scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def cache(tmp_path_factory):
     """A cache for these FMUs alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PANDA_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
@@ -56,7 +56,7 @@ NAMES = ("hand_xpos[3]", "y", "y[1]", "pipe[1].T[2]", "pipe[2].T[1]", "a[1,2]", 
          "x y", "$x$", "ü", "time")  # fmt: skip
 
 
-def test_a_recording_of_any_names_can_be_opened(tmp_path: Path) -> None:
+def test_a_recording_of_any_names_can_be_opened(tmp_path):
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs(*NAMES))
     ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": NAMES})
     done = run(ssp, tmp_path / "run")
@@ -69,7 +69,7 @@ def test_a_recording_of_any_names_can_be_opened(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
 
 
-def test_names_that_would_be_one_column_are_refused(tmp_path: Path) -> None:
+def test_names_that_would_be_one_column_are_refused(tmp_path):
     one = odd_fmu(tmp_path / "one.fmu", outputs("b.c"))
     other = odd_fmu(tmp_path / "other.fmu", outputs("c"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"a": one, "a.b": other}, {"a": ["b.c"], "a.b": ["c"]})
@@ -80,7 +80,7 @@ def test_names_that_would_be_one_column_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_integers_booleans_and_text_are_recorded(tmp_path: Path, isolate: Sequence[str]) -> None:
+def test_integers_booleans_and_text_are_recorded(tmp_path, isolate):
     fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
     parameters = (
         '<ssv:Parameter name="p"><ssv:Real value="0.5"/></ssv:Parameter>'
@@ -101,7 +101,7 @@ def test_integers_booleans_and_text_are_recorded(tmp_path: Path, isolate: Sequen
     assert recording["c.on"].tolist() == [1.0] * 11
 
 
-def test_the_start_time_is_the_first_row_s(tmp_path: Path) -> None:
+def test_the_start_time_is_the_first_row_s(tmp_path):
     fmu = odd_fmu(tmp_path / "odd.fmu", [*outputs("y"), ("start", "Real", "output", 199)])
     experiment = '<ssd:DefaultExperiment startTime="2.5" stopTime="2.51"/>'
     ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y", "start"]}, experiment=experiment)
@@ -113,7 +113,7 @@ def test_the_start_time_is_the_first_row_s(tmp_path: Path) -> None:
 
 
 @pytest.mark.own_process
-def test_a_session_of_a_system_keeps_the_criteria_within_its_time(tmp_path: Path) -> None:
+def test_a_session_of_a_system_keeps_the_criteria_within_its_time(tmp_path):
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     experiment = '<ssd:DefaultExperiment startTime="2.5" stopTime="2.51"/>'
     odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y"]}, experiment=experiment)
@@ -126,7 +126,7 @@ def test_a_session_of_a_system_keeps_the_criteria_within_its_time(tmp_path: Path
         assert session.as_scenario().success == Scenario.read(tmp_path).success
 
 
-def test_the_fmus_name_the_times_that_the_system_leaves_open(tmp_path: Path) -> None:
+def test_the_fmus_name_the_times_that_the_system_leaves_open(tmp_path):
     experiments = {"one": 'startTime="1" stopTime="3"', "other": 'stopTime="4" stepSize="0.5"'}
     fmus = {
         name: odd_fmu(tmp_path / f"{name}.fmu", outputs("y"), "", f"<DefaultExperiment {text}/>")
@@ -136,7 +136,7 @@ def test_the_fmus_name_the_times_that_the_system_leaves_open(tmp_path: Path) -> 
     assert (read.start_time, read.stop_time, read.step_size) == (1.0, 4.0, 0.5)
 
 
-def test_what_can_be_instantiated_once_is_instantiated_once(tmp_path: Path) -> None:
+def test_what_can_be_instantiated_once_is_instantiated_once(tmp_path):
     flag = ' canBeInstantiatedOnlyOncePerProcess="true"'
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"), flag)
     twice = odd_ssp(tmp_path / "twice.ssp", {"a": fmu, "b": fmu}, {"a": ["y"], "b": ["y"]})
@@ -162,9 +162,7 @@ def scenario_of(folder: Path, fmus: Sequence[Path], connect: str = "") -> Path:
 @pytest.mark.parametrize(
     ("giving", "taking"), [("Real", "Real"), ("Integer", "Real"), ("Real", "Integer")]
 )
-def test_check_refuses_the_connections_that_run_refuses_in_the_same_words(
-    tmp_path: Path, giving: str, taking: str
-) -> None:
+def test_check_refuses_the_connections_that_run_refuses_in_the_same_words(tmp_path, giving, taking):
     one = odd_fmu(tmp_path / "one.fmu", [("y", giving, "output", 100)])
     two = odd_fmu(tmp_path / "two.fmu", [("u", taking, "input", 0), ("z", "Real", "output", 101)])
     scenario = scenario_of(tmp_path / "x", [one, two], '"two.u" = "one.y"')
@@ -186,7 +184,7 @@ def agreed(scenario: Path) -> bool:
     return False
 
 
-def test_check_names_what_run_would_warn_of(tmp_path: Path) -> None:
+def test_check_names_what_run_would_warn_of(tmp_path):
     experiment = '<DefaultExperiment stepSize="0.01"/>'
     one = odd_fmu(tmp_path / "one.fmu", outputs("y"), "", experiment, varies="false")
     two = odd_fmu(tmp_path / "two.fmu", outputs("y"))
@@ -207,8 +205,8 @@ def run_of(scenario: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_an_fmu_that_changes_the_working_directory_and_floods_with_messages_loses_nothing(
-    tmp_path: Path, isolate: Sequence[str]
-) -> None:
+    tmp_path, isolate
+):
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
     done = run(ssp, Path("run"), "--plot", *isolate, cwd=tmp_path, ACT="chdir")
@@ -231,7 +229,7 @@ def test_an_fmu_that_changes_the_working_directory_and_floods_with_messages_lose
         ("negative-setup", "in FMU 'c': set up returned -1, which is not a status"),
     ],
 )
-def test_a_negative_status_is_a_failure(tmp_path: Path, fault: str, told: str) -> None:
+def test_a_negative_status_is_a_failure(tmp_path, fault, told):
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
     done = run(ssp, tmp_path / "run", ACT=fault)

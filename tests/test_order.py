@@ -65,7 +65,7 @@ def order(*pairs: str, models: str = "") -> str:
         ("a>a b>a", "", "ba"),
     ],
 )
-def test_who_feeds_comes_first(pairs: str, models: str, expected: str) -> None:
+def test_who_feeds_comes_first(pairs, models, expected):
     assert order(*pairs.split(), models=models) == expected
 
 
@@ -73,9 +73,7 @@ PAIRS = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.booleans()),
 
 
 @given(pairs=PAIRS, models=st.sets(st.integers(0, 5)), data=st.data())
-def test_no_order_has_an_effect_and_only_loops_and_models_are_late(
-    pairs: Sequence[tuple[int, int, bool]], models: set[int], data: st.DataObject
-) -> None:
+def test_no_order_has_an_effect_and_only_loops_and_models_are_late(pairs, models, data):
     lines = [f"n{a}{':state' * free}>n{b}" for a, b, free in pairs]
     fmus = {f"n{i}": Fmu(i in models) for i in range(6)}
     connections = wires(*lines)
@@ -117,7 +115,7 @@ def text(fmus: Sequence[str], connect: Sequence[str], more: str = "") -> str:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     if compiler() is None:
         pytest.skip("no C compiler")
     made = tmp_path_factory.mktemp("loop")
@@ -136,7 +134,7 @@ def rows(folder: Path, content: str) -> tuple[tuple[str, ...], bytes]:
 @pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_all_permutations_of_lines_give_the_same_bits(folder: Path, coupling: str) -> None:
+def test_all_permutations_of_lines_give_the_same_bits(folder, coupling):
     more = f'coupling = "{coupling}"'
     expected = rows(folder, text(LINES, CONNECT, more))
     for fmus in permutations(LINES):
@@ -148,7 +146,7 @@ def test_all_permutations_of_lines_give_the_same_bits(folder: Path, coupling: st
 
 @pytest.mark.fmu
 @pytest.mark.own_process
-def test_the_order_can_be_stated(folder: Path) -> None:
+def test_the_order_can_be_stated(folder):
     stated = 'order = ["c", "plant", "a"]'
     assert rows(folder, text(LINES, CONNECT, stated)) != rows(folder, text(LINES, CONNECT))
     (folder / "scenario.toml").write_text(text(LINES, CONNECT, stated))
@@ -162,7 +160,7 @@ def test_the_order_can_be_stated(folder: Path) -> None:
 
 
 @pytest.mark.fmu
-def test_it_is_shown(folder: Path, tmp_path: Path) -> None:
+def test_it_is_shown(folder, tmp_path):
     (folder / "scenario.toml").write_text(text(LINES, CONNECT))
     said = "FMUs are stepped in the order a, c, plant; a step late: plant.y[1,1] -> a.u[1,2]"
     assert said in " ".join(command("check", folder).stdout.split())
@@ -212,9 +210,7 @@ def ssp(folder: Path, path: Path, names: Sequence[str], ends: Sequence[tuple[str
 @pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_all_permutations_of_elements_give_the_same_bits(
-    folder: Path, tmp_path: Path, coupling: str
-) -> None:
+def test_all_permutations_of_elements_give_the_same_bits(folder, tmp_path, coupling):
     found = set()
     for i, (names, ends, rows_of) in enumerate(
         zip(permutations("abc"), permutations(ENDS), permutations(CONNECTORS), strict=True)
@@ -227,7 +223,7 @@ def test_all_permutations_of_elements_give_the_same_bits(
 
 
 @pytest.mark.fmu
-def test_a_model_is_known_by_its_description_and_goes_last(tmp_path: Path) -> None:
+def test_a_model_is_known_by_its_description_and_goes_last(tmp_path):
     """Whatever its name; written as an .ssp file, the system states its order."""
     scenario = tmp_path / "mine"
     scenario.mkdir()

@@ -7,7 +7,6 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,7 +19,7 @@ OTHER = 12345  # id of a user
 
 
 @pytest.fixture
-def shared() -> Iterator[Path]:
+def shared():
     """A folder that all may write to, as /tmp is."""
     folder = Path(tempfile.mkdtemp(prefix="panda-cosim-test-"))
     folder.chmod(0o1777)
@@ -29,7 +28,7 @@ def shared() -> Iterator[Path]:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user, too")
-def test_another_users_cache_is_refused(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_users_cache_is_refused(shared, monkeypatch):
     (shared / "theirs").mkdir(mode=0o700)
     os.chown(shared / "theirs", OTHER, OTHER)
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared / "theirs"))
@@ -38,18 +37,14 @@ def test_another_users_cache_is_refused(shared: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o777, 0o1777])
-def test_a_cache_that_others_may_write_to_is_refused(
-    shared: Path, mode: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_that_others_may_write_to_is_refused(shared, mode, monkeypatch):
     shared.chmod(mode)
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared))
     with pytest.raises(InputError, match=r"others may write to it.*PANDA_COSIM_CACHE"):
         cache_folder()
 
 
-def test_a_new_cache_is_private_whatever_the_umask(
-    shared: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_new_cache_is_private_whatever_the_umask(shared, monkeypatch):
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared / "new" / "cache"))
     before = os.umask(0)
     try:
@@ -67,9 +62,7 @@ def text_in(path: Path) -> str:
     return path.read_text()
 
 
-def test_the_browser_gets_the_token_in_a_file_of_the_users_own(
-    shared: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_browser_gets_the_token_in_a_file_of_the_users_own(shared, monkeypatch):
     browser = shared / "browser"
     browser.write_text('#!/bin/sh\necho "$@" > "$0.said"\nexec sleep 45 >&- 2>&-\n')
     browser.chmod(0o755)

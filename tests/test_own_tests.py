@@ -32,7 +32,7 @@ SCENARIOS = {
 
 
 @pytest.fixture(scope="module")
-def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mine(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mine")
     for name, settings in SCENARIOS.items():
         (folder / name).mkdir()
@@ -58,7 +58,7 @@ FAR = r"margin -\d\S* x"  # more than ten times the bound
 SURPRISE = "is a success, but a failure is expected: no arm tracks to a nanometre"
 
 
-def test_regress_judges_each_scenario_by_itself(mine: Path, tmp_path: Path) -> None:
+def test_regress_judges_each_scenario_by_itself(mine, tmp_path):
     report = tmp_path / "report"
     asked = ("regress", "--jobs", 1, "--scenarios", mine, "--json", "--report", report)
     done = command(*asked, cwd=tmp_path)
@@ -89,9 +89,7 @@ def test_regress_judges_each_scenario_by_itself(mine: Path, tmp_path: Path) -> N
     assert "min plant.hand_xpos[3]" in page
 
 
-def test_regress_makes_the_references_that_it_can_and_names_the_others(
-    mine: Path, tmp_path: Path
-) -> None:
+def test_regress_makes_the_references_that_it_can_and_names_the_others(mine, tmp_path):
     for name in ("good", "failing", "expected", "surprise"):
         shutil.copytree(mine / name, tmp_path / "mine" / name)
     asked = ("regress", "--jobs", 1, "--scenarios", tmp_path / "mine")
@@ -110,7 +108,7 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
 PYTEST = ("-v", "-p", "no:cacheprovider", "--panda-scenarios")
 
 
-def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine: Path, tmp_path: Path) -> None:
+def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine, tmp_path):
     tests = run_pytest(*PYTEST, mine, "-n", "1", cwd=tmp_path)
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "4 failed, 2 passed" in tests.stdout
@@ -131,9 +129,7 @@ def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine: Path, tmp_path
         ("broken", 2, "did you mean 'plant.hand_xpos[3]'"),
     ],
 )
-def test_run_says_whether_it_came_as_expected(
-    mine: Path, tmp_path: Path, name: str, code: int, told: str
-) -> None:
+def test_run_says_whether_it_came_as_expected(mine, tmp_path, name, code, told):
     file, out = tmp_path / "junit.xml", tmp_path / "run"
     asked = ("run", mine / name, "--no-video", "--no-view", "--junit", file, "--out", out)
     done = command(*asked, cwd=tmp_path)

@@ -1,9 +1,6 @@
 """Parameters that a person gives become start values, or one clear line says why not."""
 
-from __future__ import annotations
-
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,17 +19,17 @@ PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
 PUSH = load_scenario("push")
 
 
-def test_one_number_sets_all_elements() -> None:
+def test_one_number_sets_all_elements():
     assert expand("controller", CONTROLLER, {"kp": 8}) == {f"kp[{i}]": 8.0 for i in range(1, 8)}
 
 
-def test_a_sequence_sets_each_element_and_an_index_sets_one() -> None:
+def test_a_sequence_sets_each_element_and_an_index_sets_one():
     values = expand("plant", PLANT, {"block_pos": (0.45, -0.1), "block_pos[2]": 0.0})
     assert values == {"block_pos[1]": 0.45, "block_pos[2]": 0.0}
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64, np.array])
-def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
+def test_numbers_of_numpy_are_numbers(kind):
     assert expand("controller", CONTROLLER, {"ik_gain": kind(3)}) == {"ik_gain": 3.0}
     each = expand("controller", CONTROLLER, {"kp": [kind(3)] * 7})
     assert each == expand("controller", CONTROLLER, {"kp": np.full(7, 3)})
@@ -40,18 +37,18 @@ def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [None, {1.0, 2.0}, {"a": 1}, 1j, np.array([[3.0]]), b"a"])
-def test_no_other_value_is_a_parameter(value: Any) -> None:
+def test_no_other_value_is_a_parameter(value):
     with pytest.raises(InputError, match="ik_gain"):
         expand("controller", CONTROLLER, {"ik_gain": value})
 
 
-def test_an_override_of_no_instance_is_refused() -> None:
+def test_an_override_of_no_instance_is_refused():
     told = "plnt.block_mass: no instance 'plnt'; valid: plant, controller, sensors; did you mean"
     with pytest.raises(InputError, match=told):
         PUSH.changed({"plnt.block_mass": 0.3})
 
 
-def test_text_and_switches_keep_their_type() -> None:
+def test_text_and_switches_keep_their_type():
     assert expand("plant", PLANT, {"scene": "tutorial"}) == {"scene": "tutorial"}
     assert expand("controller", CONTROLLER, {"use_reference": False}) == {"use_reference": False}
     assert expand("controller", CONTROLLER, {"use_reference": 1}) == {"use_reference": True}
@@ -76,9 +73,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("instance", "given_", "expected"), BAD)
-def test_a_bad_parameter_is_refused_with_what_would_be_valid(
-    instance: str, given_: dict[str, object], expected: str
-) -> None:
+def test_a_bad_parameter_is_refused_with_what_would_be_valid(instance, given_, expected):
     with pytest.raises(InputError) as caught:
         expand(instance, INTERFACES[instance], given_)  # type: ignore[arg-type]
     message = str(caught.value)
@@ -97,13 +92,13 @@ def test_a_bad_parameter_is_refused_with_what_would_be_valid(
         ("controller.use_reference=FALSE", ("controller", "use_reference", False)),
     ],
 )
-def test_an_assignment_is_read(text: str, expected: tuple[str, str, object]) -> None:
+def test_an_assignment_is_read(text, expected):
     instance, name, value = expected
     assert values_of([text]) == {f"{instance}.{name}": value}
 
 
 @pytest.mark.parametrize("text", ["", "=", "kp=8", "plant.=1", "plant.block_mass", "plnt.scene=x"])
-def test_a_bad_assignment_is_refused_in_one_line(text: str) -> None:
+def test_a_bad_assignment_is_refused_in_one_line(text):
     with pytest.raises(InputError) as caught:
         PUSH.changed(values_of([text]))
     assert "\n" not in str(caught.value)
@@ -112,13 +107,13 @@ def test_a_bad_assignment_is_refused_in_one_line(text: str) -> None:
 @given(
     st.text(max_size=40), st.sampled_from(["", "plant.", "fmus.plant=", "inputs.file=", "step="])
 )
-def test_no_text_gives_anything_but_an_input_error(text: str, start: str) -> None:
+def test_no_text_gives_anything_but_an_input_error(text, start):
     with suppress(InputError):
         start_values(PUSH.changed(values_of([start + text])))
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_each_set_of_gains_fits_the_interface(name: str) -> None:
+def test_each_set_of_gains_fits_the_interface(name):
     preset = PRESETS[name]
     given_ = {
         v.name: getattr(preset, v.name) for v in CONTROLLER.of("parameter") if v.name != "period"

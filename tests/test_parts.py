@@ -72,7 +72,7 @@ above = 0.04
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     made = tmp_path / "mine"
     make_scenario(made, ["law"])
     return made
@@ -91,9 +91,7 @@ def vector(n: int, unit: str, causality: Causality) -> Variable:
 
 
 @given(st.integers(0, 3), st.integers(0, 3), *[st.sampled_from(["m", "rad", ""])] * 2)
-def test_outputs_feed_inputs_of_their_name_size_and_unit_alone(
-    n: int, m: int, unit: str, other: str
-) -> None:
+def test_outputs_feed_inputs_of_their_name_size_and_unit_alone(n, m, unit, other):
     parts = [part("arm", vector(n, unit, "output")), part("law", vector(m, other, "input"))]
     connector = Connector(parts)
     if n == m and (unit == other or not unit or not other):
@@ -110,7 +108,7 @@ def test_outputs_feed_inputs_of_their_name_size_and_unit_alone(
 
 
 @pytest.mark.fmu
-def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder: Path, tmp_path: Path) -> None:
+def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder, tmp_path):
     done = job(folder, tmp_path / "run", {"controller.gain": 12.0})
     assert done["summary"]["success"], done["summary"]["criteria"]
     assert done["parameters"]["controller"].items() >= {"gain": 12.0, "lag": 0.1}.items()
@@ -122,7 +120,7 @@ def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder: Path, tmp_p
 
 
 @pytest.mark.fmu
-def test_a_law_by_option_is_compared_with_the_shipped_one(folder: Path, tmp_path: Path) -> None:
+def test_a_law_by_option_is_compared_with_the_shipped_one(folder, tmp_path):
     law = f"{folder / 'my_law.py'}:ResolvedRate"
     done = job(shipped_scenarios()["pick_and_place"], tmp_path / "a", {"fmus.controller": law})
     criteria = {c["name"]: c for c in done["summary"]["criteria"]}
@@ -131,7 +129,7 @@ def test_a_law_by_option_is_compared_with_the_shipped_one(folder: Path, tmp_path
     assert 0.0002 < criteria["tracking_rms"]["value"] < 0.01
 
 
-def test_a_law_is_read_and_checked_without_being_run(folder: Path, tmp_path: Path) -> None:
+def test_a_law_is_read_and_checked_without_being_run(folder, tmp_path):
     (tmp_path / "law.py").write_text(LAW)
     law = read_law(tmp_path / "law.py", "Hold")
     assert law.description == "Holds the joints"
@@ -143,7 +141,7 @@ def test_a_law_is_read_and_checked_without_being_run(folder: Path, tmp_path: Pat
 
 
 @pytest.mark.long
-def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder: Path) -> None:
+def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder):
     keys = {"table.rows[2].time": 0.2, "timing": "feasible", "duration": 30.0}
     hasty = load_scenario(folder).changed(keys)
     assert resolve(hasty, start_values(hasty)).times[1] > 0.5
@@ -165,7 +163,7 @@ def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder: Pa
         ("plant.hand_xpos", "plant.hand_xposs", r"\[\[success.signal\]\] 1: .*not recorded"),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line(folder: Path, old: str, new: str, message: str) -> None:
+def test_bad_input_is_one_line(folder, old, new, message):
     path = folder / "scenario.toml"
     path.write_text(path.read_text().replace(old, new, 1))
     wrong = [d.text for d in check_folder(folder) if d.level == "wrong"]
@@ -185,7 +183,7 @@ def test_bad_input_is_one_line(folder: Path, old: str, new: str, message: str) -
         ("gain = 10.0", "qpos = 1.0", "qpos = ...: is the name of one of its signals; must be"),
     ],
 )
-def test_a_bad_law_is_one_line(folder: Path, old: str, new: str, message: str) -> None:
+def test_a_bad_law_is_one_line(folder, old, new, message):
     path = folder / "my_law.py"
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=message) as error:
@@ -194,7 +192,7 @@ def test_a_bad_law_is_one_line(folder: Path, old: str, new: str, message: str) -
 
 
 @pytest.mark.fmu
-def test_a_law_that_fails_ends_the_run_with_its_place(folder: Path, tmp_path: Path) -> None:
+def test_a_law_that_fails_ends_the_run_with_its_place(folder, tmp_path):
     path = folder / "my_law.py"
     path.write_text(path.read_text().replace("error = ", "1 / (time < 0.1)\n        error = ", 1))
     done = CliRunner().invoke(
@@ -214,9 +212,7 @@ def test_a_law_that_fails_ends_the_run_with_its_place(folder: Path, tmp_path: Pa
         ("def start(self): 1 / 0", "line 6: ZeroDivisionError: division by zero"),
     ],
 )
-def test_a_law_that_cannot_start_says_why_in_one_line(
-    tmp_path: Path, line: str, error: str
-) -> None:
+def test_a_law_that_cannot_start_says_why_in_one_line(tmp_path, line, error):
     made = tmp_path / "mine"
     make_scenario(made, ["law"])
     (made / "my_law.py").write_text(
@@ -232,7 +228,7 @@ def test_a_law_that_cannot_start_says_why_in_one_line(
 
 
 @pytest.mark.fmu
-def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path: Path) -> None:
+def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path):
     arm = write_arm(tmp_path / "arm")
     done = job(arm, tmp_path / "run", {"controller.kp": 80.0})
     assert done["summary"]["success"], done["summary"]["criteria"]
@@ -243,7 +239,7 @@ def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.fmu
-def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_path: Path) -> None:
+def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_path):
     arm, run = write_arm(tmp_path / "arm"), tmp_path / "run"
     assert any("PythonFMU slave" in d.text for d in check_folder(arm))
     for arguments in (
@@ -274,7 +270,7 @@ def damaged_model(path: Path) -> bytes:
 
 
 @pytest.mark.fmu
-def test_a_damaged_model_is_one_line_at_every_door(tmp_path: Path) -> None:
+def test_a_damaged_model_is_one_line_at_every_door(tmp_path):
     good, run = tmp_path / "good", tmp_path / "run"
     good.mkdir()
     (good / "plant.xml").write_text(
@@ -302,7 +298,7 @@ def test_a_damaged_model_is_one_line_at_every_door(tmp_path: Path) -> None:
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None:
+def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path, fmi):
     folder = tmp_path / "toys"
     folder.mkdir()
     toy_fmu(folder / "toy.fmu", fmi)
@@ -333,7 +329,7 @@ def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None
 
 
 @pytest.mark.fmu
-def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(tmp_path: Path) -> None:
+def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(tmp_path):
     folder, ssp = tmp_path / "toy", tmp_path / "toy" / "toy.ssp"
     folder.mkdir()
     outputs = [f"y{i}" for i in INDICES]
@@ -376,7 +372,7 @@ def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(tmp_path: Pat
 @pytest.mark.parametrize(
     ("key", "value"), [("scene", "tutorial"), ("align", False), ("timing_share", 0.5)]
 )
-def test_a_system_refuses_what_needs_a_table(tmp_path: Path, key: str, value: str | float) -> None:
+def test_a_system_refuses_what_needs_a_table(tmp_path, key, value):
     (tmp_path / "scenario.toml").write_text(SSP)
     for changes in ({key: value}, {"table.rows[1].x": 0.2}):
         with pytest.raises(InputError, match=r"trajectory\.csv"):

@@ -59,9 +59,7 @@ def transfer_function(
     ],
 )
 @pytest.mark.parametrize("period", [0.001, 0.01])
-def test_a_pid_is_its_transfer_function(
-    kp: float, ki: float, kd: float, tf: float, period: float, signal: str
-) -> None:
+def test_a_pid_is_its_transfer_function(kp, ki, kd, tf, period, signal):
     gains = pid_gains(kp * ONE, ki * ONE, kd * ONE, tf)
     error = np.ones(UPDATES) if signal == "step" else np.random.default_rng(1).normal(size=UPDATES)
     error[0] = 0.0  # the first update gives no derivative
@@ -71,7 +69,7 @@ def test_a_pid_is_its_transfer_function(
     assert np.abs(answer - expected.outputs[:, None]).max() <= TOLERANCE
 
 
-def test_each_joint_has_its_own_gains() -> None:
+def test_each_joint_has_its_own_gains():
     numbers = np.arange(1.0, 8.0)
     errors = np.random.default_rng(2).normal(size=(50, 7))
     together = responses(pid_gains(numbers, 2 * numbers, 3 * numbers, 0.01), 0.001, errors)
@@ -80,7 +78,7 @@ def test_each_joint_has_its_own_gains() -> None:
         assert np.array_equal(responses(alone, 0.001, errors)[:, joint], together[:, joint])
 
 
-def test_a_start_with_an_error_gives_no_derivative_kick() -> None:
+def test_a_start_with_an_error_gives_no_derivative_kick():
     assert not responses(pid_gains(ZERO, ZERO, ONE), 0.001, np.ones((2, 7))).any()
 
 
@@ -89,7 +87,7 @@ def test_a_start_with_an_error_gives_no_derivative_kick() -> None:
     limit=st.floats(0.001, 0.1),
     errors=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60),
 )
-def test_the_integral_never_winds_up(limit: float, errors: list[float]) -> None:
+def test_the_integral_never_winds_up(limit, errors):
     """It stays within its limit, and so turns as soon as the error does."""
     gains = pid_gains(ZERO, 50.0 * ONE, ZERO, limit=limit)
     answer = responses(gains, 0.01, np.array(errors)[:, None] * ONE)

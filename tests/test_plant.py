@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -43,12 +41,12 @@ def press(plant: Plant) -> None:
 
 
 @pytest.fixture(params=SCENES)
-def plant(request: pytest.FixtureRequest) -> Plant:
+def plant(request):
     """A plant of each scene."""
     return Plant(PlantParameters(scene=request.param))
 
 
-def test_a_plant_starts_at_home(plant: Plant) -> None:
+def test_a_plant_starts_at_home(plant):
     np.testing.assert_allclose(plant.outputs["hand_xpos"], HOME_XPOS, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(plant.outputs["hand_xquat"], HOME_XQUAT, rtol=0.0, atol=1e-12)
     np.testing.assert_array_equal(plant.inputs["ctrl"], HOME_CTRL)
@@ -59,7 +57,7 @@ def test_a_plant_starts_at_home(plant: Plant) -> None:
     assert plant.time == 0.0
 
 
-def test_outputs_are_those_of_one_instant(plant: Plant) -> None:
+def test_outputs_are_those_of_one_instant(plant):
     """All that follows from qpos and qvel is what a fresh forward pass gives for them."""
     for seed in range(5):
         excite(plant, 40, seed)
@@ -81,7 +79,7 @@ def test_outputs_are_those_of_one_instant(plant: Plant) -> None:
             np.testing.assert_allclose(plant.outputs[name], value, rtol=0, atol=1e-12)
 
 
-def test_a_step_is_one_of_mujoco_bit_for_bit(plant: Plant) -> None:
+def test_a_step_is_one_of_mujoco_bit_for_bit(plant):
     """Stepping by mj_step2 and mj_step1 changes nothing in the physics."""
     reference = mujoco.MjData(plant.model)
     reference.qpos[:], reference.ctrl[:] = plant.data.qpos, plant.inputs["ctrl"]
@@ -100,7 +98,7 @@ def test_a_step_is_one_of_mujoco_bit_for_bit(plant: Plant) -> None:
         np.testing.assert_array_equal(plant.outputs["actuator_force"], reference.actuator_force)
 
 
-def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant) -> None:
+def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant):
     excite(plant, 60)
     step, turn, data = 1e-6, np.zeros(3), mujoco.MjData(plant.model)
     for joint in range(7):
@@ -118,7 +116,7 @@ def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant) -> None:
         np.testing.assert_allclose(plant.outputs["jac"][:, joint], slope, atol=1e-8)
 
 
-def test_at_rest_the_bias_is_the_slope_of_the_potential_energy(plant: Plant) -> None:
+def test_at_rest_the_bias_is_the_slope_of_the_potential_energy(plant):
     plant.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     step = 1e-6
     for joint in range(7):
@@ -134,7 +132,7 @@ def test_at_rest_the_bias_is_the_slope_of_the_potential_energy(plant: Plant) -> 
         assert plant.outputs["qfrc_bias"][joint] - spring == pytest.approx(slope, abs=1e-6)
 
 
-def test_the_contact_force_is_the_sum_of_the_fingers_normal_forces() -> None:
+def test_the_contact_force_is_the_sum_of_the_fingers_normal_forces():
     plant = Plant()
     press(plant)
     fingers = [plant.model.body(f"{side}_finger").id for side in ("left", "right")]
@@ -155,7 +153,7 @@ def test_the_contact_force_is_the_sum_of_the_fingers_normal_forces() -> None:
     assert plant.outputs["contact_force"] == pytest.approx(total, rel=1e-6)
 
 
-def test_the_push_moves_the_hand_along_it() -> None:
+def test_the_push_moves_the_hand_along_it():
     free = Plant()
     free.step(40)
     for axis in range(3):
@@ -168,7 +166,7 @@ def test_the_push_moves_the_hand_along_it() -> None:
             assert np.abs(moved).argmax() == axis
 
 
-def test_the_blocks_force_lifts_the_block_and_leaves_the_arm_alone() -> None:
+def test_the_blocks_force_lifts_the_block_and_leaves_the_arm_alone():
     free, pushed = Plant(), Plant()
     weight = 9.81 * PlantParameters().block_mass  # N
     pushed.inputs["block_force"][2] = 2 * weight
@@ -180,7 +178,7 @@ def test_the_blocks_force_lifts_the_block_and_leaves_the_arm_alone() -> None:
 
 
 @pytest.mark.parametrize("link", range(1, 8))
-def test_a_links_force_acts_at_its_centre_of_mass(link: int) -> None:
+def test_a_links_force_acts_at_its_centre_of_mass(link):
     free, pushed = Plant(), Plant()
     pushed.inputs[f"link{link}_force"] = force = np.array([30.0, -20.0, 10.0])  # N
     model, data, jac = free.model, free.data, np.zeros((3, free.model.nv))
@@ -194,7 +192,7 @@ def test_a_links_force_acts_at_its_centre_of_mass(link: int) -> None:
     np.testing.assert_allclose(faster[:7], change, rtol=1e-3, atol=1e-6)
 
 
-def test_a_push_ends_with_its_force() -> None:
+def test_a_push_ends_with_its_force():
     plant = Plant()
     plant.inputs["push_force"][:] = plant.inputs["block_force"][:] = 50.0, 0.0, 0.0
     plant.step()
@@ -208,9 +206,7 @@ states = st.tuples(st.integers(0, 80), st.integers(0, 2**32 - 1), st.sampled_fro
 
 @given(states, st.lists(st.floats(-0.2, 0.2), min_size=10, max_size=10))
 @settings(max_examples=25, deadline=None)
-def test_a_replay_from_a_restored_state_gives_the_same_bits(
-    start: tuple[int, int, str], pushes: list[float]
-) -> None:
+def test_a_replay_from_a_restored_state_gives_the_same_bits(start, pushes):
     ticks, seed, name = start
     plant = Plant(PlantParameters(scene=name))
     other = Plant(PlantParameters(scene=name))
@@ -229,7 +225,7 @@ def test_a_replay_from_a_restored_state_gives_the_same_bits(
         assert other.output_values.tobytes() == plant.output_values.tobytes()
 
 
-def test_a_restored_state_is_that_of_a_grasp_too() -> None:
+def test_a_restored_state_is_that_of_a_grasp_too():
     plant = Plant()
     press(plant)
     state, expected = plant.get_state(), []
@@ -243,7 +239,7 @@ def test_a_restored_state_is_that_of_a_grasp_too() -> None:
     assert expected[0] == expected[1]
 
 
-def test_reset_starts_again(plant: Plant) -> None:
+def test_reset_starts_again(plant):
     fresh = Plant(plant.parameters)
     excite(plant, 30)
     plant.reset()
@@ -255,7 +251,7 @@ def test_reset_starts_again(plant: Plant) -> None:
 
 
 @pytest.mark.parametrize("mass", [0.05, 1.0])
-def test_the_block_has_the_inertia_of_a_box_of_its_mass(mass: float) -> None:
+def test_the_block_has_the_inertia_of_a_box_of_its_mass(mass):
     model = Plant(PlantParameters(block_mass=mass)).model
     x, y, z = 2 * model.geom("obj_geom").size
     box = mass / 12 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
@@ -264,9 +260,7 @@ def test_the_block_has_the_inertia_of_a_box_of_its_mass(mass: float) -> None:
 
 
 @pytest.mark.parametrize(("x", "y", "height"), [(0.45, -0.3, 0.05), (0.6, 0.35, 0.25)])
-def test_the_block_starts_where_it_should_on_floor_or_table(
-    x: float, y: float, height: float
-) -> None:
+def test_the_block_starts_where_it_should_on_floor_or_table(x, y, height):
     outputs = Plant(PlantParameters(block_pos=(x, y), block_yaw=0.5)).outputs
     pose = (x, y, height, math.cos(0.25), 0, 0, math.sin(0.25))
     np.testing.assert_allclose(outputs["qpos"][9:], pose, atol=1e-12)
@@ -274,7 +268,7 @@ def test_the_block_starts_where_it_should_on_floor_or_table(
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.44, 0.3)])
-def test_a_block_inside_something_is_refused(place: tuple[float, float]) -> None:
+def test_a_block_inside_something_is_refused(place):
     with pytest.raises(ValueError, match=r"block_pos: the block at .* inside"):
         Plant(PlantParameters(block_pos=place))
 
@@ -288,15 +282,13 @@ def test_a_block_inside_something_is_refused(place: tuple[float, float]) -> None
         ({"servo_scale": (1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)}, r"servo_scale\[3\]: 0.0 1 is out"),
     ],
 )
-def test_a_parameter_out_of_range_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_a_parameter_out_of_range_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         PlantParameters(**changes)
 
 
 @pytest.mark.parametrize("harm", ["velocity", "position", "command"])
-def test_divergence_is_an_error_that_says_when(
-    plant: Plant, harm: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_divergence_is_an_error_that_says_when(plant, harm, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log of warnings
     plant.step(10)
     if harm == "velocity":
@@ -319,7 +311,7 @@ ARM = {
 }
 
 
-def test_the_arms_parameters_change_what_they_say_and_nothing_else() -> None:
+def test_the_arms_parameters_change_what_they_say_and_nothing_else():
     plain, changed = (Plant(PlantParameters(**given)).model for given in ({}, ARM))
     np.testing.assert_array_equal(changed.dof_frictionloss[:8], [0.5] * 7 + [0.0])
     np.testing.assert_array_equal(changed.dof_damping[:7], plain.dof_damping[:7] + 2.0)
@@ -337,7 +329,7 @@ def test_the_arms_parameters_change_what_they_say_and_nothing_else() -> None:
     assert changed.body("obj").mass == plain.body("obj").mass
 
 
-def test_a_payload_loads_the_joints_with_its_weight() -> None:
+def test_a_payload_loads_the_joints_with_its_weight():
     plain, loaded = (Plant(PlantParameters(payload=mass)) for mass in (0.0, 2.0))
     torque = loaded.outputs["qfrc_bias"] - plain.outputs["qfrc_bias"]
     com = plain.data.xipos[plain.model.body("hand").id]

@@ -60,7 +60,7 @@ def texts(run: FakeRecording) -> list[str]:
     return found
 
 
-def test_each_hold_of_the_block_is_shaded_and_closed_fingers_alone_are_not() -> None:
+def test_each_hold_of_the_block_is_shaded_and_closed_fingers_alone_are_not():
     run = made_up_run()
     assert not draw_run(run).axes[0].patches  # the fingers close on nothing
     run.signals["plant.contact_force"][400:500] = 20.0
@@ -70,7 +70,7 @@ def test_each_hold_of_the_block_is_shaded_and_closed_fingers_alone_are_not() -> 
     assert shaded[0] < shaded[1]
 
 
-def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path: Path) -> None:
+def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path):
     path = plot_run(made_up_run(), tmp_path / "new" / "plot.png")
     with Image.open(path) as page:
         assert page.format == "PNG"
@@ -79,7 +79,7 @@ def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path: Path) -> None:
     assert [file.name for file in path.parent.iterdir()] == ["plot.png"]
 
 
-def test_the_page_says_the_error_and_the_largest_shares_of_the_limits() -> None:
+def test_the_page_says_the_error_and_the_largest_shares_of_the_limits():
     written = texts(made_up_run())
     rms = 1000 * PEAK / np.sqrt(1001)
     assert f"RMS {rms:.3g} mm" in written
@@ -90,7 +90,7 @@ def test_the_page_says_the_error_and_the_largest_shares_of_the_limits() -> None:
     assert "made up" in written
 
 
-def test_a_law_without_a_joint_reference_is_drawn_all_the_same() -> None:
+def test_a_law_without_a_joint_reference_is_drawn_all_the_same():
     run = made_up_run()
     del run.signals["controller.qvel_ref"]
     written = texts(run)
@@ -99,7 +99,7 @@ def test_a_law_without_a_joint_reference_is_drawn_all_the_same() -> None:
     assert all(axes.lines for axes in draw_run(run).axes)
 
 
-def test_the_page_has_the_purpose_and_the_verdict() -> None:
+def test_the_page_has_the_purpose_and_the_verdict():
     run = made_up_run()
     run.metadata["purpose"] = "Draws a line"
     missed = {"name": "max_slip", "value": 0.003, "bound": 0.002, "unit": "m"}
@@ -118,14 +118,14 @@ def test_the_page_has_the_purpose_and_the_verdict() -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 2])
-def test_a_run_that_broke_off_at_once_is_drawn_and_marked(tmp_path: Path, rows: int) -> None:
+def test_a_run_that_broke_off_at_once_is_drawn_and_marked(tmp_path, rows):
     run = made_up_run(rows)
     run.metadata = {"complete": False, "reason": "diverged"}
     assert plot_run(run, tmp_path / "plot.png").stat().st_size > 10_000
     assert any("incomplete: diverged" in text for text in texts(run))
 
 
-def test_a_long_run_is_thinned_and_keeps_its_peaks() -> None:
+def test_a_long_run_is_thinned_and_keeps_its_peaks():
     values = np.zeros(1_000_000)
     values[123_457], values[777_777] = 1.0, -1.0
     rows = thin(values, ROWS_DRAWN)
@@ -136,7 +136,7 @@ def test_a_long_run_is_thinned_and_keeps_its_peaks() -> None:
 
 
 @pytest.mark.long
-def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path: Path) -> None:
+def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path):
     code = (
         f"import sys; sys.path[:0] = {[str(REPOSITORY), str(REPOSITORY / 'tests')]!r}\n"
         "from pathlib import Path\n"
@@ -166,14 +166,14 @@ def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path: Path)
 
 
 @pytest.mark.parametrize("name", [r"a $\frac$ b", "$x$ and $y$"])
-def test_a_dollar_in_a_name_is_text_and_no_formula(tmp_path: Path, name: str) -> None:
+def test_a_dollar_in_a_name_is_text_and_no_formula(tmp_path, name):
     run = made_up_run(2)
     run.metadata = {"scenario": name, "complete": False, "reason": name}
     assert plot_run(run, tmp_path / "plot.png").stat().st_size > 10_000
     assert name in texts(run)
 
 
-def test_a_signal_of_another_shape_is_refused(tmp_path: Path) -> None:
+def test_a_signal_of_another_shape_is_refused(tmp_path):
     run = made_up_run(3)
     run.signals["plant.qvel"] = run.signals["plant.qvel"][:, :7]
     with pytest.raises(InputError, match=r"plant.qvel: shape \(7,\) per row; must be \(15,\)"):

@@ -63,7 +63,7 @@ def record(folder: str) -> None:
 
 
 @pytest.mark.fmu
-def test_the_arm_takes_the_postures_between_the_rows_too(tmp_path: Path) -> None:
+def test_the_arm_takes_the_postures_between_the_rows_too(tmp_path):
     in_process(record, str(tmp_path))
     recording = Recording.open(tmp_path / "run")
     plan = np.array([planned(time) for time in recording["time"]])
@@ -74,7 +74,7 @@ def test_the_arm_takes_the_postures_between_the_rows_too(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("joints", [{4: -0.1}, {2: 0.5, 4: -0.12, 6: 0.2}])
-def test_a_followed_posture_leads_through_singularities(joints: dict[int, float]) -> None:
+def test_a_followed_posture_leads_through_singularities(joints):
     """The hand's command alone is damped there; what the posture asks for moves it, too."""
     end = np.array([joints.get(joint + 1, q) for joint, q in enumerate(HOME_Q)])
     postures = np.array([row.posture for row in rows(end)])
@@ -93,7 +93,7 @@ def jac(q: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "quintic", "spline"])
-def test_postures_go_from_row_to_row_and_their_rates_are_the_derivative(interpolation: str) -> None:
+def test_postures_go_from_row_to_row_and_their_rates_are_the_derivative(interpolation):
     random, step = np.random.default_rng(1), 1e-6  # s
     postures, times = random.normal(size=(6, 7)), np.arange(6.0)
     trajectory = Trajectory(
@@ -112,7 +112,7 @@ def test_postures_go_from_row_to_row_and_their_rates_are_the_derivative(interpol
     np.testing.assert_allclose(now[:, 7:], np.broadcast_to(expected, rates.shape), atol=1e-4)
 
 
-def test_a_table_reads_back_as_it_was_written(tmp_path: Path) -> None:
+def test_a_table_reads_back_as_it_was_written(tmp_path):
     write_scenario(scenario(), tmp_path / "new")
     assert Scenario.read(tmp_path / "new").table == scenario().table
     command("inputs", tmp_path / "new", tmp_path / "inputs.csv")
@@ -133,13 +133,13 @@ HEAD = "time,frame,x,y,z,grip,q1,q2,q3,q4,q5,q6,q7\n"
         (HEAD + "0,home,0,0,0,0,0,0,0,0.5,0,1,0", "line 2: column q4: value 0.5; must be a .*rad"),
     ],
 )
-def test_columns_that_are_no_posture_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_columns_that_are_no_posture_are_refused(tmp_path, text, message):
     (tmp_path / "trajectory.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         TrajectoryTable.read(tmp_path / "trajectory.csv")
 
 
-def test_what_postures_do_not_go_with_is_refused(tmp_path: Path) -> None:
+def test_what_postures_do_not_go_with_is_refused(tmp_path):
     first, second, *others = rows()
     with pytest.raises(InputError, match="row 2: q1 to q7; must be set in all rows or in none"):
         TrajectoryTable((first, replace(second, posture=None), *others))
@@ -153,7 +153,7 @@ def test_what_postures_do_not_go_with_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "fast").exists()
 
 
-def test_slower_rows_keep_their_postures(tmp_path: Path) -> None:
+def test_slower_rows_keep_their_postures(tmp_path):
     write_scenario(scenario(), tmp_path / "new")
     command(
         "retime", "--keep-times", "--share", "0.4", "--out", tmp_path / "slow", tmp_path / "new"

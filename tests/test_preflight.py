@@ -289,9 +289,7 @@ SCENARIOS: dict[str, tuple[str, list[Pose], list[Event] | None, dict[str, Any]]]
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_each_refusal_has_libfrankas_name_its_instant_row_value_and_bound(
-    name: str, tmp_path: Path
-) -> None:
+def test_each_refusal_has_libfrankas_name_its_instant_row_value_and_bound(name, tmp_path):
     settings, poses, events, refusals = SCENARIOS[name]
     done = run_in_memory(load_scenario(make(tmp_path / name, settings, poses, events)))
     findings = {each["name"]: each for each in done.summary.preflight["findings"]}
@@ -308,11 +306,11 @@ def test_each_refusal_has_libfrankas_name_its_instant_row_value_and_bound(
     assert told["refusals"] == told[f"{told['interface']}_refusals"] + told["arm_refusals"]
 
 
-def test_each_condition_has_a_scenario_that_does_not_keep_it() -> None:
+def test_each_condition_has_a_scenario_that_does_not_keep_it():
     assert {key for *_, refusals in SCENARIOS.values() for key in refusals} == {*CHECKS}
 
 
-def test_bounds_that_are_not_limits_and_the_end_effector_are_said() -> None:
+def test_bounds_that_are_not_limits_and_the_end_effector_are_said():
     said = {key: check.limit for key, check in CHECKS.items() if check.limit != "the limit"}
     assert said == {
         "start_pose": "the velocity limit times 1 ms",
@@ -330,7 +328,7 @@ def test_bounds_that_are_not_limits_and_the_end_effector_are_said() -> None:
 
 
 @pytest.fixture(scope="module")
-def fast(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Recording]:
+def fast(tmp_path_factory):
     """The Panda's fast cycle, as FR3 sees it; its observer is on, and no refusal allowed."""
     out = tmp_path_factory.mktemp("fast") / "run"
     values = ("preflight=fr3", "controller.observer=true", "success.max_refusals=0")
@@ -340,13 +338,11 @@ def fast(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Reco
     return json.loads((out / "summary.json").read_text()), Recording.open(out)
 
 
-def test_figures_are_those_of_the_recording(fast: tuple[dict[str, Any], Recording]) -> None:
+def test_figures_are_those_of_the_recording(fast):
     agree(fast[0]["preflight"], fast[1], fast[1].metadata["row_times"])
 
 
-def test_the_pandas_fast_cycle_asks_too_much_acceleration_of_fr3(
-    fast: tuple[dict[str, Any], Recording],
-) -> None:
+def test_the_pandas_fast_cycle_asks_too_much_acceleration_of_fr3(fast):
     told = fast[0]["preflight"]
     assert told["refusals"] == 1
     assert max(told["joint_acceleration_share"]) == pytest.approx(1.59, abs=0.005)
@@ -372,9 +368,7 @@ def refused_after(q: Array, at: int, count: int) -> int | None:
     return at + int(rows[0]) if len(rows) else None
 
 
-def test_packets_may_be_lost_up_to_a_number_that_tick_by_tick_extrapolation_gives(
-    tmp_path: Path,
-) -> None:
+def test_packets_may_be_lost_up_to_a_number_that_tick_by_tick_extrapolation_gives(tmp_path):
     poses, events = (
         resting(0.0, 0.25),
         [(6, 3, 50, 40, 100.0), (6, 3, 90, 80, -100.0), (6, 3, 170, 40, 100.0)],
@@ -393,7 +387,7 @@ def test_packets_may_be_lost_up_to_a_number_that_tick_by_tick_extrapolation_give
 
 
 @pytest.fixture(scope="module")
-def rested(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
+def rested(tmp_path_factory):
     """Signals of an arm whose servos hold it, by a law of its own."""
     folder = make(
         tmp_path_factory.mktemp("rested") / "still", "duration = 0.1\n", resting(0, 0.1), []
@@ -405,14 +399,12 @@ def recorded(signals: dict[str, Array], **metadata: Any) -> FakeRecording:
     return FakeRecording(DT * np.arange(len(signals["plant.jac"])), {**signals}, metadata)
 
 
-def test_all_but_twenty_packets_may_be_lost_by_a_robot_that_stands(
-    rested: dict[str, Array],
-) -> None:
+def test_all_but_twenty_packets_may_be_lost_by_a_robot_that_stands(rested):
     told = preflight(recorded(rested), "fr3")
     assert (told["lost_packets"], told["late"]) == (19, {})
 
 
-def test_who_stays_at_home_asks_nothing_of_the_robot() -> None:
+def test_who_stays_at_home_asks_nothing_of_the_robot():
     """The first command is where the hand is, so that no correction opens each run."""
     rows = tuple(TableRow(t, "home", (0.0, 0.0, 0.0), 0.08) for t in (0.0, 1.0))
     done = run_in_memory(Scenario("home", TrajectoryTable(rows), 0.1, preflight="fer"))
@@ -421,9 +413,7 @@ def test_who_stays_at_home_asks_nothing_of_the_robot() -> None:
     assert max(done.summary.limits["torque_rate_share"]) < 0.01
 
 
-def test_a_long_recording_is_judged_in_blocks_as_a_whole(
-    fast: tuple[dict[str, Any], Recording],
-) -> None:
+def test_a_long_recording_is_judged_in_blocks_as_a_whole(fast):
     """A recording in pieces gives the same, wherever they end."""
     run = fast[1]
 
@@ -453,7 +443,7 @@ def test_a_long_recording_is_judged_in_blocks_as_a_whole(
 
 
 @pytest.mark.parametrize("signal", ["controller.ctrl", "plant.jac"])
-def test_what_is_not_recorded_is_not_called_accepted(signal: str, rested: dict[str, Array]) -> None:
+def test_what_is_not_recorded_is_not_called_accepted(signal, rested):
     run = recorded(rested)
     assert preflight(run, "fer")["refusals"] == 0
     del run.signals[signal]
@@ -462,26 +452,24 @@ def test_what_is_not_recorded_is_not_called_accepted(signal: str, rested: dict[s
     assert "good" not in [level for level, _ in outcome(told, complete=True)]
 
 
-def test_a_run_that_ended_midway_is_not_called_accepted(rested: dict[str, Array]) -> None:
+def test_a_run_that_ended_midway_is_not_called_accepted(rested):
     judged = preflight(recorded(rested), "fer")
     assert "good" in [level for level, _ in outcome(judged, complete=True)]
     assert "good" not in [level for level, _ in outcome(judged, complete=False)]
 
 
-def test_an_impedance_law_is_judged_by_its_torques_in_any_scene(rested: dict[str, Array]) -> None:
+def test_an_impedance_law_is_judged_by_its_torques_in_any_scene(rested):
     run = recorded(rested, parameters={"controller": {"impedance": True}})
     assert preflight(run, "fer")["interface"] == "torque"
 
 
-def test_of_no_rows_nothing_is_said(rested: dict[str, Array]) -> None:
+def test_of_no_rows_nothing_is_said(rested):
     empty = {name: signal[:0] for name, signal in rested.items()}
     assert preflight(recorded(empty), "fer") == {}
 
 
 @pytest.mark.parametrize("rows", [1, 101])
-def test_the_first_row_of_jacobi_coupling_has_no_command_yet(
-    rows: int, rested: dict[str, Array]
-) -> None:
+def test_the_first_row_of_jacobi_coupling_has_no_command_yet(rows, rested):
     late = recorded(
         {name: signal[:rows].copy() for name, signal in rested.items()}, coupling="jacobi"
     )
@@ -493,7 +481,7 @@ def test_the_first_row_of_jacobi_coupling_has_no_command_yet(
 # --- what a user sees
 
 
-def test_view_and_sweeps_have_what_the_summary_has(fast: tuple[dict[str, Any], Recording]) -> None:
+def test_view_and_sweeps_have_what_the_summary_has(fast):
     told = fast[0]["preflight"]
     lines = run.refusals_of(Summary.read(fast[0]))
     assert [line.split()[2] for line in lines] == [
@@ -509,7 +497,7 @@ def test_view_and_sweeps_have_what_the_summary_has(fast: tuple[dict[str, Any], R
     assert columns["summary.preflight.lost_packets"] == told["lost_packets"]
 
 
-def test_check_says_what_the_robot_refuses_and_exits_3() -> None:
+def test_check_says_what_the_robot_refuses_and_exits_3():
     done = command("check", "scenarios/slow_controller", "--robot", "fer")
     assert done.returncode == 3, done.stdout
     assert "joint_motion_generator_velocity_discontinuity at t = 0." in done.stdout
@@ -517,13 +505,13 @@ def test_check_says_what_the_robot_refuses_and_exits_3() -> None:
     assert "controller.period = 0.001" in done.stdout  # more time would not help
 
 
-def test_pick_and_place_passes_for_the_panda() -> None:
+def test_pick_and_place_passes_for_the_panda():
     done = command("check", "scenarios/pick_and_place", "--robot", "fer")
     assert done.returncode == 0, done.stdout
     assert "fer refuses nothing over the joint interface" in done.stdout
 
 
-def test_fr3_accepts_its_own_fast_cycle() -> None:
+def test_fr3_accepts_its_own_fast_cycle():
     done = command("check", "scenarios/pick_and_place_fast_fr3")
     assert done.returncode == 0, done.stdout
     assert "fr3 refuses nothing over the joint interface" in done.stdout
@@ -531,12 +519,12 @@ def test_fr3_accepts_its_own_fast_cycle() -> None:
     assert "it can run" in done.stdout
 
 
-def test_refusals_are_a_criterion(fast: tuple[dict[str, Any], Recording]) -> None:
+def test_refusals_are_a_criterion(fast):
     criterion = next(each for each in fast[0]["criteria"] if each["name"] == "max_refusals")
     assert (criterion["value"], criterion["ok"]) == (1, False)
 
 
-def test_what_retime_writes_for_a_robot_is_accepted_by_it(tmp_path: Path) -> None:
+def test_what_retime_writes_for_a_robot_is_accepted_by_it(tmp_path):
     fast, new, fr3 = tmp_path / "fast", tmp_path / "new", ("--robot", "fr3")
     fast.mkdir()
     (fast / "scenario.toml").write_text("duration = 1.5\n")
@@ -549,7 +537,7 @@ def test_what_retime_writes_for_a_robot_is_accepted_by_it(tmp_path: Path) -> Non
     assert command("check", new, *fr3).returncode == 0
 
 
-def test_what_is_not_run_is_not_called_accepted(tmp_path: Path) -> None:
+def test_what_is_not_run_is_not_called_accepted(tmp_path):
     folder = make(tmp_path / "own", "duration = 0.1\n", resting(0, 0.1), [])
     assert command("check", folder).returncode == 0
     done = command("check", folder, "--robot", "fer")
@@ -558,7 +546,7 @@ def test_what_is_not_run_is_not_called_accepted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["check", "retime", "route"])
-def test_no_other_robot_is_known(name: str) -> None:
+def test_no_other_robot_is_known(name):
     done = command(name, "pick_and_place", "--robot", "ur5")
     assert done.returncode == 2
     assert "'ur5' is not one of 'fer', 'fr3'" in done.stdout + done.stderr

@@ -131,7 +131,7 @@ def in_fmpy(prepared: Prepared, columns: Sequence[str]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["pick_and_place", "tutorial", "push"])
-def test_plain_fmpy_gives_the_bits_of_native_fmus(name: str, tmp_path: Path) -> None:
+def test_plain_fmpy_gives_the_bits_of_native_fmus(name, tmp_path):
     recording = run_scenario(name, tmp_path / "run").recording
     columns = [f"plant.qpos[{i}]" for i in range(1, 17)]
     columns += [f"controller.ctrl[{i}]" for i in range(1, 9)]
@@ -141,7 +141,7 @@ def test_plain_fmpy_gives_the_bits_of_native_fmus(name: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["elastic", "sensor_noise", "jacobi"])
-def test_our_master_gives_the_same_bits_with_each_kind(name: str, tmp_path: Path) -> None:
+def test_our_master_gives_the_same_bits_with_each_kind(name, tmp_path):
     runs = [
         run_scenario(name, tmp_path / kind, Options(kind=kind)).recording
         for kind in ("native", "pythonfmu")
@@ -152,14 +152,14 @@ def test_our_master_gives_the_same_bits_with_each_kind(name: str, tmp_path: Path
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["python", "pythonfmu"])
-def test_all_references_match_in_python(kind: str) -> None:
+def test_all_references_match_in_python(kind):
     done = command("regress", "--kind", kind)
     assert done.returncode == 0, done.stdout
     assert "31 of 31 scenarios match" in done.stdout
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_the_description_is_ours_and_valid(name: str) -> None:
+def test_the_description_is_ours_and_valid(name):
     packed, ours = (
         Fmu(build([name], target=target)[name]) for target in (PACKED, Target("python"))
     )
@@ -180,7 +180,7 @@ class Mine({base}):
 
 
 @pytest.mark.parametrize("name", ["plant", "controller", "trajectory"])
-def test_pythonfmu_alone_makes_an_fmu_of_a_short_script(name: str, tmp_path: Path) -> None:
+def test_pythonfmu_alone_makes_an_fmu_of_a_short_script(name, tmp_path):
     (tmp_path / "mine.py").write_text(SCRIPT.format(name=name, base=OWN[name].slave[1]))
     build_it = [sys.executable, "-m", "pythonfmu", "build", "-f", "mine.py"]
     subprocess.run(build_it, cwd=tmp_path, check=True, timeout=300)
@@ -201,7 +201,7 @@ def test_pythonfmu_alone_makes_an_fmu_of_a_short_script(name: str, tmp_path: Pat
 # The wrapper's traps.
 
 
-def test_any_number_of_instances_live_in_one_process() -> None:
+def test_any_number_of_instances_live_in_one_process():
     expected = outputs(Unit(plant()).steps(3))
     for _ in range(5):
         gc.collect()
@@ -211,7 +211,7 @@ def test_any_number_of_instances_live_in_one_process() -> None:
         unit.slave.freeInstance()
 
 
-def test_two_fmus_of_one_name_run_each_its_own_code() -> None:
+def test_two_fmus_of_one_name_run_each_its_own_code():
     still = Unit(with_step(b"pass")).steps(5)
     moving = Unit(plant()).steps(5)
     assert outputs(still) == outputs(Unit(plant()))
@@ -219,14 +219,14 @@ def test_two_fmus_of_one_name_run_each_its_own_code() -> None:
 
 
 @pytest.mark.parametrize("call", ["getReal", "setReal", "getString"])
-def test_an_unknown_reference_is_refused_and_shortens_nothing(call: str) -> None:
+def test_an_unknown_reference_is_refused_and_shortens_nothing(call):
     unit = Unit(plant())
     values = ([0.0, 0.0],) if call.startswith("set") else ()
     with pytest.raises(FMICallException, match="fatal"):
         getattr(unit.slave, call)([0, 99999], *values)
 
 
-def test_an_exception_ends_the_simulation_and_not_the_process() -> None:
+def test_an_exception_ends_the_simulation_and_not_the_process():
     path = with_step(b"raise ValueError('broken 100%')")
     for _ in range(5):
         with pytest.raises(FMICallException, match="fatal"):
@@ -236,7 +236,7 @@ def test_an_exception_ends_the_simulation_and_not_the_process() -> None:
     Unit(plant()).steps(3)
 
 
-def test_our_master_says_where_and_why_a_slave_failed(tmp_path: Path) -> None:
+def test_our_master_says_where_and_why_a_slave_failed(tmp_path):
     fmus = {"plant": with_step(b"raise ValueError('broken 100%')")}
     options = Options(fmus=fmus, kind="pythonfmu")
     with pytest.raises(SimulationError, match=r"t = 0.000 s.*'plant'.*broken 100%"):
@@ -244,21 +244,21 @@ def test_our_master_says_where_and_why_a_slave_failed(tmp_path: Path) -> None:
     assert (tmp_path / "run" / "recording.parquet").is_file()
 
 
-def test_code_that_cannot_be_imported_is_named_when_it_is_built() -> None:
+def test_code_that_cannot_be_imported_is_named_when_it_is_built():
     code = {"fmus/inside/plant.py": b"import not_there"}
     with pytest.raises(CosimError, match="No module named 'not_there'"):
         build_fmu(own_fmu("plant", "pythonfmu", changed=code))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_an_input_that_is_not_finite_is_refused(bad: float) -> None:
+def test_an_input_that_is_not_finite_is_refused(bad):
     unit = Unit(plant())
     unit.set(["ctrl[1]"], [bad])
     with pytest.raises(FMICallException, match="fatal"):
         unit.steps(1)
 
 
-def test_a_state_is_restored_bit_for_bit_also_in_another_instance() -> None:
+def test_a_state_is_restored_bit_for_bit_also_in_another_instance():
     unit, other = Unit(plant()).steps(20), Unit(plant()).steps(3)
     kept = unit.slave.serializeFMUstate(unit.slave.getFMUstate())
     expected = outputs(unit.steps(20, 20))
@@ -267,7 +267,7 @@ def test_a_state_is_restored_bit_for_bit_also_in_another_instance() -> None:
         assert outputs(each.steps(20, 20)) == expected
 
 
-def test_a_long_step_is_as_many_short_ones_and_parts_add_up() -> None:
+def test_a_long_step_is_as_many_short_ones_and_parts_add_up():
     expected = outputs(Unit(plant()).steps(9))
     unit = Unit(plant())
     for first, last in ((0.0, 0.0044), (0.0044, 0.0048), (0.0048, 0.009)):
@@ -281,7 +281,7 @@ def test_a_long_step_is_as_many_short_ones_and_parts_add_up() -> None:
 @pytest.mark.parametrize(
     "words", [("--fmi", "3"), ("--platform", ",".join([this_platform(), [*PLATFORMS][-1]]))]
 )
-def test_what_pythonfmu_cannot_make_is_refused(words: Sequence[str], tmp_path: Path) -> None:
+def test_what_pythonfmu_cannot_make_is_refused(words, tmp_path):
     done = CliRunner().invoke(
         app, ["build", "--kind", "pythonfmu", *words, "--out", str(tmp_path / "new")]
     )
@@ -294,9 +294,7 @@ def test_what_pythonfmu_cannot_make_is_refused(words: Sequence[str], tmp_path: P
 
 
 @pytest.mark.parametrize("target", [Target("native"), PACKED], ids=lambda target: target.kind)
-def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(
-    target: Target, tmp_path: Path
-) -> None:
+def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(target, tmp_path):
     built = build(target=target)
     parts = {name: str(path.rename(tmp_path / f"{name}-1.fmu")) for name, path in built.items()}
     scenario = load_scenario("tutorial")
@@ -306,7 +304,7 @@ def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(
     assert given.assembly.changed(given.values, {})["plant"] == {"scene": "tutorial"}
 
 
-def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path: Path) -> None:
+def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path):
     folder = tmp_path / "gust"
     assert CliRunner().invoke(app, ["new", str(folder), "--slave", "--law"]).exit_code == 0
     run = run_scenario(folder, tmp_path / "run")
@@ -322,6 +320,6 @@ def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path: Path) -> Non
     np.testing.assert_allclose(alone[1:], ours[: len(alone) - 1], rtol=0.0, atol=1e-9)  # [N]
 
 
-def test_an_unknown_kind_is_refused() -> None:
+def test_an_unknown_kind_is_refused():
     with pytest.raises(InputError, match="must be one of auto, native, python, pythonfmu"):
         Options(kind="pythonfmus")  # type: ignore[arg-type]

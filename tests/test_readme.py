@@ -31,12 +31,12 @@ def blocks(kind: str, text: str = README) -> list[str]:
     return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
-def test_every_command_is_in_the_table() -> None:
+def test_every_command_is_in_the_table():
     page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     assert all(f"| `panda-cosim {name}" in page for name in COMMANDS)
 
 
-def test_the_example_scenario_can_be_read(tmp_path: Path) -> None:
+def test_the_example_scenario_can_be_read(tmp_path):
     (tmp_path / "scenario.toml").write_text(blocks("toml", SCENARIO)[0], encoding="utf-8")
     (tmp_path / "trajectory.csv").write_text(blocks("csv", SCENARIO)[0], encoding="utf-8")
     scenario = Scenario.read(tmp_path)
@@ -44,7 +44,7 @@ def test_the_example_scenario_can_be_read(tmp_path: Path) -> None:
     assert len(scenario.success.signal) == 1
 
 
-def test_every_key_and_column_of_a_scenario_is_named() -> None:
+def test_every_key_and_column_of_a_scenario_is_named():
     keys = {entry.name for entry in (*fields(Scenario), *fields(Success))}
     missing = {key for key in keys if not re.search(rf"\b{key}\b", REFERENCE)}
     assert missing <= {
@@ -64,7 +64,7 @@ def headings(text: str) -> set[str]:
 
 
 @pytest.mark.parametrize("name", ["README.md", "SECURITY.md", "CONTRIBUTING.md"])
-def test_every_link_leads_somewhere(name: str) -> None:
+def test_every_link_leads_somewhere(name):
     text = (ROOT / name).read_text(encoding="utf-8")
     for target, _, anchor in re.findall(r"\]\((?!https?://)([^)#]*)(#([^)]+))?\)", text):
         assert not target or (ROOT / target).exists(), target
@@ -74,7 +74,7 @@ def test_every_link_leads_somewhere(name: str) -> None:
 
 
 @pytest.mark.fmu
-def test_the_example_of_a_model_runs_anywhere(tmp_path: Path) -> None:
+def test_the_example_of_a_model_runs_anywhere(tmp_path):
     example = next(block for block in blocks("sh") if "pendulum.xml" in block)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
@@ -87,7 +87,7 @@ def test_the_example_of_a_model_runs_anywhere(tmp_path: Path) -> None:
 
 @pytest.mark.fmu
 @pytest.mark.long
-def test_the_notebook_runs_and_shows_what_it_says(tmp_path: Path) -> None:
+def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
     pytest.importorskip("pandas")
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()

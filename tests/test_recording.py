@@ -69,13 +69,8 @@ def all_columns(recording: Recording) -> Array:
     st.lists(st.integers(0, 60), max_size=8), st.integers(3, 40), st.integers(2, 50), st.booleans()
 )
 def test_rows_come_back_bit_for_bit_however_they_were_cut(
-    tmp_path_factory: pytest.TempPathFactory,
-    monkeypatch: pytest.MonkeyPatch,
-    counts: list[int],
-    buffer_rows: int,
-    block_rows: int,
-    flushing: bool,
-) -> None:
+    tmp_path_factory, monkeypatch, counts, buffer_rows, block_rows, flushing
+):
     monkeypatch.setattr(recorder_module, "_BUFFER_ROWS", buffer_rows)
     monkeypatch.setattr(storage, "BLOCK_ROWS", block_rows)
     folder = tmp_path_factory.mktemp("run")
@@ -98,7 +93,7 @@ def test_rows_come_back_bit_for_bit_however_they_were_cut(
     assert np.array_equal(recording["plant.jac"], rows[:, 4:10].reshape(-1, 2, 3))
 
 
-def test_special_numbers_survive(tmp_path: Path) -> None:
+def test_special_numbers_survive(tmp_path):
     rows = make_rows(7)
     rows[:, 1] = [np.nan, np.inf, -np.inf, -0.0, 5e-324, 1.7976931348623157e308, 0.1]
     record(tmp_path / "run", rows)
@@ -111,7 +106,7 @@ def test_special_numbers_survive(tmp_path: Path) -> None:
     assert np.array_equal(np.signbit(read[:, 1]), np.signbit(rows[:, 1]))
 
 
-def test_signals_have_their_shapes_units_and_metadata(tmp_path: Path) -> None:
+def test_signals_have_their_shapes_units_and_metadata(tmp_path):
     rows = make_rows(5)
     record(tmp_path, rows)
     recording = Recording.open(tmp_path)
@@ -153,8 +148,8 @@ ODD_NAMES = [
 @pytest.mark.parametrize(("names", "shapes"), ODD_NAMES)
 @pytest.mark.parametrize("in_memory", [False, True])
 def test_whatever_names_a_recorder_was_given_its_recording_opens(
-    tmp_path: Path, names: list[str], shapes: dict[str, tuple[int, ...]], in_memory: bool
-) -> None:
+    tmp_path, names, shapes, in_memory
+):
     columns = [Column("time"), *map(Column, names)]
     rows = np.random.default_rng(1).normal(size=(3, len(columns)))
     with (MemoryRecorder if in_memory else Recorder)(tmp_path, columns, {}) as recorder:
@@ -174,16 +169,14 @@ def test_whatever_names_a_recorder_was_given_its_recording_opens(
         ("plant.qpos[4]", "no signal 'plant.qpos[4]'; did you mean 'plant.qpos["),
     ],
 )
-def test_an_unknown_signal_is_refused_with_the_nearest(
-    tmp_path: Path, name: str, expected: str
-) -> None:
+def test_an_unknown_signal_is_refused_with_the_nearest(tmp_path, name, expected):
     record(tmp_path, make_rows(2))
     with pytest.raises(InputError) as caught:
         Recording.open(tmp_path)[name]
     assert expected in str(caught.value)
 
 
-def test_the_csv_quotes_only_names_with_a_comma(tmp_path: Path) -> None:
+def test_the_csv_quotes_only_names_with_a_comma(tmp_path):
     record(tmp_path, make_rows(2))
     Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
     lines = (tmp_path / "all.csv").read_bytes().split(b"\r\n")
@@ -198,9 +191,7 @@ def test_the_csv_quotes_only_names_with_a_comma(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.csv", "recording.parquet"]
 
 
-def test_rows_are_on_disk_after_half_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_are_on_disk_after_half_a_second(tmp_path, monkeypatch):
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     recorder = Recorder(tmp_path, COLUMNS, METADATA)
@@ -215,7 +206,7 @@ def test_rows_are_on_disk_after_half_a_second(
 
 
 @pytest.mark.parametrize("name", ["recording.arrows", "recording.parquet"])
-def test_an_older_recording_is_not_written_over(tmp_path: Path, name: str) -> None:
+def test_an_older_recording_is_not_written_over(tmp_path, name):
     (tmp_path / name).write_text("precious")
     with pytest.raises(InputError, match=f"{name}: already exists"):
         Recorder(tmp_path, COLUMNS, METADATA)
@@ -263,7 +254,7 @@ def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
 
 
 @pytest.mark.parametrize("batches", [1, 4])
-def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int) -> None:
+def test_a_killed_process_leaves_every_flushed_row(tmp_path, batches):
     process = start(tmp_path, "kill")
     for _ in range(batches):
         flushed = int(line_of(process))
@@ -277,7 +268,7 @@ def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int)
 
 
 @pytest.mark.parametrize("limit", [30_000, 400_000])
-def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: int) -> None:
+def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path, limit):
     output, _ = start(tmp_path, "full", str(limit)).communicate(timeout=30)
     *flushed, failure, path = output.splitlines()
     assert "recording.arrows: recording failed after" in failure
@@ -294,7 +285,7 @@ def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: 
 # --- Damaged files ---------------------------------------------------------------------------
 
 
-def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path: Path) -> None:
+def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path):
     path = interrupted(tmp_path)
     content = path.read_bytes()
     whole = np.concatenate([make_rows(10, 10 * k) for k in range(3)])
@@ -317,7 +308,7 @@ def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "content", [b"", b"PAR1", b"PAR1" + b"\0" * 100 + b"PAR1", b"\xff" * 200, b"time,x\n0,1\n"]
 )
-def test_what_is_not_a_recording_is_refused(tmp_path: Path, name: str, content: bytes) -> None:
+def test_what_is_not_a_recording_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=name) as caught:
         Recording.open(tmp_path)
@@ -338,9 +329,7 @@ FOREIGN = [
 
 @pytest.mark.parametrize("suffix", [".parquet", ".arrows"])
 @pytest.mark.parametrize(("names", "kind", "metadata", "expected"), FOREIGN)
-def test_a_foreign_or_other_version_is_refused(
-    tmp_path: Path, suffix: str, names: list[str], kind: str, metadata: str | None, expected: str
-) -> None:
+def test_a_foreign_or_other_version_is_refused(tmp_path, suffix, names, kind, metadata, expected):
     fields = [pa.field(name, getattr(pa, kind)()) for name in names]
     schema = pa.schema(fields, metadata={} if metadata is None else {"panda_cosim": metadata})
     path = tmp_path / f"recording{suffix}"
@@ -361,9 +350,7 @@ def test_a_foreign_or_other_version_is_refused(
         (math.inf, "time: value nan in row 1; must increase"),
     ],
 )
-def test_a_time_that_does_not_increase_is_refused_where_it_matters(
-    tmp_path: Path, step: float, expected: str
-) -> None:
+def test_a_time_that_does_not_increase_is_refused_where_it_matters(tmp_path, step, expected):
     with np.errstate(invalid="ignore"):
         rows = (step * np.arange(5.0))[:, None] * np.ones(WIDTH)
     record(tmp_path, rows)
@@ -374,9 +361,7 @@ def test_a_time_that_does_not_increase_is_refused_where_it_matters(
 
 @settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.data(), st.booleans())
-def test_flipped_bits_are_reported_or_change_no_number(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, is_whole: bool
-) -> None:
+def test_flipped_bits_are_reported_or_change_no_number(tmp_path_factory, data, is_whole):
     """In a stream, and in what Parquet has no checksum of, they may; but there is no traceback."""
     folder = tmp_path_factory.mktemp("run")
     path = record(folder, make_rows(50)) if is_whole else interrupted(folder)
@@ -395,7 +380,7 @@ def test_flipped_bits_are_reported_or_change_no_number(
         assert place >= footer or np.array_equal(values, make_rows(50))
 
 
-def test_a_recording_is_read_without_pandas(tmp_path: Path) -> None:
+def test_a_recording_is_read_without_pandas(tmp_path):
     record(tmp_path, make_rows(3))
     code = (
         "import sys; sys.modules['pandas'] = None  # as if it were not installed\n"
@@ -407,9 +392,7 @@ def test_a_recording_is_read_without_pandas(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["~/run", "file:x", "x?y=1#z"])
-def test_paths_are_taken_literally(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_paths_are_taken_literally(tmp_path, monkeypatch, name):
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.chdir(tmp_path)
     record(tmp_path / "home" / "run", make_rows(7))
@@ -423,9 +406,7 @@ def test_paths_are_taken_literally(
     assert (tmp_path / name / "recording.parquet").is_file()
 
 
-def test_a_short_recording_is_read_from_memory_while_its_file_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_short_recording_is_read_from_memory_while_its_file_is_made(tmp_path, monkeypatch):
     may_go_on, plain = threading.Event(), storage.write_parquet
 
     def slow(*arguments: object) -> None:
@@ -447,7 +428,7 @@ def test_a_short_recording_is_read_from_memory_while_its_file_is_made(
     assert (all_columns(Recording.open(tmp_path)) == rows).all()
 
 
-def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path: Path) -> None:
+def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path):
     recorder = Recorder(tmp_path, [Column("time", "s"), Column("x")], {})
     recorder.append(np.zeros((100, 2)))
     (tmp_path / storage.PARTIAL_FILE).mkdir()

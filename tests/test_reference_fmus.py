@@ -63,14 +63,14 @@ def assert_equal(recording: Recording, name: str, wanted: Any) -> None:
 
 @pytest.mark.parametrize("name", FMUS)
 @pytest.mark.parametrize("fmi", ["fmi2", "fmi3"])
-def test_reference_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, name: str) -> None:
+def test_reference_fmus_run_as_in_fmpy(tmp_path, fmi, name):
     assert command("info", REFERENCE_FMUS / fmi / f"{name}.fmu").returncode == 0
     recording = run(write(tmp_path, {"it": f"{fmi}/{name}"}))
     assert_equal(recording, "it", in_fmpy(f"{fmi}/{name}"))
     assert len(recording.columns) > 1
 
 
-def test_state_space_takes_matrices_as_in_fmpy(tmp_path: Path) -> None:
+def test_state_space_takes_matrices_as_in_fmpy(tmp_path):
     values = {"A": [-1.0, 0.5, 0.0, 0.25, -2.0, 0.0, 0.0, 0.1, -3.0], "D": [0.1] * 9,
               "x0": [3.0, 4.0, 5.0], "u": [1.0, -1.0, 0.5]}  # fmt: skip
     parameters = "\n".join(f"{n} = {v}" for n, v in values.items() if n != "u")
@@ -79,7 +79,7 @@ def test_state_space_takes_matrices_as_in_fmpy(tmp_path: Path) -> None:
     assert_equal(recording, "it", in_fmpy("fmi3/StateSpace", start_values=values))
 
 
-def test_an_fmu_without_co_simulation_is_refused_in_a_line() -> None:
+def test_an_fmu_without_co_simulation_is_refused_in_a_line():
     done = command("info", REFERENCE_FMUS / "fmi3" / "Clocks.fmu")
     assert done.returncode == 2
     assert "not a co-simulation FMU; it must have a <CoSimulation> element" in done.stderr
@@ -87,7 +87,7 @@ def test_an_fmu_without_co_simulation_is_refused_in_a_line() -> None:
 
 @pytest.mark.parametrize("fmi", ["2", "3"])
 @pytest.mark.parametrize("way", ["", "-mt", "-sequential"])
-def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, way: str) -> None:
+def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path, fmi, way):
     pytest.importorskip("fmu_manipulation_toolbox")
     name, end = f"pair{fmi}{way}", "Feedthrough.fmu"
     for each in ("VanDerPol", "Feedthrough"):
@@ -111,9 +111,7 @@ def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path: Path, fmi: str, way: st
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_an_fmu_steps_in_multiples_of_the_system_s_step(
-    tmp_path: Path, isolate: Sequence[str]
-) -> None:
+def test_an_fmu_steps_in_multiples_of_the_system_s_step(tmp_path, isolate):
     recording = run(write(tmp_path, {"it": "fmi3/VanDerPol"}, "[steps]\nit = 5\n"), *isolate)
     wanted = in_fmpy("fmi3/VanDerPol", step=5 * STEP)
     for row in range(TICKS + 1):  # its outputs are held between its steps
@@ -121,7 +119,7 @@ def test_an_fmu_steps_in_multiples_of_the_system_s_step(
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_slow_and_fast_fmus_are_coupled(tmp_path: Path, coupling: str) -> None:
+def test_slow_and_fast_fmus_are_coupled(tmp_path, coupling):
     """A acts within its tick with Gauss-Seidel, as it feeds b; b sees what holds at its begin."""
     ends = '[connect]\n"b.Float64_continuous_input" = "a.Float64_continuous_output"\n'
     table = '[inputs]\nfile = "inputs.csv"\n'
@@ -138,7 +136,7 @@ def test_slow_and_fast_fmus_are_coupled(tmp_path: Path, coupling: str) -> None:
     assert recording["b.Float64_continuous_output"].tolist() == wanted
 
 
-def test_an_algebraic_loop_is_named(tmp_path: Path) -> None:
+def test_an_algebraic_loop_is_named(tmp_path):
     ends = "".join(f'"{to}.Int8_input" = "{of}.Int8_output"\n' for to, of in ("ab", "ba"))
     folder = write(tmp_path, dict.fromkeys("ab", "fmi3/Feedthrough"), f"[connect]\n{ends}")
     loop = "b.Int8_output -> a.Int8_input -> a.Int8_output -> b.Int8_input -> b.Int8_output"
@@ -171,7 +169,7 @@ A = {1}
 """
 
 
-def test_a_loop_without_a_solution_names_the_time_and_the_output(tmp_path: Path) -> None:
+def test_a_loop_without_a_solution_names_the_time_and_the_output(tmp_path):
     """The first of y = D u is y[1] = u[1] + 2, and u[1] = y[1]."""
     text = (f'coupling = "iterated"\n[fmus]\nit = "{REFERENCE_FMUS}/fmi3/StateSpace.fmu"\n'
             '[connect]\n"it.u[1]" = "it.y[1]"\n[parameters.it]\nD = [1, 1, 0, 0, 0, 0, 0, 0, 0]\n'
@@ -183,7 +181,7 @@ def test_a_loop_without_a_solution_names_the_time_and_the_output(tmp_path: Path)
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_a_loop_is_solved_by_iteration(tmp_path: Path, isolate: Sequence[str]) -> None:
+def test_a_loop_is_solved_by_iteration(tmp_path, isolate):
     """In FMPy, each alone takes every step to its output with the other's at the step's end."""
     matrices = {"A": [-0.5, 0.3, 0.0, 0.0, -0.25, 0.0, 0.1, 0.0, -0.1],
                 "D": [-0.6, 0.0, 0.0, 0.0, -0.6, 0.0, 0.0, 0.0, -0.6]}  # fmt: skip
@@ -259,9 +257,7 @@ def write_csv(path: Path, fmu: str, columns: Mapping[str, Sequence[Any]]) -> Non
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 @pytest.mark.parametrize("fmi", ["fmi2", "fmi3"])
-def test_inputs_of_all_types_are_driven_from_a_csv_as_in_fmpy(
-    tmp_path: Path, fmi: str, isolate: Sequence[str]
-) -> None:
+def test_inputs_of_all_types_are_driven_from_a_csv_as_in_fmpy(tmp_path, fmi, isolate):
     columns = inputs(fmi)
     write(tmp_path, {"it": f"{fmi}/Feedthrough"}, '[inputs]\nfile = "inputs.csv"\n')
     write_csv(tmp_path / "inputs.csv", "it", columns)
@@ -278,7 +274,7 @@ def test_inputs_of_all_types_are_driven_from_a_csv_as_in_fmpy(
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 @pytest.mark.parametrize("wider", [False, True], ids=["alike", "wider"])
-def test_all_types_are_connected(tmp_path: Path, *, wider: bool, isolate: Sequence[str]) -> None:
+def test_all_types_are_connected(tmp_path, wider, isolate):
     columns = inputs("fmi3")
     kinds = [name.removesuffix("_input") for name in columns]
     sources = WIDER if wider else {kind: kind for kind in kinds}
@@ -302,9 +298,7 @@ def test_all_types_are_connected(tmp_path: Path, *, wider: bool, isolate: Sequen
         ("String", "Int32", False), ("Binary", "String", False), ("Int64", "UInt64", True),
     ],
 )  # fmt: skip
-def test_a_type_that_loses_values_must_be_asked_for(
-    tmp_path: Path, to: str, of: str, *, asks: bool
-) -> None:
+def test_a_type_that_loses_values_must_be_asked_for(tmp_path, to, of, asks):
     fmus = dict.fromkeys("ab", "fmi3/Feedthrough")
     write(tmp_path, fmus, f'[connect]\n"b.{to}_input" = "a.{of}_output"\n')
     done = command("check", tmp_path)
@@ -315,7 +309,7 @@ def test_a_type_that_loses_values_must_be_asked_for(
     assert (f'"b.{to}_input" = "convert(a.{of}_output)"' in said) == asks
 
 
-def test_types_are_converted_where_that_is_asked_for(tmp_path: Path) -> None:
+def test_types_are_converted_where_that_is_asked_for(tmp_path):
     text = """[connect]
 "b.Int8_input" = "convert(a.Float64_discrete_output)"
 "b.Int64_input" = "convert(a.Boolean_output)"
@@ -335,7 +329,7 @@ def test_types_are_converted_where_that_is_asked_for(tmp_path: Path) -> None:
     assert "in FMU 'b', variable Int8_input: value 200.0 is out of the range of Int8" in done.stderr
 
 
-def test_inputs_are_varied_and_runs_with_them_compared(tmp_path: Path) -> None:
+def test_inputs_are_varied_and_runs_with_them_compared(tmp_path):
     criterion = '[[success.signal]]\nsignal = "it.Int64_output"\nreduce = "final"\nabove = 2.5\n'
     values = '[inputs]\n"it.Int64_input" = 1\n"it.String_input" = "text"\n'
     write(tmp_path, {"it": "fmi3/Feedthrough"}, values + criterion)
@@ -355,7 +349,7 @@ def test_inputs_are_varied_and_runs_with_them_compared(tmp_path: Path) -> None:
     assert "it.String_output" in (tmp_path / "one.csv").read_text().splitlines()[0]
 
 
-def test_columns_of_the_trajectory_s_table_drive_inputs(tmp_path: Path) -> None:
+def test_columns_of_the_trajectory_s_table_drive_inputs(tmp_path):
     table = "it.Int8_input,time,it.Float64_continuous_input\n5,0,1\n7,0.5,2\n"
     (write(tmp_path, {"it": "fmi3/Feedthrough"}) / "trajectory.csv").write_text(table)
     recording = run(tmp_path)
@@ -368,7 +362,7 @@ def test_columns_of_the_trajectory_s_table_drive_inputs(tmp_path: Path) -> None:
     assert again["it.Int8_output"].tolist() == recording["it.Int8_output"].tolist()
 
 
-def test_inputs_that_are_set_keep_their_last_digit(tmp_path: Path) -> None:
+def test_inputs_that_are_set_keep_their_last_digit(tmp_path):
     name = "it.UInt64_input"
     recording = run(write(tmp_path, {"it": "fmi3/Feedthrough"}),
                     "--set", f"inputs.{name}={2**64 - 1}")  # fmt: skip
@@ -386,9 +380,7 @@ def test_inputs_that_are_set_keep_their_last_digit(tmp_path: Path) -> None:
         ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
     ],
 )
-def test_a_bad_table_of_inputs_is_refused_in_one_line(
-    tmp_path: Path, csv_text: str, message: str
-) -> None:
+def test_a_bad_table_of_inputs_is_refused_in_one_line(tmp_path, csv_text, message):
     (tmp_path / "inputs.csv").write_text(csv_text)
     values = '[inputs]\nfile = "inputs.csv"\n"it.UInt8_input" = 1\n'
     done = command("run", write(tmp_path, {"it": "fmi3/Feedthrough"}, values), *QUIET)
@@ -409,7 +401,7 @@ def set_inputs(folder: str) -> list[list[Any]]:
     return [[str(x) for x in recording[f"it.{name}_output"][1:5]] for name in values]
 
 
-def test_inputs_of_all_types_are_set_in_a_session_and_replayed(tmp_path: Path) -> None:
+def test_inputs_of_all_types_are_set_in_a_session_and_replayed(tmp_path):
     write(tmp_path, {"it": "fmi3/Feedthrough"})
     outputs = in_process(set_inputs, str(tmp_path))
     wanted = [("0", 2**53 + 1), ("0.0", 1.0), ("Set me!", "new"), (b"foo", b"\xff"), (1, 2),

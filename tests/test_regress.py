@@ -8,8 +8,6 @@ import pty
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
-from concurrent.futures import Future
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -21,7 +19,7 @@ from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
-from panda_cosim.study.compare.regress import Outcome, find_scenarios, start
+from panda_cosim.study.compare.regress import find_scenarios, start
 from panda_cosim.study.work import Workers
 from panda_cosim.task.scenario import Scenario
 
@@ -50,9 +48,7 @@ class Dies:
 
 
 @pytest.fixture(scope="module")
-def outcomes(
-    forked_workers: None, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[dict[str, Future[Outcome]]]:
+def outcomes(forked_workers, tmp_path_factory):
     """Run all shipped scenarios, two at a time."""
     build()  # once, not in each process
     folder = tmp_path_factory.mktemp("runs")
@@ -62,14 +58,12 @@ def outcomes(
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
-def test_a_shipped_scenario_is_as_its_reference(
-    outcomes: dict[str, Future[Outcome]], name: str
-) -> None:
+def test_a_shipped_scenario_is_as_its_reference(outcomes, name):
     outcome = outcomes[name].result()
     assert outcome.ok, f"{outcome.verdict}: {outcome.reason}"
 
 
-def test_a_reference_is_compact_and_says_what_made_it() -> None:
+def test_a_reference_is_compact_and_says_what_made_it():
     for name, folder in shipped_scenarios().items():
         path = folder / REFERENCE_FILE
         assert path.stat().st_size <= LARGEST
@@ -80,7 +74,7 @@ def test_a_reference_is_compact_and_says_what_made_it() -> None:
 
 
 @pytest.fixture
-def mine(tmp_path: Path) -> Path:
+def mine(tmp_path):
     """Return a folder of scenarios with a short one in it."""
     return write_short(tmp_path / "mine" / "short").parent
 
@@ -93,7 +87,7 @@ def write_short(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def approved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def approved(tmp_path_factory):
     """Return the short scenario with a reference, to be copied."""
     folder = write_short(tmp_path_factory.mktemp("approved") / "short")
     new = cli("regress", "--scenarios", folder, "--update")
@@ -121,7 +115,7 @@ main()
 """
 
 
-def test_a_scenario_without_a_reference_is_judged_by_its_criteria(mine: Path) -> None:
+def test_a_scenario_without_a_reference_is_judged_by_its_criteria(mine):
     judged = cli("regress", "--scenarios", mine)
     assert judged.returncode == 0, judged.stderr
     assert "Without a reference, judged by their criteria alone: short" in judged.stdout
@@ -134,8 +128,8 @@ def test_a_scenario_without_a_reference_is_judged_by_its_criteria(mine: Path) ->
 
 
 def test_a_report_keeps_the_runs_that_differ_and_replaces_only_what_regress_made(
-    approved: Path, tmp_path: Path
-) -> None:
+    approved, tmp_path
+):
     """Recordings in ./runs and whatever else lies there are not lost to `--report .`."""
     precious = tmp_path / "runs" / "first" / "recording.parquet"
     precious.parent.mkdir(parents=True)
@@ -160,7 +154,7 @@ def test_a_report_keeps_the_runs_that_differ_and_replaces_only_what_regress_made
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
-def test_references_are_overwritten_only_if_asked_for(approved: Path, tmp_path: Path) -> None:
+def test_references_are_overwritten_only_if_asked_for(approved, tmp_path):
     folder = shutil.copytree(approved, tmp_path / "renamed")
     arguments = ("regress", "--scenarios", folder, "--update")
     assert "renamed: is unchanged" in cli(*arguments).stdout
@@ -173,9 +167,7 @@ def test_references_are_overwritten_only_if_asked_for(approved: Path, tmp_path: 
     assert (folder / REFERENCE_FILE).read_bytes() == before
 
 
-def test_a_page_shows_the_differences_before_a_reference_is_overwritten(
-    approved: Path, tmp_path: Path
-) -> None:
+def test_a_page_shows_the_differences_before_a_reference_is_overwritten(approved, tmp_path):
     folder = shutil.copytree(approved, tmp_path / "renamed")
     (folder / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
     before = (folder / REFERENCE_FILE).read_bytes()
@@ -196,8 +188,8 @@ def test_a_page_shows_the_differences_before_a_reference_is_overwritten(
 
 
 def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced(
-    approved: Path, tmp_path: Path
-) -> None:
+    approved, tmp_path
+):
     _, damaged, coarse = (
         shutil.copytree(approved, tmp_path / name) for name in ("good", "damaged", "coarse")
     )
@@ -219,7 +211,7 @@ def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced
     assert [(each["verdict"], each["worst"]["share"]) for each in results] == [("same", 0.0)] * 3
 
 
-def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: Path) -> None:
+def test_a_report_does_not_take_the_place_of_a_recording(mine, tmp_path):
     other = tmp_path / "runs" / "short"
     other.mkdir(parents=True)
     (other / "recording.parquet").write_text("of somebody else")
@@ -241,7 +233,7 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("arguments", "expected"), SLIPS)
-def test_a_slip_is_reported_in_one_line(arguments: tuple[str, ...], expected: str) -> None:
+def test_a_slip_is_reported_in_one_line(arguments, expected):
     slip = cli(*arguments)
     assert slip.returncode == InputError.exit_code
     assert expected in slip.stderr
@@ -249,7 +241,7 @@ def test_a_slip_is_reported_in_one_line(arguments: tuple[str, ...], expected: st
     assert "Traceback" not in slip.stderr
 
 
-def test_a_run_that_dies_fails_alone(mine: Path, tmp_path: Path) -> None:
+def test_a_run_that_dies_fails_alone(mine, tmp_path):
     scenario = Scenario.read(mine / "short")
     folder = mine / "dies"
     shutil.copytree(mine / "short", folder)
@@ -272,13 +264,13 @@ values = [1e-9, 0.01, 0.02, 0.03]
 
 
 @pytest.fixture
-def swept(mine: Path) -> Path:
+def swept(mine):
     """Return the suite with a sweep in it, of whose four rows three succeed."""
     (mine / "short" / "sweep.toml").write_text(SWEEP)
     return mine
 
 
-def test_a_suite_judges_the_sweeps_in_it(swept: Path, tmp_path: Path) -> None:
+def test_a_suite_judges_the_sweeps_in_it(swept, tmp_path):
     regress = ("regress", "--jobs", 1, "--scenarios", swept)
     good = cli(*regress)
     assert good.returncode == 0, good.stdout + good.stderr
@@ -308,7 +300,7 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str
     return script(PYTEST, str(folder), "-p", "no:cacheprovider", *arguments)
 
 
-def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -> None:
+def test_pytest_collects_a_folder_of_scenarios(approved, tmp_path):
     for name in ("same", "other"):
         shutil.copytree(approved, tmp_path / "mine" / name)
     table = tmp_path / "mine" / "other" / "trajectory.csv"
@@ -319,9 +311,7 @@ def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -
     assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
 
 
-def test_nested_scenarios_are_found_and_a_stray_sweep_is_named(
-    approved: Path, tmp_path: Path
-) -> None:
+def test_nested_scenarios_are_found_and_a_stray_sweep_is_named(approved, tmp_path):
     """As pytest finds them; what a run keeps of its scenario, and what is hidden, is none."""
     for place in ("same", "group/same", "group/deep/other", "runs/first/scenario", ".old/same"):
         shutil.copytree(approved, tmp_path / "mine" / place)
@@ -338,7 +328,7 @@ def test_nested_scenarios_are_found_and_a_stray_sweep_is_named(
     assert "has no scenario.toml beside it" in tests.stdout
 
 
-def test_a_new_scenario_notices_what_its_template_used_to_hide(tmp_path: Path) -> None:
+def test_a_new_scenario_notices_what_its_template_used_to_hide(tmp_path):
     assert cli("new", tmp_path / "lift").returncode == 0
     regress = ("regress", "--scenarios", tmp_path)
     assert cli(*regress, "--update", "--yes").returncode == 0
@@ -347,7 +337,7 @@ def test_a_new_scenario_notices_what_its_template_used_to_hide(tmp_path: Path) -
         assert done.returncode == 1, f"{change}: {done.stdout}{done.stderr}"
 
 
-def test_pytest_collects_the_sweep_of_a_scenario(swept: Path) -> None:
+def test_pytest_collects_the_sweep_of_a_scenario(swept):
     (swept / "short" / "sweep.toml").write_text(SWEEP.replace("0.75", "0.76"))
     jobs = ("--panda-jobs", "1")
     tests = run_pytest(swept.parent, "-v", *jobs, "--panda-scenarios", "mine", "mine")
@@ -385,7 +375,7 @@ def test_dies(scenario_run):
 """
 
 
-def test_a_fixture_runs_scenarios_with_other_values(approved: Path, tmp_path: Path) -> None:
+def test_a_fixture_runs_scenarios_with_other_values(approved, tmp_path):
     shutil.copytree(approved, tmp_path / "mine" / "short")
     bare, dies = (write_short(tmp_path / "mine" / name) for name in ("bare", "dies"))
     (bare / "scenario.toml").write_text("duration = 0.2\n")
@@ -405,7 +395,7 @@ def test_a_fixture_runs_scenarios_with_other_values(approved: Path, tmp_path: Pa
         assert re.search(words, tests.stdout), tests.stdout
 
 
-def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path: Path) -> None:
+def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path):
     """Even beside tests that pass: pytest looks into no folder called build."""
     write_short(tmp_path / "build" / "short")
     (tmp_path / "test_own.py").write_text("def test_own():\n    pass\n")

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ def rehearsed(plant: Mapping[str, float | tuple[float, ...]]) -> tuple[Prepared,
     return prepared, rehearse(prepared)
 
 
-def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path: Path) -> None:
+def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path):
     prepared, rehearsal = rehearsed({})
     assert list(findings(rehearsal, prepared)) == []
     summary = replace(rehearsal.summary, expect="failure", expect_reason="so")
@@ -46,7 +45,7 @@ def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("place", "bodies"), [((0.5, 0.0), "block and table"), ((0.4, 0.4), "left_finger and table")]
 )
-def test_what_is_in_the_way_is_named_first(place: tuple[float, float], bodies: str) -> None:
+def test_what_is_in_the_way_is_named_first(place, bodies):
     prepared, rehearsal = rehearsed({"block_pos": place})
     texts = [text for _, text in findings(rehearsal, prepared)]
     assert texts[0].endswith("the path must avoid this: `panda-cosim route`")
@@ -63,9 +62,7 @@ def test_what_is_in_the_way_is_named_first(place: tuple[float, float], bodies: s
         ("max_tilt = 1.0", ""),
     ],
 )  # fmt: skip
-def test_a_criterion_on_what_never_happens_is_refused(
-    tmp_path: Path, success: str, message: str
-) -> None:
+def test_a_criterion_on_what_never_happens_is_refused(tmp_path, success, message):
     """The hand stays where it is, and holds nothing."""
     (tmp_path / "scenario.toml").write_text(f"duration = 0.2\n[success]\n{success}\n")
     (tmp_path / "trajectory.csv").write_text(
@@ -76,7 +73,7 @@ def test_a_criterion_on_what_never_happens_is_refused(
     assert message in "".join(wrong)
 
 
-def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> None:
+def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them():
     assert check_folder(FOLDER)[-1].level == "good"
     heavy = check_folder(FOLDER, {"plant.block_mass": 1.2, "plant.block_friction": 0.5})
     assert any("N by friction; the block needs" in finding.text for finding in heavy)
@@ -89,18 +86,18 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> Non
     assert "block_maas" in unknown[0].text
 
 
-def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it() -> None:
+def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it():
     texts = [each.text for each in check_folder(shipped_scenarios()["push"])]
     assert "the push from t = 0.5 s causes it" in texts[0]
 
 
-def test_check_advises_no_more_time_for_what_is_out_of_reach() -> None:
+def test_check_advises_no_more_time_for_what_is_out_of_reach():
     texts = [each.text for each in check_folder(shipped_scenarios()["near_singular"])]
     assert any("more time does not help" in text for text in texts)
     assert not any("retime" in text for text in texts)
 
 
-def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
+def test_check_rehearses_with_the_errors_of_the_sensors():
     calibrated = check_folder(FOLDER, {"mismatch.preset": "calibrated"})
     assert "mismatch of joint_offset" in calibrated[-1].text
     hints = [finding.text for finding in calibrated[:-1] if finding.level == "hint"]
@@ -116,7 +113,7 @@ def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
     assert any("min_lift 0 mm, required 100 mm" in finding.text for finding in aside)
 
 
-def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told() -> None:
+def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told():
     strong = {"controller.grip_force": 20.0}
     texts = [each.text for each in check_folder(FOLDER, strong) if "the hand moves on" in each.text]
     assert len(texts) == 1
@@ -129,7 +126,7 @@ def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told() -> None:
     assert not any("the hand moves on" in text for _, text in findings(rehearse(longer), longer))
 
 
-def test_check_tells_which_servo_has_no_torque_left() -> None:
+def test_check_tells_which_servo_has_no_torque_left():
     folder = shipped_scenarios()["worn_joints"]
     assert check_folder(folder)[-1].level == "good"
     weak = check_folder(folder, {"mismatch.torque_limit_scale": 0.3})
@@ -141,13 +138,13 @@ def test_check_tells_which_servo_has_no_torque_left() -> None:
 
 
 @given(st.floats(-math.pi, math.pi))
-def test_the_hand_turns_by_45_deg_at_most(yaw: float) -> None:
+def test_the_hand_turns_by_45_deg_at_most(yaw):
     turn = StartPose((0, 0, 0), (1, 0, 0, 0), (0, 0, 0), yaw).grasp_yaw
     assert abs(turn) <= math.pi / 4 + 1e-12
     assert np.isclose(math.sin(4 * turn), math.sin(4 * yaw), atol=1e-9)
 
 
 @pytest.mark.parametrize("yaw", [2.8, -2.4])
-def test_a_block_turned_too_far_for_joint_7_is_picked_up_all_the_same(yaw: float) -> None:
+def test_a_block_turned_too_far_for_joint_7_is_picked_up_all_the_same(yaw):
     _, run = rehearsed({"block_yaw": yaw})
     assert run.recording["plant.qpos"][:, 11].max() > 0.15  # m

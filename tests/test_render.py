@@ -8,7 +8,7 @@ import sys
 import time
 from contextlib import closing
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ needs_menagerie = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def backend() -> str:
+def backend():
     """What draws here."""
     backend, detail = describe_gl()
     return backend or pytest.skip(f"no OpenGL: {detail}")
@@ -92,16 +92,14 @@ def ffmpeg_says(path: Path) -> str:
 
 
 @given(st.floats(-6.0, 6.0), st.floats(-3.1, 3.1), st.floats(0.0, 1.0), st.booleans())
-def test_slerp_turns_at_constant_speed_the_shorter_way_round(
-    start: float, turn: float, share: float, negated: bool
-) -> None:
+def test_slerp_turns_at_constant_speed_the_shorter_way_round(start, turn, share, negated):
     ends = about_x(start)[None], about_x(start + turn)[None]
     quat = slerp(ends[0], -ends[1] if negated else ends[1], np.array([share]))[0]
     assert np.linalg.norm(quat) == pytest.approx(1, abs=EXACT)
     assert abs(quat @ about_x(start + share * turn)) == pytest.approx(1, abs=EXACT)
 
 
-def test_between_rows_joints_move_linearly_and_the_block_turns() -> None:
+def test_between_rows_joints_move_linearly_and_the_block_turns():
     qpos = np.tile(HOME, (2, 1)).astype(float)
     qpos[1, 0] = 0.4
     qpos[1, 9:12] = 0.6, 0.3, 0.25
@@ -112,7 +110,7 @@ def test_between_rows_joints_move_linearly_and_the_block_turns() -> None:
     np.testing.assert_allclose(half[BLOCK_QUAT], about_x(0.5), atol=EXACT)
 
 
-def test_a_video_of_the_task_has_390_frames_a_sixtieth_apart() -> None:
+def test_a_video_of_the_task_has_390_frames_a_sixtieth_apart():
     times = frame_times(np.arange(6501) * 0.001, 60)
     assert len(times) == 390
     np.testing.assert_array_equal(times, np.arange(390) / 60)
@@ -121,7 +119,7 @@ def test_a_video_of_the_task_has_390_frames_a_sixtieth_apart() -> None:
 # --- key moments of a run
 
 
-def test_the_key_moments_tell_the_story_in_order() -> None:
+def test_the_key_moments_tell_the_story_in_order():
     run = made_up_run(6.5)
     moments = key_moments(run, 12)
     times = [moment.time for moment in moments]
@@ -132,7 +130,7 @@ def test_the_key_moments_tell_the_story_in_order() -> None:
                       "end"]  # fmt: skip
 
 
-def test_grasp_lift_and_release_are_at_the_instants_of_the_summary() -> None:
+def test_grasp_lift_and_release_are_at_the_instants_of_the_summary():
     run = made_up_run(6.5)
     moments = {moment.label: moment.time for moment in key_moments(run, 12)}
     happened = events(cast(Recording, run), find_holds(run))
@@ -146,7 +144,7 @@ def test_grasp_lift_and_release_are_at_the_instants_of_the_summary() -> None:
 
 
 @needs_gl
-def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path: Path) -> None:
+def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path):
     seen: list[tuple[int, int]] = []
     path = render_video(
         made_up_run(0.2),
@@ -165,7 +163,7 @@ def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path: Pa
 
 @needs_gl
 @pytest.mark.fmu
-def test_a_run_names_each_file_once_it_is_there_and_the_video_last(tmp_path: Path) -> None:
+def test_a_run_names_each_file_once_it_is_there_and_the_video_last(tmp_path):
     write_scenario(tmp_path / "short")
     done = subprocess.run(
         [sys.executable, "-m", "panda_cosim", "run", "short", "--out", "run", "--fps", "15"],
@@ -197,7 +195,7 @@ print(np.abs(np.diff(floor, 2, axis=1)).mean())
 
 
 @needs_gl
-def test_a_camera_from_the_side_sees_no_moire_on_the_floor(backend: str) -> None:
+def test_a_camera_from_the_side_sees_no_moire_on_the_floor(backend):
     """With shadowclip 0.7, neighbouring pixels of the floor differ by 3 of 255, else by 0.2."""
     environment = {**os.environ, "MUJOCO_GL": backend}
     done = subprocess.run(
@@ -208,7 +206,7 @@ def test_a_camera_from_the_side_sees_no_moire_on_the_floor(backend: str) -> None
 
 
 @needs_gl
-def test_frames_follow_the_recording(tmp_path: Path) -> None:
+def test_frames_follow_the_recording(tmp_path):
     run = made_up_run(0.1)
     with closing(OffscreenRenderer("tabletop", 160, 120)) as renderer:
         images = renderer.frames(run["plant.qpos"][[0, 0, -1]])
@@ -219,7 +217,7 @@ def test_frames_follow_the_recording(tmp_path: Path) -> None:
 
 
 @needs_gl
-def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(tmp_path: Path) -> None:
+def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(tmp_path):
     path = tmp_path / "video.mp4"
     path.write_bytes(b"the old one")
 
@@ -250,7 +248,7 @@ render_video(run, sys.argv[1], width=64, height=48, progress=say)
 @needs_gl
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_no_process_outlives_the_one_that_draws(tmp_path: Path, number: signal.Signals) -> None:
+def test_no_process_outlives_the_one_that_draws(tmp_path, number):
     path = tmp_path / "video.mp4"
     child = subprocess.Popen(
         [sys.executable, "-c", LONG_VIDEO, str(path)],
@@ -285,7 +283,7 @@ def alive(pid: int) -> bool:
 
 
 @needs_gl
-def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path: Path) -> None:
+def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path):
     path = contact_sheet(made_up_run(2.0), tmp_path / "sheet.png", count=6)
     check_replaceable(path)
     with Image.open(path) as sheet:
@@ -308,15 +306,13 @@ def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path: Path) -> None:
         ({"width": 10000}, r"width: value 10000 px; must be even, from 16 to 8192 px"),
     ],
 )
-def test_a_bad_option_is_refused_with_its_bounds(
-    tmp_path: Path, options: dict[str, Any], message: str
-) -> None:
+def test_a_bad_option_is_refused_with_its_bounds(tmp_path, options, message):
     path = tmp_path / options.pop("path", "video.mp4")
     with pytest.raises(InputError, match=message):
         render_video(made_up_run(0.1), path, **options)
 
 
-def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: Path) -> None:
+def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path):
     values = {"time": np.arange(3.0), **{f"plant.qpos[{i}]": np.zeros(3) for i in range(1, 16)}}
     record(tmp_path / "run", values)
     refused = command("render", "run", cwd=tmp_path)
@@ -332,7 +328,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="the backends of Linu
 
 
 @pytest.fixture
-def no_backend(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def no_backend(monkeypatch, tmp_path):
     """Have a Python that ends before it can draw, no screen and no choice."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexit 7\n")
@@ -356,8 +352,8 @@ def no_backend(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ],
 )
 def test_mujoco_gl_is_honoured_and_only_what_is_missing_is_named(
-    monkeypatch: pytest.MonkeyPatch, backend: str, libraries: list[str], message: str
-) -> None:
+    monkeypatch, backend, libraries, message
+):
     monkeypatch.setenv("MUJOCO_GL", backend)
     monkeypatch.setattr(gl, "find_library", lambda name: name if name in libraries else None)
     with pytest.raises(RenderError, match=message):
@@ -366,7 +362,7 @@ def test_mujoco_gl_is_honoured_and_only_what_is_missing_is_named(
 
 @linux
 @pytest.mark.fmu
-def test_what_needs_no_picture_needs_no_opengl(tmp_path: Path) -> None:
+def test_what_needs_no_picture_needs_no_opengl(tmp_path):
     """MuJoCo's import would fail, or ask for a screen: the command line lets it load no backend."""
     scenario = write_scenario(tmp_path / "scenario", 0.01)
     run = [sys.executable, "-m", "panda_cosim", "run", scenario, "--no-video"]
@@ -387,7 +383,7 @@ def test_what_needs_no_picture_needs_no_opengl(tmp_path: Path) -> None:
 
 
 @needs_menagerie
-def test_dressed_in_meshes_the_scene_has_the_same_positions() -> None:
+def test_dressed_in_meshes_the_scene_has_the_same_positions():
     mujoco = pytest.importorskip("mujoco")
     plain, dressed = meshes.load_model("tabletop"), meshes.load_model("tabletop", "always")
     assert dressed.nq == plain.nq == 16
@@ -405,8 +401,8 @@ def test_dressed_in_meshes_the_scene_has_the_same_positions() -> None:
 
 
 def test_meshes_that_are_asked_for_and_missing_are_an_error_that_says_how_to_get_them(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+    monkeypatch, tmp_path
+):
     monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
     assert meshes.find_menagerie() is None
     assert meshes.load_model("tabletop", "auto").nq == 16

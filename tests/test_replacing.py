@@ -47,7 +47,7 @@ def written_by_commands(folder: Path) -> dict[str, tuple[tuple[object, ...], Pat
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("case", written_by_commands(Path()))
-def test_a_file_that_no_command_made_stays(tmp_path: Path, case: str) -> None:
+def test_a_file_that_no_command_made_stays(tmp_path, case):
     record(tmp_path / "run", columns(2))
     (tmp_path / "m.xml").write_text(MODEL)
     arguments, file = written_by_commands(tmp_path)[case]
@@ -62,7 +62,7 @@ def test_a_file_that_no_command_made_stays(tmp_path: Path, case: str) -> None:
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_what_was_made_is_replaced_and_so_is_a_file_that_is_given_up(tmp_path: Path) -> None:
+def test_what_was_made_is_replaced_and_so_is_a_file_that_is_given_up(tmp_path):
     run, out = tmp_path / "run", tmp_path / "out"
     record(run, columns())
     for _ in range(2):
@@ -75,7 +75,7 @@ def test_what_was_made_is_replaced_and_so_is_a_file_that_is_given_up(tmp_path: P
     assert (out / "x.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path: Path) -> None:
+def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path):
     content = record(tmp_path, columns()).path.read_bytes()
     for name in ("view", "plot"):
         place = tmp_path / f"{name}.png"  # a name that plot takes for a file's
@@ -86,14 +86,14 @@ def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path: Path) -> No
         assert place.read_bytes() == content
 
 
-def test_every_page_carries_the_mark() -> None:
+def test_every_page_carries_the_mark():
     pages = [path for path in PAGES.rglob("*.html") if "<!DOCTYPE" in path.read_text()]
     assert pages
     for page in pages:
         assert f"<!-- {MARK} -->" in page.read_text(), page
 
 
-def test_texts_and_archives_that_were_made_here_are_known(tmp_path: Path) -> None:
+def test_texts_and_archives_that_were_made_here_are_known(tmp_path):
     paths = {name: tmp_path / name for name in ("a.json", "a.xml", "a.ssp", "b.ssp", "c.ssp")}
     paths["a.json"].write_text(marked_json(json.dumps({"kp": 8})))
     write_cases("panda-cosim run", [], paths["a.xml"])

@@ -52,7 +52,7 @@ def outcome(folder: Path, name: str, *, offset: float, nan: bool = False) -> Out
 
 
 @pytest.fixture(scope="module")
-def outcomes(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
+def outcomes(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     good = outcome(folder, "good", offset=0.1)
     return [
@@ -65,13 +65,13 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
 
 
 @pytest.fixture(scope="module")
-def report(outcomes: list[Outcome], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(outcomes, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     write_report(outcomes, path, {"controller.kp": 7.6})
     return path
 
 
-def test_the_page_needs_nothing_else(report: Path) -> None:
+def test_the_page_needs_nothing_else(report):
     text = report.read_text(encoding="utf-8")
     assert "{{" not in text
     assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", text)
@@ -106,7 +106,7 @@ def hostile_report(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("text", HOSTILE)
-def test_texts_of_users_stay_text(tmp_path: Path, page: Page, text: str) -> None:
+def test_texts_of_users_stay_text(tmp_path, page, text):
     """In Chromium, as well as a browser could be fooled: no element more, no script runs."""
     path = hostile_report(tmp_path, text)
     assert len(re.findall(r"<script[^>]*>", path.read_text(encoding="utf-8"))) == 2
@@ -127,7 +127,7 @@ def test_texts_of_users_stay_text(tmp_path: Path, page: Page, text: str) -> None
     assert all(address.startswith(("file:", "data:")) for address in page.requests)
 
 
-def test_the_verdicts_come_first_and_name_what_has_changed(report: Path) -> None:
+def test_the_verdicts_come_first_and_name_what_has_changed(report):
     text = report.read_text(encoding="utf-8")
     names = re.findall(r'<td data-label=Scenario><a href="#s-(\w+)">', text)
     assert names == ["worse", "bad", "dead", "good"]  # an error hides no difference
@@ -163,9 +163,7 @@ SIZES = [(1280, 900, "dark"), (390, 844, "light")]
 
 
 @pytest.mark.parametrize(("width", "height", "scheme"), SIZES)
-def test_the_page_shows_verdicts_and_plots(
-    page: Page, report: Path, width: int, height: int, scheme: str
-) -> None:
+def test_the_page_shows_verdicts_and_plots(page, report, width, height, scheme):
     page.errors.clear()
     page.requests.clear()
     page.open(report, width, height, scheme)
@@ -191,7 +189,7 @@ def at_rest(page: Page, place: str) -> tuple[float, ...]:
     return tuple(now)
 
 
-def test_a_failing_scenario_is_found_and_zoomed(page: Page, report: Path) -> None:
+def test_a_failing_scenario_is_found_and_zoomed(page, report):
     page.errors.clear()
     page.open(report)
     page.value("document.querySelector('#verdicts a[href=\"#s-bad\"]').click()")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from browser import Page, find_browser
+from browser import find_browser
 from panda_cosim.result.judging.verdict import Summary
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.compare.between_runs import compare as compare_runs
@@ -40,14 +40,14 @@ def judged(run: Path, name: str) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def outcomes(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
+def outcomes(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     runs = [("good", ()), ("wrong", SHIFT)]
     return [judged(run_scenario_outside(folder / name, *how), name) for name, how in runs]
 
 
 @pytest.fixture(scope="module")
-def report(outcomes: list[Outcome], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(outcomes, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     write_report(outcomes, path, {})
     return path
@@ -57,8 +57,8 @@ NOW = "PandaView.viewer.clock.time"
 
 
 def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
-    outcomes: list[Outcome], page: Page, tmp_path: Path
-) -> None:
+    outcomes, page, tmp_path
+):
     found = compare_runs(*(outcome.run for outcome in outcomes))
     path = tmp_path / "compare.html"
     path.write_text(found.to_html(), encoding="utf-8")
@@ -76,9 +76,7 @@ def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
 SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
 
 
-def test_a_report_opens_at_the_worst_tick_and_shows_one_scenario_at_a_time(
-    page: Page, report: Path, outcomes: list[Outcome]
-) -> None:
+def test_a_report_opens_at_the_worst_tick_and_shows_one_scenario_at_a_time(page, report, outcomes):
     page.errors.clear()
     page.requests.clear()
     page.open(report, 760, 420)

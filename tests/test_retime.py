@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ DWELL = 0.2  # [s]
 
 
 @pytest.fixture(scope="module")
-def slow() -> Scenario:
+def slow():
     """Down and aside over a rounded corner, a dwell, and up again, turning."""
     quarter = tuple(rotations.multiply(rotations.about_z(0.6), np.array([0.0, 0.5, 0.5, 0.0])))
     rows = (
@@ -43,7 +42,7 @@ def slow() -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def fast(slow: Scenario) -> Scenario:
+def fast(slow):
     pytest.importorskip("toppra")
     return retime(slow, SHARE)[0]
 
@@ -52,23 +51,21 @@ def commands(scenario: Scenario, times: np.ndarray) -> np.ndarray:
     return resolve(scenario, start_values(scenario)).sample(times)
 
 
-def test_it_is_faster_within_the_share(slow: Scenario, fast: Scenario) -> None:
+def test_it_is_faster_within_the_share(slow, fast):
     assert fast.duration < 0.6 * slow.duration
     violations, shares = feasibility(fast, share=SHARE + 1e-3)
     assert not violations
     assert max(shares.values()) > 0.9 * SHARE  # and uses it
 
 
-def test_the_hand_stops_where_it_stopped_and_stays_as_long(slow: Scenario, fast: Scenario) -> None:
+def test_the_hand_stops_where_it_stopped_and_stays_as_long(slow, fast):
     there = commands(slow, np.array([2.0]))[0, :3]
     still = [row for row in fast.table.rows if np.allclose(row.position, there, 0.0, 2e-9)]
     assert still[-1].time - still[0].time == pytest.approx(DWELL, abs=0.011)
     assert next(row for row in fast.table.rows if row.grip == 0.04) == still[-1]
 
 
-def test_what_is_written_reads_back_and_a_run_of_optimal_timing_is_the_same(
-    slow: Scenario, fast: Scenario, tmp_path: Path
-) -> None:
+def test_what_is_written_reads_back_and_a_run_of_optimal_timing_is_the_same(slow, fast, tmp_path):
     write_scenario(fast, tmp_path / "fast")
     assert Scenario.read(tmp_path / "fast").table == fast.table
     times = np.arange(0.0, fast.duration, 0.001)
@@ -76,7 +73,7 @@ def test_what_is_written_reads_back_and_a_run_of_optimal_timing_is_the_same(
     assert np.array_equal(commands(optimal, times), commands(fast, times))
 
 
-def test_a_duration_that_is_too_short_is_refused(slow: Scenario, fast: Scenario) -> None:
+def test_a_duration_that_is_too_short_is_refused(slow, fast):
     short = replace(slow, timing="optimal", timing_share=SHARE, duration=1.0)
     with pytest.raises(InputError, match=rf"duration: value 1.0; must be at least {fast.duration}"):
         commands(short, np.array([0.0]))
@@ -84,7 +81,7 @@ def test_a_duration_that_is_too_short_is_refused(slow: Scenario, fast: Scenario)
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_rounded_path_has_no_kink(seed: int) -> None:
+def test_a_rounded_path_has_no_kink(seed):
     """Position and orientation are continuous, and so is their slope."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(3, 6))
@@ -99,7 +96,7 @@ def test_a_rounded_path_has_no_kink(seed: int) -> None:
     assert np.allclose(path.poses(places[[0, -1]])[:, :3], trajectory.positions[[0, -1]])
 
 
-def test_rows_that_exceed_nothing_keep_their_time_and_place(slow: Scenario) -> None:
+def test_rows_that_exceed_nothing_keep_their_time_and_place(slow):
     hasty = replace(slow, table=_at_times(slow, (0.0, 1.0, 1.3, 1.5, 2.7)), duration=3.0)
     made, shares = retime(hasty, SHARE, keep_times=True)
     assert 0.9 * SHARE < max(shares.values()) <= SHARE
@@ -114,9 +111,7 @@ def test_rows_that_exceed_nothing_keep_their_time_and_place(slow: Scenario) -> N
     assert np.array_equal(commands(feasible, times), commands(made, times))
 
 
-def test_a_recording_has_the_times_of_its_rows_as_they_are_played(
-    slow: Scenario, fast: Scenario, tmp_path: Path
-) -> None:
+def test_a_recording_has_the_times_of_its_rows_as_they_are_played(slow, fast, tmp_path):
     optimal = replace(slow, timing="optimal", timing_share=SHARE)
     run = run_scenario(optimal, tmp_path / "run")
     assert run.recording.metadata["row_times"] == [row.time for row in fast.table.rows]
@@ -127,7 +122,7 @@ def _at_times(scenario: Scenario, times: tuple[float, ...]) -> TrajectoryTable:
     return TrajectoryTable(tuple(replace(row, time=time) for row, time in rows))
 
 
-def test_near_the_stretched_arm_the_shortest_times_keep_the_torque_rate(slow: Scenario) -> None:
+def test_near_the_stretched_arm_the_shortest_times_keep_the_torque_rate(slow):
     pytest.importorskip("toppra")
     rows = (
         TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
@@ -140,7 +135,7 @@ def test_near_the_stretched_arm_the_shortest_times_keep_the_torque_rate(slow: Sc
 
 
 @pytest.mark.long
-def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow: Scenario) -> None:
+def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow):
     """Tilted that far, the hand takes joint 6 beyond its end."""
     pytest.importorskip("toppra")
     tilted = rotations.multiply(rotations.exp(np.array([0.0, 2.4, 0.0])), np.array(HOME_XQUAT))
@@ -154,7 +149,7 @@ def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow: Scenario
 
 
 @pytest.mark.parametrize(("name", "row"), [("near_singular", 3), ("beyond_reach", 4)])
-def test_shortest_times_along_a_stretched_arm_are_refused_soon(name: str, row: int) -> None:
+def test_shortest_times_along_a_stretched_arm_are_refused_soon(name, row):
     """Motions follow each other there without a dwell."""
     pytest.importorskip("toppra")
     with pytest.raises(InputError, match=rf"^{name}: row {row}: no timing .* stretched arm"):
@@ -167,9 +162,7 @@ def test_shortest_times_along_a_stretched_arm_are_refused_soon(name: str, row: i
      (True, r"torque of joint 2 is .* 12 times slower; gravity alone needs it")],
     ids=["shortest", "feasible"],
 )  # fmt: skip
-def test_a_torque_that_rest_takes_already_is_told_as_weight(
-    slow: Scenario, keep_times: bool, said: str
-) -> None:
+def test_a_torque_that_rest_takes_already_is_told_as_weight(slow, keep_times, said):
     if not keep_times:
         pytest.importorskip("toppra")
     out = replace(slow, table=TrajectoryTable((

@@ -41,7 +41,7 @@ def still(**metadata: Any) -> FakeRecording:
     return FakeRecording(1e-3 * np.arange(TICKS), signals, metadata)
 
 
-def test_another_arm_is_not_held_against_this_robots_limits() -> None:
+def test_another_arm_is_not_held_against_this_robots_limits():
     run = still()
     del run.signals["plant.hand_xpos"]
     shares = limit_shares(run)
@@ -49,7 +49,7 @@ def test_another_arm_is_not_held_against_this_robots_limits() -> None:
     assert set(shares["not_measured"].values()) == {"plant.hand_xpos is not recorded"}
 
 
-def test_a_torque_rate_is_measured_but_for_the_servos_switching_on() -> None:
+def test_a_torque_rate_is_measured_but_for_the_servos_switching_on():
     run = still()
     run.signals["plant.actuator_force"][1:, 1] = 30.0  # N.m, from 0 at the start
     assert limit_shares(run)["torque_rate_share"] == [0.0] * 7
@@ -59,7 +59,7 @@ def test_a_torque_rate_is_measured_but_for_the_servos_switching_on() -> None:
     assert exceeded(shares) == ["torque rate of joint 2 (150%)"]
 
 
-def test_jerk_is_that_of_the_reference() -> None:
+def test_jerk_is_that_of_the_reference():
     run = still()
     # One step of 0.0125 rad/s of joint 4: 12.5 rad/s^2, and 12,500 rad/s^3 of 6,250.
     run.signals["controller.qvel_ref"][10:, 3] = 0.0125
@@ -67,14 +67,14 @@ def test_jerk_is_that_of_the_reference() -> None:
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_the_last_row_counts(coupling: str) -> None:
+def test_the_last_row_counts(coupling):
     run = still(coupling=coupling)
     run.signals["controller.qvel_ref"][-1, 3] = 0.0125
     assert exceeded(limit_shares(run)) == ["joint-reference jerk of joint 4 (200%)"]
 
 
 @pytest.mark.parametrize("on", [0, 1, 2, 10])
-def test_however_late_the_servos_are_switched_on_it_is_no_torque_rate(on: int) -> None:
+def test_however_late_the_servos_are_switched_on_it_is_no_torque_rate(on):
     torque = np.zeros((TICKS, 7))
     torque[on:, 1], torque[on + 1 :, 1] = 30.0, 32.0  # N.m
     assert not torque_rates(torque).any()
@@ -83,7 +83,7 @@ def test_however_late_the_servos_are_switched_on_it_is_no_torque_rate(on: int) -
     assert not torque_rates(np.zeros((1, 7))).any()
 
 
-def test_with_jacobi_the_reference_begins_with_the_first_update() -> None:
+def test_with_jacobi_the_reference_begins_with_the_first_update():
     """Row 0 has the start values, and the first update stands in row 1."""
     run = still(coupling="jacobi")
     run.signals["controller.qvel_ref"][1:, 6] = -0.005  # rad/s
@@ -91,7 +91,7 @@ def test_with_jacobi_the_reference_begins_with_the_first_update() -> None:
     assert shares["reference_jerk_share"] == shares["reference_acceleration_share"] == [0.0] * 7
 
 
-def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits() -> None:
+def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits():
     scenario = load_scenario("pick_and_place")
     run = still()
     del run.signals["controller.qvel_ref"]
@@ -110,7 +110,7 @@ def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits() -> Non
     assert criterion.value == largest_share(limit_shares(course))
 
 
-def test_the_first_limit_that_binds_is_named() -> None:
+def test_the_first_limit_that_binds_is_named():
     run = still()
     assert first_limit(run) is None
     run.signals["controller.limit"][7:, 4] = 2.0
@@ -118,7 +118,7 @@ def test_the_first_limit_that_binds_is_named() -> None:
     assert first_limit(run) == {"time_s": 0.007, "joint": 5, "kind": "velocity"}
 
 
-def test_a_servo_without_torque_left_is_the_first_limit() -> None:
+def test_a_servo_without_torque_left_is_the_first_limit():
     run = still()
     run.signals["controller.limit"][7:, 4] = 4.0
     run.signals["plant.actuator_force"][5:, 1] = -43.5  # N.m of 87
@@ -133,7 +133,7 @@ def test_a_servo_without_torque_left_is_the_first_limit() -> None:
     assert first_limit(run) is None
 
 
-def test_limits_are_told_where_all_criteria_hold_and_can_be_criteria() -> None:
+def test_limits_are_told_where_all_criteria_hold_and_can_be_criteria():
     scenario = load_scenario("near_singular")
     run = run_plain(scenario)
     unbounded = replace(scenario.success, max_limit_share=None)

@@ -28,13 +28,13 @@ def torque_rate(out: Path, **values: Any) -> float:
 
 
 @pytest.mark.own_process
-def test_noise_of_1e_5_rad_keeps_the_torque_rate(tmp_path: Path) -> None:
+def test_noise_of_1e_5_rad_keeps_the_torque_rate(tmp_path):
     assert torque_rate(tmp_path / "default") > 5.0
     assert torque_rate(tmp_path / "robust", gains="robust") < 1.0
 
 
 @pytest.mark.own_process
-def test_elastic_joints_do_not_swing(tmp_path: Path) -> None:
+def test_elastic_joints_do_not_swing(tmp_path):
     elastic = APPROACH.changed({"scene": "elastic"})
     gains = ("default", "robust")
     runs = [run_scenario(elastic.changed({"gains": g}), tmp_path / g) for g in gains]
@@ -43,7 +43,7 @@ def test_elastic_joints_do_not_swing(tmp_path: Path) -> None:
     assert rms[1] < 1.0
 
 
-def test_the_pose_error_passes_a_low_pass() -> None:
+def test_the_pose_error_passes_a_low_pass():
     """A step of the error e gives the velocity ik_gain e (1 - decay^n) in the n-th update."""
     gains = preset("robust", error_filter=0.009, posture_gain=(0.0,) * 7, ik_gain=1.0)
     controller = Controller(gains)
@@ -69,7 +69,7 @@ def test_the_pose_error_passes_a_low_pass() -> None:
         (NOISE | {"controller.kp": 1.0, "controller.ik_gain": 2.0}, ""),
     ],
 )
-def test_default_gains_that_meet_mismatch_are_said(values: dict[str, Any], cause: str) -> None:
+def test_default_gains_that_meet_mismatch_are_said(values, cause):
     notes = prepare(APPROACH.changed(values)).notes
     assert len(notes) == bool(cause)
     assert all(cause in note and 'gains = "robust"' in note for note in notes)

@@ -31,7 +31,7 @@ POSTURE_TOLERANCE = 1e-3  # rad between the arm and its plan
 
 
 @pytest.fixture(scope="module")
-def routed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def routed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("route") / "behind"
     result = command("route", "pick_and_place", "--out", folder, "--set", BEHIND)
     assert result.returncode == 0, result.stderr
@@ -43,7 +43,7 @@ def record(folder: str, out: str) -> bool | None:
 
 
 @pytest.mark.fmu
-def test_a_block_behind_the_arm_is_set_down_within_all_limits(routed: Path, tmp_path: Path) -> None:
+def test_a_block_behind_the_arm_is_set_down_within_all_limits(routed, tmp_path):
     assert in_process(record, str(routed), str(tmp_path / "run"))
     recording = Recording.open(tmp_path / "run")
     q, rate = recording["plant.qpos"][:, :7], recording["controller.qvel_ref"]
@@ -55,7 +55,7 @@ def test_a_block_behind_the_arm_is_set_down_within_all_limits(routed: Path, tmp_
     assert np.abs(q - recording["controller.posture_cmd"]).max() < POSTURE_TOLERANCE
 
 
-def test_the_same_input_gives_the_same_bytes(routed: Path, tmp_path: Path) -> None:
+def test_the_same_input_gives_the_same_bytes(routed, tmp_path):
     program = [sys.executable, "-m", "panda_cosim", "route", "pick_and_place", "--set", BEHIND]
     done = subprocess.run(
         [*program, "--out", str(tmp_path / "again")],
@@ -80,9 +80,7 @@ OUT_OF_REACH = [
 
 
 @pytest.mark.parametrize(("setting", "reason"), OUT_OF_REACH)
-def test_what_is_out_of_reach_is_refused_with_what_works(
-    tmp_path: Path, setting: str, reason: str
-) -> None:
+def test_what_is_out_of_reach_is_refused_with_what_works(tmp_path, setting, reason):
     words = ("route", "pick_and_place", "--out", tmp_path / "a", "--set")
     far = command(*words, setting)
     assert far.returncode == 2
@@ -106,7 +104,7 @@ def passes(out: str) -> tuple[bool | None, list[str]]:
 
 
 @pytest.mark.fmu
-def test_a_wall_in_a_scene_of_its_own_is_not_touched(tmp_path: Path) -> None:
+def test_a_wall_in_a_scene_of_its_own_is_not_touched(tmp_path):
     """The wall stands free: `max_shift` of the scenario would notice a touch of 1 N."""
     success, names = in_process(passes, str(tmp_path / "run"))
     assert success
@@ -118,7 +116,7 @@ def test_a_wall_in_a_scene_of_its_own_is_not_touched(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("design", ["anywhere", "behind_wall"])
-def test_the_shipped_sweeps_of_routes_have_their_blocks_where_they_say(design: str) -> None:
+def test_the_shipped_sweeps_of_routes_have_their_blocks_where_they_say(design):
     sweep = load_sweep(design)
     values = np.genfromtxt(sweep.file, delimiter=",", names=True)
     names = ("plantblock_pos1", "plantblock_pos2")
@@ -140,7 +138,7 @@ def test_the_shipped_sweeps_of_routes_have_their_blocks_where_they_say(design: s
         assert (np.linalg.norm(crossing - wall, axis=1) < 0.15).all()
 
 
-def test_what_does_not_follow_a_route_is_refused() -> None:
+def test_what_does_not_follow_a_route_is_refused():
     scenario = load_scenario("pick_and_place")
     with pytest.raises(InputError, match=r"must come with \[success\] block_position"):
         Scenario(name="a", table=scenario.table, duration=1.0, route="auto")
@@ -153,7 +151,7 @@ def test_what_does_not_follow_a_route_is_refused() -> None:
         prepare(replace(scenario, route="auto", fmus={"plant": plant}))
 
 
-def test_what_may_be_near_depends_on_where_the_block_is() -> None:
+def test_what_may_be_near_depends_on_where_the_block_is():
     """The fingers 1 mm from the block's sides, and the block 1 mm above the table."""
     model = load_scene(PlantParameters())
     data = mujoco.MjData(model)

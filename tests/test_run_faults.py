@@ -35,17 +35,17 @@ SCHEDULING = 0.5  # [s] that a busy machine may keep a process from running
 
 
 @pytest.fixture(scope="module")
-def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def faulty(tmp_path_factory):
     return build_faulty(tmp_path_factory.mktemp("faulty"))
 
 
 @pytest.fixture(scope="module")
-def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scenario(tmp_path_factory):
     return write_scenario(tmp_path_factory.mktemp("scenario") / "short", 0.1)
 
 
 @pytest.fixture(scope="module")
-def lasting(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def lasting(tmp_path_factory):
     return write_scenario(tmp_path_factory.mktemp("scenario") / "lasting", 60.0)
 
 
@@ -85,15 +85,8 @@ FAULTS: list[tuple[str, bool, int, str, int | None]] = [
     ("fault", "isolate", "code", "line", "rows"), FAULTS, ids=[f"{f[0]}-{f[1]}" for f in FAULTS]
 )
 def test_a_failing_fmu_ends_the_run_as_a_failure_with_its_rows_kept(
-    tmp_path: Path,
-    faulty: Path,
-    scenario: Path,
-    fault: str,
-    isolate: bool,
-    code: int,
-    line: str,
-    rows: int | None,
-) -> None:
+    tmp_path, faulty, scenario, fault, isolate, code, line, rows
+):
     out = tmp_path / "run"
     options = {"isolate": True, "step_timeout": 0.4} if isolate else {}
     ended = run_with_fault(faulty, scenario, out, fault, **options)
@@ -153,8 +146,8 @@ ENDED = [
 
 @pytest.mark.parametrize(("number", "isolate"), ENDED)
 def test_an_ended_run_keeps_what_was_done_and_a_killed_one_all_but_half_a_second(
-    tmp_path: Path, lasting: Path, number: int, isolate: bool
-) -> None:
+    tmp_path, lasting, number, isolate
+):
     ended = stop_run(lasting, tmp_path / "run", number, isolate=isolate)
     check_rows(ended.recording)
     assert not ended.recording.complete
@@ -172,9 +165,7 @@ def test_an_ended_run_keeps_what_was_done_and_a_killed_one_all_but_half_a_second
     assert processes_with(str(tmp_path)) == []
 
 
-def test_a_step_that_hangs_can_be_left_by_asking_twice(
-    tmp_path: Path, faulty: Path, lasting: Path
-) -> None:
+def test_a_step_that_hangs_can_be_left_by_asking_twice(tmp_path, faulty, lasting):
     command = run_command(lasting, tmp_path / "run", fmus={"plant": str(faulty)})
     environment = os.environ | {"FAULT": "hang@800"}
     with running(command, env=environment, stdout=subprocess.PIPE) as process:
@@ -193,7 +184,7 @@ def test_a_step_that_hangs_can_be_left_by_asking_twice(
 # What is left behind.
 
 
-def test_a_run_leaves_nothing_but_its_folder(tmp_path: Path, scenario: Path, faulty: Path) -> None:
+def test_a_run_leaves_nothing_but_its_folder(tmp_path, scenario, faulty):
     """Nor does it read or print anything."""
     (tmp_path / "tmp").mkdir()
     (tmp_path / "here").mkdir()
@@ -233,7 +224,7 @@ assert [*sys.path, Path.cwd()] == before
 """
 
 
-def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path: Path, scenario: Path) -> None:
+def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path, scenario):
     done = forked.script(THREADS, str(scenario), str(tmp_path))
     assert done.returncode == 0, done.stderr
 
@@ -242,7 +233,7 @@ def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path: Path, scenari
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_isolated_fmus_give_the_same_bits(tmp_path: Path, scenario: Path, coupling: str) -> None:
+def test_isolated_fmus_give_the_same_bits(tmp_path, scenario, coupling):
     rows = []
     for isolate in (False, True):
         _, *command = run_command(scenario, tmp_path / f"{isolate}", isolate=isolate,
@@ -252,7 +243,7 @@ def test_isolated_fmus_give_the_same_bits(tmp_path: Path, scenario: Path, coupli
     assert rows[0] == rows[1]
 
 
-def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scenario: Path) -> None:
+def test_a_killed_master_takes_its_fmus_along(tmp_path, faulty, scenario):
     """Even one that hangs in a step, and so cannot see that the other side has gone."""
     command = run_command(scenario, tmp_path / "run", fmus={"plant": str(faulty)}, isolate=True)
     mark, hangs = str(tmp_path / "hangs"), tmp_path / "hangs"
@@ -268,7 +259,7 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scen
 
 
 @pytest.mark.parametrize("seconds", [0.0, float("nan"), float("inf")])
-def test_a_step_timeout_is_a_number_above_zero_of_an_isolated_fmu(seconds: float) -> None:
+def test_a_step_timeout_is_a_number_above_zero_of_an_isolated_fmu(seconds):
     with pytest.raises(InputError, match=r"--step-timeout: value .*; must be a number above 0"):
         Options(isolate=True, step_timeout=seconds)
     with pytest.raises(InputError, match="needs --isolate"):

@@ -6,7 +6,6 @@ import dataclasses
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,7 +25,7 @@ from panda_cosim.task.writer import write_scenario as write_files
 
 
 @pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short(tmp_path_factory):
     return write_scenario(tmp_path_factory.mktemp("scenario") / "short", 0.05)
 
 
@@ -47,7 +46,7 @@ CHANGES: list[dict[str, Any]] = [
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("values", CHANGES)
-def test_running_the_copy_gives_the_same_bits(tmp_path: Path, values: dict[str, Any]) -> None:
+def test_running_the_copy_gives_the_same_bits(tmp_path, values):
     made = tmp_path / "lift"
     make_scenario(made)
     text = (made / "scenario.toml").read_text()
@@ -66,7 +65,7 @@ def test_running_the_copy_gives_the_same_bits(tmp_path: Path, values: dict[str, 
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
-def test_a_shipped_scenario_written_anew_reads_back_the_same(tmp_path: Path, name: str) -> None:
+def test_a_shipped_scenario_written_anew_reads_back_the_same(tmp_path, name):
     scenario = load_scenario(name)
     write_files(dataclasses.replace(scenario, folder=None), tmp_path / name)
     read = Scenario.read(tmp_path / name)
@@ -110,9 +109,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
 
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 @given(scenarios())
-def test_any_scenario_written_reads_back_bit_for_bit(
-    tmp_path_factory: pytest.TempPathFactory, scenario: Scenario
-) -> None:
+def test_any_scenario_written_reads_back_bit_for_bit(tmp_path_factory, scenario):
     folder = tmp_path_factory.mktemp("written") / "name"
     write_files(scenario, folder)
     assert dataclasses.replace(Scenario.read(folder), folder=None) == scenario
@@ -121,9 +118,7 @@ def test_any_scenario_written_reads_back_bit_for_bit(
 # --- Who gets which folder -------------------------------------------------------------------
 
 
-def test_runs_of_the_same_second_get_folders_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_of_the_same_second_get_folders_of_their_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
     with ThreadPoolExecutor(16) as pool:
@@ -131,9 +126,7 @@ def test_runs_of_the_same_second_get_folders_of_their_own(
     assert len(set(folders)) == 64
 
 
-def test_a_folder_that_nothing_was_written_to_goes_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_nothing_was_written_to_goes_again(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with claimed_folder(None, "x") as folder:
         assert folder.is_dir()
@@ -151,13 +144,13 @@ def test_a_folder_that_nothing_was_written_to_goes_again(
           for limit in (-1.0, float("nan"), True, "soon")),
     ],
 )  # fmt: skip
-def test_an_invalid_option_is_refused(options: dict[str, Any], message: str) -> None:
+def test_an_invalid_option_is_refused(options, message):
     with pytest.raises(InputError, match=message):
         Options(**options)
 
 
 @pytest.mark.fmu
-def test_a_time_limit_ends_a_run_between_two_steps(tmp_path: Path) -> None:
+def test_a_time_limit_ends_a_run_between_two_steps(tmp_path):
     scenario = dataclasses.replace(load_scenario("push"), duration=600.0)
     run = run_scenario(scenario, tmp_path / "run", Options(time_limit=0.3))
     assert not run.summary.complete
@@ -168,7 +161,7 @@ def test_a_time_limit_ends_a_run_between_two_steps(tmp_path: Path) -> None:
 
 
 @pytest.mark.fmu
-def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path: Path) -> None:
+def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path):
     scenario = dataclasses.replace(load_scenario("push"), duration=600.0)
     stop, seen = threading.Event(), threading.Event()
     with ThreadPoolExecutor(1) as pool:

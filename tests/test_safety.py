@@ -21,9 +21,7 @@ from panda_cosim.task.files import safe_name
 from sweep_support import write_sweep
 
 
-def test_describing_an_fmu_runs_nothing_in_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_describing_an_fmu_runs_nothing_in_it(tmp_path, monkeypatch):
     mark, changed = tmp_path / "mark", tmp_path / "changed.fmu"
     leave_mark = f"import pathlib; pathlib.Path({str(mark)!r}).touch()\n".encode()
     source = build(("plant",), target=Target("python"))["plant"]
@@ -85,7 +83,7 @@ PROGRAM = Path(sysconfig.get_path("scripts")) / "panda-cosim"
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("isolate", [False, True])
-def test_code_in_the_working_directory_does_not_run(tmp_path: Path, isolate: bool) -> None:
+def test_code_in_the_working_directory_does_not_run(tmp_path, isolate):
     """Neither in the command, nor where FMUs are built, nor in any other Python that is started."""
     names = {name for name in sys.stdlib_module_names if name != "__main__"} | OTHERS
     spoil(tmp_path / "here", names - STARTERS if isolate else names)
@@ -116,7 +114,7 @@ slave_fmu(slave, None)
 
 
 @pytest.mark.fmu
-def test_nor_does_it_where_a_users_script_starts_processes(tmp_path: Path) -> None:
+def test_nor_does_it_where_a_users_script_starts_processes(tmp_path):
     """`PYTHONSAFEPATH` is set for the project's own children then, and for theirs."""
     spoil(tmp_path / "here", {"json", "numpy", "pythonfmu", "importlib", "socket"})
     write_sweep(tmp_path, 2)
@@ -130,12 +128,12 @@ def test_nor_does_it_where_a_users_script_starts_processes(tmp_path: Path) -> No
     [("../../up", "_.._up"), ("..", "unnamed"), ("", "unnamed"), ("a\0b\nc\\d:e$f", "a_b_c_d_e_f"),
      (".hidden", "hidden"), ("Größe-1.2_b", "Größe-1.2_b"), ("ä" * 100, "ä" * 60)],
 )  # fmt: skip
-def test_a_name_becomes_one_safe_file_name(name: str, safe: str) -> None:
+def test_a_name_becomes_one_safe_file_name(name, safe):
     assert safe_name(name) == safe
 
 
 @given(st.text(max_size=300))
-def test_any_name_becomes_one_safe_file_name(name: str) -> None:
+def test_any_name_becomes_one_safe_file_name(name):
     safe = safe_name(name)
     assert Path("runs", safe).name == safe
     assert 1 <= len(safe.encode()) <= 120

@@ -69,9 +69,7 @@ def write(folder: Path, toml: str | bytes = GOOD, table: str | None = TABLE) -> 
 
 
 @pytest.mark.parametrize(("toml", "expected"), BAD_SCENARIOS.values(), ids=BAD_SCENARIOS.keys())
-def test_a_bad_scenario_is_refused_in_one_line_that_says_where_and_why(
-    tmp_path: Path, toml: str | bytes, expected: str
-) -> None:
+def test_a_bad_scenario_is_refused_in_one_line_that_says_where_and_why(tmp_path, toml, expected):
     folder = write(tmp_path / "mine", toml)
     with pytest.raises(InputError) as caught:
         load_scenario(folder)
@@ -82,14 +80,14 @@ def test_a_bad_scenario_is_refused_in_one_line_that_says_where_and_why(
     assert len(message) < 400 + len(str(folder))
 
 
-def test_a_bad_table_is_reported_with_its_own_name(tmp_path: Path) -> None:
+def test_a_bad_table_is_reported_with_its_own_name(tmp_path):
     folder = write(tmp_path / "mine", table=TABLE.replace("home", "hoem"))
     with pytest.raises(InputError, match=r"mine/trajectory\.csv: line 2: .*did you mean 'home'"):
         load_scenario(folder)
 
 
 @pytest.mark.parametrize("missing", ["scenario.toml", "trajectory.csv"])
-def test_a_folder_without_one_of_its_files_is_refused(tmp_path: Path, missing: str) -> None:
+def test_a_folder_without_one_of_its_files_is_refused(tmp_path, missing):
     folder = write(tmp_path / "mine")
     (folder / missing).unlink()
     with pytest.raises(InputError, match=f"{missing}: no such file"):
@@ -110,16 +108,14 @@ def test_a_folder_without_one_of_its_files_is_refused(tmp_path: Path, missing: s
         ("lift/scenario.toml", "or a name from `panda-cosim list`; did you mean 'lift'"),
     ],
 )
-def test_an_unknown_scenario_is_refused_with_the_nearest(name: str | Path, expected: str) -> None:
+def test_an_unknown_scenario_is_refused_with_the_nearest(name, expected):
     with pytest.raises(InputError) as caught:
         load_scenario(name)
     assert expected in str(caught.value)
     assert str(caught.value).isprintable()
 
 
-def test_a_shipped_name_goes_before_a_folder_of_that_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_shipped_name_goes_before_a_folder_of_that_name(tmp_path, monkeypatch):
     write(tmp_path / "tutorial")
     monkeypatch.chdir(tmp_path)
     assert load_scenario("tutorial").duration == 6.5
@@ -130,12 +126,12 @@ def test_a_shipped_name_goes_before_a_folder_of_that_name(
 @pytest.mark.parametrize(
     "toml", [GOOD, "\ufeff" + GOOD, GOOD.replace("\n", "\r\n"), GOOD + "# \u00e4\n"]
 )
-def test_byte_order_mark_line_ends_and_comments_do_no_harm(tmp_path: Path, toml: str) -> None:
+def test_byte_order_mark_line_ends_and_comments_do_no_harm(tmp_path, toml):
     scenario = load_scenario(write(tmp_path / "mine", toml))
     assert (scenario.name, scenario.purpose, scenario.ticks) == ("mine", "A test", 1500)
 
 
-def test_parameters_are_kept_as_given_and_numbers_are_floats(tmp_path: Path) -> None:
+def test_parameters_are_kept_as_given_and_numbers_are_floats(tmp_path):
     toml = GOOD + (
         '[plant]\n"block_pos[1]" = 0.45\nblock_mass = 1\n'
         '[controller]\nkp = [1, 2.5, 3]\nhold = true\nmode = "a b"\n'
@@ -146,13 +142,13 @@ def test_parameters_are_kept_as_given_and_numbers_are_floats(tmp_path: Path) -> 
     assert scenario.controller == {"kp": (1.0, 2.5, 3.0), "hold": True, "mode": "a b"}
 
 
-def test_what_a_scenario_may_name_is_what_there_is() -> None:
+def test_what_a_scenario_may_name_is_what_there_is():
     """The names stand here, too, since the modules that define them import MuJoCo."""
     assert set(scenario_module.GAINS) == set(PRESETS)
     assert scenario_module.COUPLINGS == COUPLINGS
 
 
-def test_each_public_name_is_there_and_no_other() -> None:
+def test_each_public_name_is_there_and_no_other():
     assert set(panda_cosim.__all__) == set(dir(panda_cosim))
     assert all(getattr(panda_cosim, name) is not None for name in panda_cosim.__all__)
     with pytest.raises(AttributeError, match="no attribute 'run_scenari'"):
@@ -166,9 +162,7 @@ HEAVY = {"pyarrow", "fmpy", "mujoco", "matplotlib", "scipy", "mediapy", "control
     ("what", "heavy"),
     [("__version__", {*HEAVY, "numpy", "typer", "rich"}), ("load_scenario('tutorial')", HEAVY)],
 )
-def test_neither_the_package_nor_a_scenario_imports_anything_heavy(
-    what: str, heavy: set[str]
-) -> None:
+def test_neither_the_package_nor_a_scenario_imports_anything_heavy(what, heavy):
     code = f"import panda_cosim, sys; panda_cosim.{what}; print({heavy} & sys.modules.keys())"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
@@ -194,9 +188,7 @@ KEY = st.sampled_from(
         ),
     )
 )
-def test_no_content_at_all_gives_anything_but_a_scenario_or_one_line(
-    tmp_path: Path, content: bytes
-) -> None:
+def test_no_content_at_all_gives_anything_but_a_scenario_or_one_line(tmp_path, content):
     folder = write(tmp_path / "mine", content)
     try:
         scenario = load_scenario(folder)

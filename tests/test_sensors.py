@@ -45,20 +45,20 @@ def readings(
     return rows[0], rows[1]
 
 
-def test_without_errors_readings_are_the_truth_bit_for_bit() -> None:
+def test_without_errors_readings_are_the_truth_bit_for_bit():
     true, told = readings(SensorErrors(), 50)
     assert true.tobytes() == told.tobytes()
 
 
 @given(st.integers(0, 8))
 @settings(max_examples=9, deadline=None)
-def test_a_delay_is_a_number_of_ticks(delay: int) -> None:
+def test_a_delay_is_a_number_of_ticks(delay):
     true, told = readings(SensorErrors(delay=delay), 30)
     assert told[delay:].tobytes() == true[: 30 - delay].tobytes()
     assert all(row.tobytes() == true[0].tobytes() for row in told[:delay])
 
 
-def test_offset_noise_and_quantisation_have_their_sizes() -> None:
+def test_offset_noise_and_quantisation_have_their_sizes():
     offset, noise, step = (np.full(7, size) for size in (0.01, 1e-3, 1e-4))
     errors = SensorErrors(
         joint_offset=tuple(offset), joint_noise=tuple(noise), velocity_noise=tuple(2 * noise)
@@ -73,14 +73,14 @@ def test_offset_noise_and_quantisation_have_their_sizes() -> None:
     assert np.abs(told["qpos"] - true["qpos"]).max() <= 0.5001e-4
 
 
-def test_a_lost_reading_leaves_the_last_one() -> None:
+def test_a_lost_reading_leaves_the_last_one():
     true, told = readings(SensorErrors(dropout=0.3), 2000)
     lost = [i for i in range(1, 2000) if told[i].tobytes() != true[i].tobytes()]
     assert 0.25 < len(lost) / 2000 < 0.35
     assert all(told[i].tobytes() == told[i - 1].tobytes() for i in lost)
 
 
-def test_the_model_knows_where_the_hand_is_if_the_encoders_are_right() -> None:
+def test_the_model_knows_where_the_hand_is_if_the_encoders_are_right():
     plant, sensors = Plant(), Sensors(SensorErrors(hand_pose_source="model"))
     plant.inputs["ctrl"][:7] += 0.2
     plant.step(200)
@@ -95,7 +95,7 @@ def test_the_model_knows_where_the_hand_is_if_the_encoders_are_right() -> None:
     np.testing.assert_allclose(sensors.readings["qfrc_bias"], bias, atol=1e-3)
 
 
-def test_the_camera_shifts_and_turns_the_block() -> None:
+def test_the_camera_shifts_and_turns_the_block():
     errors = SensorErrors(block_position_error=(1e-3, 0.0, -2e-3), block_yaw_error=0.1)
     sensors = Sensors(errors)
     sensors.truth["target_xmat"] = np.eye(3)
@@ -106,7 +106,7 @@ def test_the_camera_shifts_and_turns_the_block() -> None:
 
 @given(st.integers(1, 1200))
 @settings(max_examples=10, deadline=None)
-def test_a_restored_state_goes_on_with_the_same_bits(tick: int) -> None:
+def test_a_restored_state_goes_on_with_the_same_bits(tick):
     sensors, other = Sensors(ALL_ERRORS), Sensors(ALL_ERRORS)
     truth = np.random.default_rng(tick).normal(size=(tick + 30, sensors.truth_values.size))
     for row in truth[:tick]:
@@ -123,7 +123,7 @@ def test_a_restored_state_goes_on_with_the_same_bits(tick: int) -> None:
 
 @pytest.mark.fmu
 @pytest.mark.own_process
-def test_the_fmu_replays_bit_for_bit_also_elsewhere() -> None:
+def test_the_fmu_replays_bit_for_bit_also_elsewhere():
     fmu = unpacked("native", "sensors", 2)
     noise = [0.0, 1e-4, *[0.0] * 5]
     values = {"delay": [0.003], "dropout": [0.2], "joint_noise": noise, "seed": [5.0]}

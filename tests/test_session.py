@@ -22,7 +22,6 @@ from panda_cosim import (
     InputError,
     Options,
     Recording,
-    Run,
     Session,
     load_scenario,
     replay,
@@ -39,7 +38,7 @@ SCENARIO = replace(load_scenario("pick_and_place"), duration=1.4)
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def plain(tmp_path_factory):
     return run_scenario(SCENARIO, tmp_path_factory.mktemp("plain") / "run")
 
 
@@ -74,7 +73,7 @@ def act(session: Session) -> None:
     session.step(550)
 
 
-def test_a_session_is_run_again_bit_for_bit_also_isolated(tmp_path: Path, plain: Run) -> None:
+def test_a_session_is_run_again_bit_for_bit_also_isolated(tmp_path, plain):
     with Session(SCENARIO, tmp_path / "first") as session:
         act(session)
         kp = session.parameters["controller"]
@@ -88,13 +87,13 @@ def test_a_session_is_run_again_bit_for_bit_also_isolated(tmp_path: Path, plain:
     assert again.warnings == ()
 
 
-def test_a_session_of_other_parts_is_run_again_and_kept(tmp_path: Path) -> None:
+def test_a_session_of_other_parts_is_run_again_and_kept(tmp_path):
     assert in_process(session_of_other_parts, str(tmp_path)) == {
         "same": True, "kept": True, "tunable": ["controller.kd", "controller.kp"],
     }  # fmt: skip
 
 
-def test_inputs_of_a_system_are_set_from_outside(tmp_path: Path) -> None:
+def test_inputs_of_a_system_are_set_from_outside(tmp_path):
     """What nothing feeds is given from outside, at its start value until it is set."""
     toy_fmu(tmp_path / "toy.fmu", 2)
     (tmp_path / "scenario.toml").write_text('duration = 0.03\n[fmus]\ntoy = "toy.fmu"\n')
@@ -109,7 +108,7 @@ def test_inputs_of_a_system_are_set_from_outside(tmp_path: Path) -> None:
     assert outputs == pytest.approx([5.01, 0.02])  # y = k u + t [N]
 
 
-def test_a_session_in_which_nothing_is_done_is_the_plain_run(tmp_path: Path, plain: Run) -> None:
+def test_a_session_in_which_nothing_is_done_is_the_plain_run(tmp_path, plain):
     with Session(SCENARIO, tmp_path / "run") as session:
         while session.step(777):
             assert session.state()["time"] == session.time == session.tick * 0.001
@@ -119,7 +118,7 @@ def test_a_session_in_which_nothing_is_done_is_the_plain_run(tmp_path: Path, pla
     assert run.summary.criteria == plain.summary.criteria
 
 
-def test_a_session_of_pushes_start_values_and_waypoints_is_a_scenario(tmp_path: Path) -> None:
+def test_a_session_of_pushes_start_values_and_waypoints_is_a_scenario(tmp_path):
     with Session(SCENARIO, tmp_path / "session") as session:
         for name, scalar in session.tunables.items():
             if scalar.variable.kind == "Real" and isinstance(scalar.start, float):
@@ -158,7 +157,7 @@ ACTIONS: dict[str, Callable[[Session], None]] = {
 }
 
 
-def test_what_no_scenario_can_say_is_named(tmp_path: Path) -> None:
+def test_what_no_scenario_can_say_is_named(tmp_path):
     with Session(SCENARIO, tmp_path / "run") as session:
         session.set("controller.base_ctrl", 0.1)
         session.set_coupling("jacobi")
@@ -194,7 +193,7 @@ REFUSED: dict[str, Callable[[Session], object]] = {
 }
 
 
-def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path, plain: Run) -> None:
+def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path, plain):
     with Session(SCENARIO, tmp_path / "run") as session:
         session.step(10)
         for message, attempt in REFUSED.items():
@@ -207,7 +206,7 @@ def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path, pl
     assert bits(tmp_path / "run") == bits(plain.folder, 101)
 
 
-def test_a_restart_begins_anew_in_another_folder(tmp_path: Path, plain: Run) -> None:
+def test_a_restart_begins_anew_in_another_folder(tmp_path, plain):
     with Session(SCENARIO, tmp_path / "run") as session:
         session.set("controller.kp", 4)
         session.step(300)
@@ -246,7 +245,7 @@ def run_script(out: Path, what: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize("what", ["raise", "interrupt"])
-def test_whatever_ends_the_block_the_run_is_kept(tmp_path: Path, what: str) -> None:
+def test_whatever_ends_the_block_the_run_is_kept(tmp_path, what):
     process = run_script(tmp_path / "run", what)
     if what == "interrupt":
         time.sleep(0.2)
@@ -261,7 +260,7 @@ def test_whatever_ends_the_block_the_run_is_kept(tmp_path: Path, what: str) -> N
     assert Journal.read(tmp_path / "run").actions[-1].act.do == "end"
 
 
-def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
+def test_a_killed_session_is_run_again_to_the_end(tmp_path):
     process = run_script(tmp_path / "run", "wait")
     os.kill(process.pid, signal.SIGKILL)
     process.wait(timeout=60)
@@ -292,9 +291,7 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 5, "action": "set"}'], "after the end"),
     ],
 )
-def test_a_damaged_journal_is_refused_with_its_line(
-    tmp_path: Path, lines: list[str | None], message: str
-) -> None:
+def test_a_damaged_journal_is_refused_with_its_line(tmp_path, lines, message):
     path = tmp_path / "session.jsonl"
     head = json.dumps({"format": 1, **HEAD})
     path.write_text("".join(f"{head if line is None else line}\n" for line in lines) or "{}\n")
@@ -318,9 +315,7 @@ UNDOABLE = {  # the journal's third line, and what is said of it
 }
 
 
-def test_an_action_that_cannot_be_done_is_named_by_its_line_before_the_run(
-    tmp_path: Path,
-) -> None:
+def test_an_action_that_cannot_be_done_is_named_by_its_line_before_the_run(tmp_path):
     with Session(SCENARIO, tmp_path / "run"):
         pass
     journal = tmp_path / "run" / "session.jsonl"

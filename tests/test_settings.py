@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -45,9 +44,7 @@ VALUES: Mapping[str, Any] = {
 
 @settings(max_examples=10, deadline=None)  # each compiles two models
 @given(st.permutations(list(VALUES)), st.sets(st.sampled_from(list(VALUES))))
-def test_any_order_of_keys_gives_the_same_scenario_and_start_values(
-    order: list[str], left_out: set[str]
-) -> None:
+def test_any_order_of_keys_gives_the_same_scenario_and_start_values(order, left_out):
     chosen = {key: VALUES[key] for key in VALUES if key not in left_out}
     shuffled = {key: VALUES[key] for key in order if key not in left_out}
     try:
@@ -112,9 +109,7 @@ EACH: Mapping[str, Any] = {
 
 @settings(max_examples=8, deadline=None)  # each compiles two models
 @given(st.sampled_from(list(DOORS)), st.sets(st.sampled_from(list(EACH)), min_size=1))
-def test_each_door_takes_the_same_keys_and_gives_the_same_scenario(
-    door: str, keys: set[str]
-) -> None:
+def test_each_door_takes_the_same_keys_and_gives_the_same_scenario(door, keys):
     values = {key: EACH[key] for key in EACH if key in keys}
     try:
         expected = ROTATED.changed(values)
@@ -139,14 +134,12 @@ def test_each_door_takes_the_same_keys_and_gives_the_same_scenario(
         ("plant.block_mas", "plant.block_mas: no such parameter .* did you mean 'block_mass'"),
     ],
 )
-def test_each_door_refuses_the_same_keys_in_the_same_words(door: str, key: str, told: str) -> None:
+def test_each_door_refuses_the_same_keys_in_the_same_words(door, key, told):
     with pytest.raises(InputError, match=told):
         start_values(DOORS[door](PUSHED, {key: 0.3}))
 
 
-def test_parts_and_steps_are_keys_as_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_and_steps_are_keys_as_others(tmp_path, monkeypatch):
     law = "class Hold:\n    def update(self, time, qpos): return [0.0] * 8\n"
     (tmp_path / "law.py").write_text(law)
     (tmp_path / "scenario.toml").write_text('duration = 0.1\n[fmus]\na = "law.py:Hold"\n')
@@ -162,7 +155,7 @@ def test_parts_and_steps_are_keys_as_others(
 
 
 @pytest.mark.parametrize("text", ["duration=1_000", "controller.kp=٣"])
-def test_numbers_in_another_notation_are_refused(text: str) -> None:
+def test_numbers_in_another_notation_are_refused(text):
     with pytest.raises(InputError, match=f"--set '{text}': .* in the digits 0 to 9, as "):
         values_of([text])
 
@@ -172,9 +165,7 @@ def written(value: object) -> str:
 
 
 @given(st.permutations(["kp", "kp[1]", "kp[7]"]), st.permutations(["kp", "kp[2]"]))
-def test_sections_and_overrides_are_sets_and_an_override_replaces_the_section(
-    section: list[str], given: list[str]
-) -> None:
+def test_sections_and_overrides_are_sets_and_an_override_replaces_the_section(section, given):
     values = {"kp": 5.0, "kp[1]": 1.0, "kp[7]": 7.0}
     own = {name: values[name] for name in section}
     scenario = Scenario("test", PUSHED.table, 3.0, controller=own)
@@ -203,6 +194,6 @@ def gains(scenario: Scenario) -> list[object]:
         ({"push[9].start": 0.1, "gains": "tutorial"}, r"^push\[9\].start: there is no push 9"),
     ],
 )
-def test_the_key_that_cannot_be_used_is_named(values: Mapping[str, Any], told: str) -> None:
+def test_the_key_that_cannot_be_used_is_named(values, told):
     with pytest.raises(InputError, match=told):
         PUSHED.changed(values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import fmpy
@@ -73,13 +72,7 @@ FAHRENHEIT = '<BaseUnit K="1" factor="0.5555555555555556" offset="255.3722222222
     ],
     ids=lambda side: side[0] if isinstance(side, tuple) else "",
 )
-def test_units_are_converted_as_both_sides_define_them(
-    tmp_path: Path,
-    source: tuple[str, str],
-    target: tuple[str, str],
-    wanted: Callable[[Array], Array],
-    isolate: Sequence[str],
-) -> None:
+def test_units_are_converted_as_both_sides_define_them(tmp_path, source, target, wanted, isolate):
     measuring(tmp_path / "a.fmu", 2, *source)
     measuring(tmp_path / "b.fmu", 3, *target)
     recording = run(
@@ -93,7 +86,7 @@ def test_units_are_converted_as_both_sides_define_them(
     assert recording.units["b.y[1,2]"] == target[0]
 
 
-def test_differences_of_temperatures_have_no_offset(tmp_path: Path) -> None:
+def test_differences_of_temperatures_have_no_offset(tmp_path):
     measuring(tmp_path / "a.fmu", 2, "degC", CELSIUS)
     measuring(tmp_path / "b.fmu", 3, "K", '<BaseUnit K="1"/>')
     kind = '<Float64Type name="difference" unit="K" relativeQuantity="true"/>'
@@ -109,7 +102,7 @@ def test_differences_of_temperatures_have_no_offset(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording["b.y[1,2]"][1:], wanted, rtol=1e-15)
 
 
-def test_check_shows_what_is_converted(tmp_path: Path) -> None:
+def test_check_shows_what_is_converted(tmp_path):
     measuring(tmp_path / "a.fmu", 2, "degC", CELSIUS)
     measuring(tmp_path / "b.fmu", 3, "K", '<BaseUnit K="1"/>')
     (tmp_path / "scenario.toml").write_text(
@@ -119,7 +112,7 @@ def test_check_shows_what_is_converted(tmp_path: Path) -> None:
     assert said.count("b.u [K] = 1 * a.y [degC] + 273.15") == 1
 
 
-def test_units_without_a_conversion_are_refused_by_check_and_run(tmp_path: Path) -> None:
+def test_units_without_a_conversion_are_refused_by_check_and_run(tmp_path):
     measuring(tmp_path / "a.fmu", 2, "deg", DEGREE)
     measuring(tmp_path / "b.fmu", 2, "s", '<BaseUnit s="1"/>')
     (tmp_path / "scenario.toml").write_text(
@@ -154,9 +147,7 @@ def sizes_fmu(path: Path) -> None:
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_structural_parameters_give_arrays_their_sizes(
-    tmp_path: Path, isolate: Sequence[str]
-) -> None:
+def test_structural_parameters_give_arrays_their_sizes(tmp_path, isolate):
     sizes_fmu(tmp_path / "it.fmu")
     text = '[fmus]\nit = "it.fmu"\n[parameters.it]\nn = 5\n[inputs]\n"it.u" = [1, 2, 3, 4, 5]\n'
     recording = run(tmp_path, text, *isolate)
@@ -169,7 +160,7 @@ def test_structural_parameters_give_arrays_their_sizes(
     assert "it.u: a list of 5; must be one number for all, or 4 values" in done.stderr
 
 
-def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path: Path) -> None:
+def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path):
     sizes_fmu(tmp_path / "it.fmu")
     fixed = 'modelIdentifier="sizes" fixedInternalStepSize="0.4"'
     described(tmp_path / "it.fmu", ('modelIdentifier="sizes"', fixed))
@@ -181,16 +172,14 @@ def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_a_step_that_returns_early_is_taken_to_its_end(
-    tmp_path: Path, isolate: Sequence[str]
-) -> None:
+def test_a_step_that_returns_early_is_taken_to_its_end(tmp_path, isolate):
     toy_fmu(tmp_path / "it.fmu", 3)
     text = '[fmus]\nit = "it.fmu"\n[inputs]\n"it.u" = 0.5\n[parameters.it]\nact = "early"\n'
     recording = run(tmp_path, text, *isolate)
     np.testing.assert_allclose(recording["it.y[2,3]"], 0.5 + TIMES, rtol=1e-15)
 
 
-def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path: Path) -> None:
+def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path):
     clocked = (
         '<Clock name="tick" valueReference="17" causality="input" intervalVariability="triggered"/>'
         '<Float64 name="w" valueReference="18" causality="input" clocks="17" variability="discrete"'
@@ -210,9 +199,7 @@ def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path: Path) -
         ("force", "pressure", True), ("position", "velocity", False),
     ],
 )  # fmt: skip
-def test_check_suggests_connections_that_nearly_fit(
-    tmp_path: Path, output: str, input_: str, *, suggested: bool
-) -> None:
+def test_check_suggests_connections_that_nearly_fit(tmp_path, output, input_, suggested):
     """By their names; or by unit, N here, if only one output has it and `position` has none."""
     for name, (old, new) in {"a": ("y", output), "b": ("u", input_)}.items():
         toy_fmu(tmp_path / f"{name}.fmu", 3)
@@ -230,7 +217,7 @@ def test_check_suggests_connections_that_nearly_fit(
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path: Path, isolate: Sequence[str]) -> None:
+def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path, isolate):
     """It refuses to go back otherwise. The loop y = 0.5 y + t has the solution y = 2 t."""
     states = 'modelIdentifier="toy" canGetAndSetFMUState="true"'
     described(toy_fmu(tmp_path / "it.fmu", 3), ('modelIdentifier="toy"', states))
@@ -239,7 +226,7 @@ def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path: Path, isolate: Seq
     np.testing.assert_allclose(recording["it.y[2,2]"], 2.0 * TIMES, atol=1e-9)
 
 
-def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path: Path) -> None:
+def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
     toy_fmu(tmp_path / "it.fmu", 3)
     text = 'duration = 1.0\ncoupling = "iterated"\n[fmus]\nit = "it.fmu"\n'
     (tmp_path / "scenario.toml").write_text(text)

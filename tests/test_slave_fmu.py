@@ -1,7 +1,5 @@
 """A user's own PythonFMU slave as an FMU: it runs, and what cannot be packaged is told."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path
@@ -24,7 +22,7 @@ own_process = pytest.mark.own_process
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     for name in ("decay.py", "my_helper.py"):
         shutil.copy(SLAVES / name, tmp_path)
     return tmp_path
@@ -33,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.fmu
 @own_process
 @pytest.mark.parametrize(("fmi", "name"), [("2", "decay.py"), ("3", "decay.py:Decay")])
-def test_a_slave_becomes_an_fmu_that_runs(folder: Path, fmi: str, name: str) -> None:
+def test_a_slave_becomes_an_fmu_that_runs(folder, fmi, name):
     out = folder / "out"
     words = ["build", "--slave", str(folder / name), "--fmi", fmi, "--out", str(out)]
     done = CliRunner().invoke(app, words)
@@ -48,13 +46,13 @@ def test_a_slave_becomes_an_fmu_that_runs(folder: Path, fmi: str, name: str) -> 
 
 
 @pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
-def decay(request: pytest.FixtureRequest) -> Unpacked:
+def decay(request):
     return unpacked_fmu(slave_fmu(SLAVES / "decay.py"), request.param)
 
 
 @pytest.mark.fmu
 @own_process
-def test_values_texts_and_states_arrive(decay: Unpacked) -> None:
+def test_values_texts_and_states_arrive(decay):
     it = Instance(decay).start({"u": [2.0]})
     assert [it.step(i * 0.01, 0.01) for i in range(3)] == [OK] * 3
     assert it.get("x") == [pytest.approx(sum([2 * 2.0 * 0.01 * 3] * 3), rel=1e-15)]
@@ -79,7 +77,7 @@ def test_values_texts_and_states_arrive(decay: Unpacked) -> None:
 @pytest.mark.parametrize(
     ("fail", "told"), [(1.0, "RuntimeError: boom 100%"), (2.0, "do_step returned False")]
 )
-def test_a_failure_of_the_slave_is_an_error(decay: Unpacked, fail: float, told: str) -> None:
+def test_a_failure_of_the_slave_is_an_error(decay, fail, told):
     it = Instance(decay).start({"fail": [fail]})
     assert it.step(0.0, 0.01) == ERROR
     assert told in it.messages()
@@ -94,7 +92,7 @@ def test_a_failure_of_the_slave_is_an_error(decay: Unpacked, fail: float, told: 
 
 @pytest.mark.fmu
 @own_process
-def test_the_hosts_modules_and_path_stay_as_they_are(folder: Path) -> None:
+def test_the_hosts_modules_and_path_stay_as_they_are(folder):
     sys.modules["my_helper"] = own = ModuleType("my_helper")
     path, meta = list(sys.path), list(sys.meta_path)
     it = Instance(unpacked_fmu(slave_fmu(folder / "decay.py"))).start()
@@ -108,7 +106,7 @@ def test_the_hosts_modules_and_path_stay_as_they_are(folder: Path) -> None:
     assert (sys.path, sys.meta_path) == (path, meta)
 
 
-def test_a_changed_helper_is_another_fmu_and_what_an_editor_leaves_is_not(folder: Path) -> None:
+def test_a_changed_helper_is_another_fmu_and_what_an_editor_leaves_is_not(folder):
     before = slave_fmu(folder / "decay.py").digest
     (folder / ".#decay.py").symlink_to("me@here.4711:1732")
     assert slave_fmu(folder / "decay.py").digest == before
@@ -124,7 +122,7 @@ def test_a_changed_helper_is_another_fmu_and_what_an_editor_leaves_is_not(folder
         (None, "cannot be read: No such file"),
     ],
 )
-def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, told: str) -> None:
+def test_a_file_without_a_slave_is_refused(tmp_path, source, told):
     path = tmp_path / "mine.py"
     if source is not None:
         path.write_text(source)
@@ -132,7 +130,7 @@ def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, t
         slave_fmu(path)
 
 
-def test_a_slave_that_cannot_be_made_is_reported_with_its_reason(folder: Path) -> None:
+def test_a_slave_that_cannot_be_made_is_reported_with_its_reason(folder):
     path = folder / "decay.py"
     path.write_text(path.read_text().replace("super().__init__(**kwargs)", "1 / 0"))
     with pytest.raises(CosimError, match="Decay cannot be instantiated: ZeroDivisionError"):
@@ -165,7 +163,7 @@ class Peculiar(Fmi2Slave):
 
 
 @pytest.fixture(scope="module", params=[2, 3])
-def peculiar(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def peculiar(request, tmp_path_factory):
     """An FMU whose variables have odd names and variabilities, and that fails after three steps."""
     folder = tmp_path_factory.mktemp("peculiar")
     (folder / "peculiar.py").write_text(PECULIAR)
@@ -175,7 +173,7 @@ def peculiar(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.mark.fmu
 @own_process
-def test_a_slave_may_have_any_names_and_says_why_it_failed(peculiar: Path) -> None:
+def test_a_slave_may_have_any_names_and_says_why_it_failed(peculiar):
     assert validate_fmu(str(peculiar)) == []
     it = Instance(Unpacked(Fmu(peculiar).folder)).start()
     assert [it.step(i * 0.01, 0.01) for i in range(4)] == [OK, OK, OK, ERROR]
@@ -184,7 +182,7 @@ def test_a_slave_may_have_any_names_and_says_why_it_failed(peculiar: Path) -> No
     assert failure.endswith("DoStep: do_step returned False")
 
 
-def test_the_description_of_a_slave_claims_nothing_that_is_not_known(peculiar: Path) -> None:
+def test_the_description_of_a_slave_claims_nothing_that_is_not_known(peculiar):
     description = fmpy.read_model_description(str(peculiar))
     variables = {v.name: v for v in description.modelVariables}
     assert {v.description for v in variables.values()} <= {None, "Simulation time"}

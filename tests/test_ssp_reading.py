@@ -158,7 +158,7 @@ OWN = (
 
 @pytest.mark.fmu
 @pytest.mark.own_process
-def test_nested_systems_convert_and_transform_on_the_way(tmp_path: Path) -> None:
+def test_nested_systems_convert_and_transform_on_the_way(tmp_path):
     more = OWN + parameters(value("given", "0.5") + value("S.b.k", "4"))
     coupled = read(tmp_path, ssd(NESTED, OUTSIDE, more))
     assert list(coupled.system.fmus) == ["a", "S/b"]
@@ -179,7 +179,7 @@ def test_nested_systems_convert_and_transform_on_the_way(tmp_path: Path) -> None
     np.testing.assert_allclose(table["S/b", "y[2,3]"][1:], 4.0 * given + time[1:], rtol=1e-12)
 
 
-def test_suppressed_conversions_leave_the_numbers(tmp_path: Path) -> None:
+def test_suppressed_conversions_leave_the_numbers(tmp_path):
     outside = OUTSIDE.replace(
         'endConnector="force" >', 'endConnector="force" suppressUnitConversion="true">'
     )
@@ -190,9 +190,7 @@ def test_suppressed_conversions_leave_the_numbers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sizes", [["2000", "2000"], ["300000"], ["1000000000"] * 3])
-def test_arrays_of_too_many_elements_are_refused_before_they_are_made(
-    tmp_path: Path, sizes: list[str]
-) -> None:
+def test_arrays_of_too_many_elements_are_refused_before_they_are_made(tmp_path, sizes):
     lines = "".join(f'<Dimension start="{n}"/>' for n in sizes)
     two = [f'<Float64 name="{n}" valueReference="5{i}" causality="output">{lines}</Float64>'
            for i, n in enumerate(("r", "s"))]  # fmt: skip
@@ -207,7 +205,7 @@ def test_arrays_of_too_many_elements_are_refused_before_they_are_made(
         read(tmp_path, ssd(toy("a", fmi=3), "", system, version="2.0"))
 
 
-def test_arrays_are_connected_whole_or_by_element(tmp_path: Path) -> None:
+def test_arrays_are_connected_whole_or_by_element(tmp_path):
     array = (
         '<ssd:Connectors><ssd:Connector name="u" kind="input"><ssc:Float64/><ssc:Dimension '
         'size="2"/><ssc:Dimension size="3"/></ssd:Connector><ssd:Connector name="y" '
@@ -237,7 +235,7 @@ def test_arrays_are_connected_whole_or_by_element(tmp_path: Path) -> None:
     assert len(coupled.system.outputs["b"]) == 6
 
 
-def test_parameters_of_higher_levels_and_later_bindings_take_precedence(tmp_path: Path) -> None:
+def test_parameters_of_higher_levels_and_later_bindings_take_precedence(tmp_path):
     own = parameters(value("k", "1") + value("u[1,1]", "7")).replace(
         "</ssd:ParameterBindings>",
         '<ssd:ParameterBinding source="resources/more.ssv"/></ssd:ParameterBindings>',
@@ -258,7 +256,7 @@ def test_parameters_of_higher_levels_and_later_bindings_take_precedence(tmp_path
     assert "SystemStructure.ssd: no variable is called S.nobody" in warning
 
 
-def test_parameter_mappings_rename_and_transform(tmp_path: Path) -> None:
+def test_parameter_mappings_rename_and_transform(tmp_path):
     words = '<ssc:EnumerationMappingTransformation><ssc:MapEntry source="double" target="twice"/>' \
             "</ssc:EnumerationMappingTransformation>"  # fmt: skip
     inverse = (
@@ -283,7 +281,7 @@ def test_parameter_mappings_rename_and_transform(tmp_path: Path) -> None:
     assert not coupled.warnings  # what is not mapped is not applied
 
 
-def test_parameters_of_a_system_s_connectors_reach_all_that_they_feed(tmp_path: Path) -> None:
+def test_parameters_of_a_system_s_connectors_reach_all_that_they_feed(tmp_path):
     more = (
         '<ssd:Connectors><ssd:Connector name="gain" kind="parameter"/><ssd:Connector name="load" '
         'kind="input"/></ssd:Connectors>'
@@ -297,7 +295,7 @@ def test_parameters_of_a_system_s_connectors_reach_all_that_they_feed(tmp_path: 
     assert not coupled.system.connections
 
 
-def test_arrays_of_parameters_are_lists(tmp_path: Path) -> None:
+def test_arrays_of_parameters_are_lists(tmp_path):
     load = value("u", "1 2 3 4 5 6", "Float64").replace(
         "/></ssv:P", '/><ssc:Dimension size="2"/><ssc:Dimension size="3"/></ssv:P'
     )
@@ -333,9 +331,7 @@ MASS = '<ssd:Connectors><ssd:Connector name="v" kind="input"><ssc:Real unit="s"/
          "parameter a.mode = 'thrice'; must be of type Enumeration"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_read_is_refused_in_one_line(
-    tmp_path: Path, structure: str, expected: str | None
-) -> None:
+def test_what_cannot_be_read_is_refused_in_one_line(tmp_path, structure, expected):
     if expected is None:
         read(tmp_path, structure)
         return
@@ -346,7 +342,7 @@ def test_what_cannot_be_read_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-def test_a_nested_fmu_is_named_on_the_command_line(tmp_path: Path) -> None:
+def test_a_nested_fmu_is_named_on_the_command_line(tmp_path):
     ssp = write(tmp_path, ssd(NESTED, OUTSIDE, OWN))
     done = command(
         "run", ssp, "--out", tmp_path / "run", "--set", "S/b.k=4", "--coupling", "jacobi"
@@ -365,7 +361,7 @@ TYPES = {"Int32": ("Integer", "7"), "Boolean": ("Boolean", "true"), "String": ("
 @pytest.mark.fmu
 @needs_reference_fmus
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_connections_and_parameters_of_all_types(tmp_path: Path, fmi: int) -> None:
+def test_connections_and_parameters_of_all_types(tmp_path, fmi):
     names = [f"{name}_{kind}put" for name in TYPES for kind in ("in", "out")]
     plain = "".join(
         f'<ssd:Connector name="{name}" kind="{name.rpartition("_")[2]}"/>' for name in names

@@ -75,13 +75,13 @@ def walk(kind: Kind, name: str, version: int, courses: list[list[Any]]) -> list[
     courses=st.lists(st.lists(CALLS, min_size=10, max_size=40), min_size=4, max_size=4),
 )
 def test_whatever_is_called_values_are_those_of_a_twin_that_saves_nothing(
-    kind: Kind, name: str, version: int, courses: list[list[Any]]
-) -> None:
+    kind, name, version, courses
+):
     assert in_process(walk, kind, name, version, courses) == []
 
 
 @pytest.mark.parametrize(("kind", "name"), MODELS)
-def test_an_output_that_was_never_read_is_in_a_state(kind: Kind, name: str) -> None:
+def test_an_output_that_was_never_read_is_in_a_state(kind, name):
     """Saved first, then read, restored, and read again, after steps in between, and elsewhere."""
     walks = [
         [["step", 0, 30], ["save", 0, 0], ["read", 0, i], ["step", 0, 30], ["restore", 0, 0],

@@ -6,9 +6,7 @@ Each number of real runs is computed once more in test_definitions.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,7 +49,7 @@ def blank_rows() -> Array:
 
 
 @pytest.fixture
-def record(tmp_path: Path) -> Callable[..., Recording]:
+def record(tmp_path):
     def make(rows: Array, *, complete: bool = True) -> Recording:
         with Recorder(tmp_path / "run", [Column(n) for n in NAMES], {"scene": "tabletop"}) as out:
             out.append(rows)
@@ -87,7 +85,7 @@ def carried_rows(*, slip: float = 0.0, yaw: float = 0.0) -> Array:
     return rows
 
 
-def test_lift_slip_and_place_are_those_of_the_block(record: Callable[..., Recording]) -> None:
+def test_lift_slip_and_place_are_those_of_the_block(record):
     success = {"block_position": (0.0, 0.0, 0.25), "position_tolerance": 0.001}
     summary = summarize(record(carried_rows(slip=0.0004)), scenario(**success))
     block = summary.block
@@ -99,9 +97,7 @@ def test_lift_slip_and_place_are_those_of_the_block(record: Callable[..., Record
     assert summary.success
 
 
-def test_a_block_carried_downwards_slips_and_is_not_lifted(
-    record: Callable[..., Recording],
-) -> None:
+def test_a_block_carried_downwards_slips_and_is_not_lifted(record):
     rows = carried_rows(slip=0.0004)
     for name in ("plant.qpos[12]", "plant.hand_xpos[3]"):
         rows[:, NAMES.index(name)] *= -1.0
@@ -110,7 +106,7 @@ def test_a_block_carried_downwards_slips_and_is_not_lifted(
     assert block["lift_m"] == 0.0
 
 
-def test_letting_go_is_a_drop_and_no_slip(record: Callable[..., Recording]) -> None:
+def test_letting_go_is_a_drop_and_no_slip(record):
     rows = carried_rows(slip=0.0004)
     put(rows, "plant.qpos[12]", 0.249, 1151)  # falls by 1 mm after the command, while it is held
     put(rows, "plant.support_force", 12.0, 1160, 1162)  # N
@@ -122,7 +118,7 @@ def test_letting_go_is_a_drop_and_no_slip(record: Callable[..., Recording]) -> N
     assert block["set_down_force_N"] == 12.0
 
 
-def test_each_hold_has_its_own_zero(record: Callable[..., Recording]) -> None:
+def test_each_hold_has_its_own_zero(record):
     rows = carried_rows(slip=0.0004)
     again = rows[1:].copy()
     again[:, 0] += rows[-1, 0]
@@ -133,9 +129,7 @@ def test_each_hold_has_its_own_zero(record: Callable[..., Recording]) -> None:
     assert block["slip_mm"] == pytest.approx(0.4, abs=1e-6)
 
 
-def test_fingers_that_brush_what_they_have_let_go_hold_nothing(
-    record: Callable[..., Recording],
-) -> None:
+def test_fingers_that_brush_what_they_have_let_go_hold_nothing(record):
     rows = carried_rows(slip=0.0004)
     for row in (1210, 1213, 1220, *range(1300, 1420, 10)):  # single rows, 3 N each
         put(rows, "plant.contact_force", 3.0, row, row + 1)
@@ -145,7 +139,7 @@ def test_fingers_that_brush_what_they_have_let_go_hold_nothing(
     assert len(summary.block["holds"]) == 1
 
 
-def test_a_block_that_is_flung_is_not_lifted(record: Callable[..., Recording]) -> None:
+def test_a_block_that_is_flung_is_not_lifted(record):
     rows = blank_rows()
     put(rows, "plant.contact_force", 60.0, 300, 340)  # a touch of 40 ms
     put(rows, "plant.qpos[12]", 5.0, 500)
@@ -153,9 +147,7 @@ def test_a_block_that_is_flung_is_not_lifted(record: Callable[..., Recording]) -
     assert (summary.block["lift_m"], summary.events["grasp"], summary.success) == (0.0, None, False)
 
 
-def test_command_end_is_when_the_command_stops_and_at_rest_when_the_hand_does(
-    record: Callable[..., Recording],
-) -> None:
+def test_command_end_is_when_the_command_stops_and_at_rest_when_the_hand_does(record):
     rows = blank_rows()
     put(rows, "controller.pos_cmd[1]", np.linspace(0.0, 0.1, 500), 0, 500)
     put(rows, "controller.pos_cmd[1]", 0.1, 500)
@@ -170,24 +162,20 @@ def test_command_end_is_when_the_command_stops_and_at_rest_when_the_hand_does(
 @pytest.mark.parametrize(
     ("yaw", "error"), [(0.0, 0.0), (2.0, 2.0), (-3.0, 3.0), (88.0, 2.0), (91.0, 1.0)]
 )
-def test_yaw_counts_modulo_a_quarter_turn(
-    record: Callable[..., Recording], yaw: float, error: float
-) -> None:
+def test_yaw_counts_modulo_a_quarter_turn(record, yaw, error):
     block = summarize(record(carried_rows(yaw=math.radians(yaw))), scenario()).block
     assert block["yaw_error_deg"] == pytest.approx(error, abs=1e-9)
 
 
 @pytest.mark.parametrize("rows", [0, 100])
-def test_an_incomplete_run_is_no_success(record: Callable[..., Recording], rows: int) -> None:
+def test_an_incomplete_run_is_no_success(record, rows):
     summary = summarize(record(blank_rows()[:rows], complete=False), scenario(max_tilt=1.0))
     assert (summary.success, summary.complete, summary.reason) == (False, False, "cut")
     assert "ended early: cut" in next(outcome_lines(summary, realtime=False))[0]
 
 
 @pytest.mark.parametrize("expect", ["success", "failure"])
-def test_a_missed_criterion_decides_and_what_was_not_measured_is_no_verdict(
-    record: Callable[..., Recording], expect: str
-) -> None:
+def test_a_missed_criterion_decides_and_what_was_not_measured_is_no_verdict(record, expect):
     asked = scenario(max_slip=0.001, min_lift=0.1)
     asked = replace(asked, expect=expect, expect_reason="so" if expect == "failure" else "")
     recording = record(blank_rows())
@@ -203,7 +191,7 @@ def test_a_missed_criterion_decides_and_what_was_not_measured_is_no_verdict(
     assert next(outcome_lines(open_ended, realtime=False))[0].startswith("No verdict")
 
 
-def test_tracking_of_a_law_without_orientation_is_measured(tmp_path: Path) -> None:
+def test_tracking_of_a_law_without_orientation_is_measured(tmp_path):
     names = [
         f"{name}[{i}]" for name in ("plant.hand_xpos", "controller.pos_cmd") for i in (1, 2, 3)
     ]

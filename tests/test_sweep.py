@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,9 +57,7 @@ def made(**keys: Any) -> Sweep:
         ("scenario = ", "must be TOML"),
     ],
 )
-def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
-    text: str, message: str, tmp_path: Path
-) -> None:
+def test_what_is_wrong_in_a_definition_is_reported_in_one_line(text, message, tmp_path):
     path = tmp_path / "sweep.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message) as told:
@@ -86,7 +83,7 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
         ),
     ],
 )
-def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message: str) -> None:
+def test_keys_that_do_not_go_together_are_refused(keys, message):
     with pytest.raises(InputError, match=message):
         made(**keys)
 
@@ -104,7 +101,7 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
         ("durations", 0.1, "durations: no such key; valid: duration.*did you mean 'duration'"),
     ],
 )
-def test_keys_and_ends_are_checked_before_anything_runs(key: str, low: float, message: str) -> None:
+def test_keys_and_ends_are_checked_before_anything_runs(key, low, message):
     sweep = made(vary={key: {"uniform": [low, 2.0]}})
     with pytest.raises(InputError, match=message):
         check_sweep(sweep)
@@ -118,9 +115,7 @@ def test_keys_and_ends_are_checked_before_anything_runs(key: str, low: float, me
         (f"{MASS},duration\n\n0.1,1\n\n0.2\n", "line 5: must be 2 values"),
     ],
 )
-def test_what_is_wrong_in_a_list_is_told_with_its_line(
-    text: str, message: str, tmp_path: Path
-) -> None:
+def test_what_is_wrong_in_a_list_is_told_with_its_line(text, message, tmp_path):
     (tmp_path / "list.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         make_design(Sweep(scenario=("push",), design="list", file=tmp_path / "list.csv"))  # type: ignore[arg-type]
@@ -135,13 +130,13 @@ def test_what_is_wrong_in_a_list_is_told_with_its_line(
         ({"normal": [2.0, 0.5]}, lambda x: norm.cdf(x, 2.0, 0.5)),
     ],
 )
-def test_samples_have_their_distribution(design: str, given: Any, cumulative: Any) -> None:
+def test_samples_have_their_distribution(design, given, cumulative):
     sweep = made(vary={"x": given, "y": {"uniform": [0, 1]}}, design=design, samples=512, seed=5)
     drawn = np.asarray(make_design(sweep).columns["x"])
     assert kstest(cumulative(drawn), "uniform").pvalue > 0.01
 
 
-def test_a_normal_distribution_is_cut_off_at_its_limits() -> None:
+def test_a_normal_distribution_is_cut_off_at_its_limits():
     cut = read_distribution({"normal": [0.0, 1.0], "limits": [-0.5, 2.0]})
     drawn = np.asarray(cut.quantiles(np.linspace(0.0, 1.0, 1001)))
     assert drawn.min() == -0.5
@@ -150,7 +145,7 @@ def test_a_normal_distribution_is_cut_off_at_its_limits() -> None:
     assert drawn[500] == pytest.approx(middle, abs=1e-12)
 
 
-def test_a_grid_has_each_combination_once() -> None:
+def test_a_grid_has_each_combination_once():
     sweep = sweep_of("push", ["plant.block_mass=0.05:2:4", "controller.kp=6,8", "align=true,false"])
     design = make_design(sweep)
     rows = {tuple(design.values(i).items()) for i in range(len(design))}
@@ -159,7 +154,7 @@ def test_a_grid_has_each_combination_once() -> None:
     assert max(design.columns[MASS]) == 2.0
 
 
-def test_a_list_is_read_from_csv_beside_the_definition(tmp_path: Path) -> None:
+def test_a_list_is_read_from_csv_beside_the_definition(tmp_path):
     (tmp_path / "rows.csv").write_text("plant.block_mass,scene\n0.1,tabletop\n0.2,tutorial\n")
     path = tmp_path / "sweep.toml"
     path.write_text('scenario = "push"\ndesign = "list"\nfile = "rows.csv"\n')
@@ -171,7 +166,7 @@ def test_a_list_is_read_from_csv_beside_the_definition(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("design", ["random", "sobol"])
-def test_more_samples_leave_the_first_as_they_are(design: str) -> None:
+def test_more_samples_leave_the_first_as_they_are(design):
     few, many = (make_design(made(design=design, samples=n, seed=9)) for n in (8, 32))
     assert [few.values(i) for i in range(8)] == [many.values(i) for i in range(8)]
 
@@ -184,9 +179,7 @@ def test_more_samples_leave_the_first_as_they_are(design: str) -> None:
         (("table.rows[2].x", "table.rows[02].x"), r"rows\[2\].x and table.rows\[02\].x"),
     ],
 )
-def test_keys_that_set_the_same_value_are_refused_together(
-    keys: tuple[str, str], named: str, tmp_path: Path
-) -> None:
+def test_keys_that_set_the_same_value_are_refused_together(keys, named, tmp_path):
     told = f"vary: .*{named}.* set the same value"
     with pytest.raises(InputError, match=told):
         check_sweep(sweep_of("push", [f"{key}=0.001,0.002" for key in keys]))
@@ -209,14 +202,14 @@ def test_keys_that_set_the_same_value_are_refused_together(
         (["coupling=jacobi,gauss-seidel"], []),
     ],
 )
-def test_keys_that_change_nothing_are_found(vary: list[str], idle: list[str]) -> None:
+def test_keys_that_change_nothing_are_found(vary, idle):
     scenarios, design = check_sweep(sweep_of("push", vary))
     assert keys_without_effect(design, scenarios) == idle
 
 
 @given(st.permutations(["mismatch.seed", "mismatch.joint_offset", MASS, "duration", "align"]))
 @settings(max_examples=10)
-def test_the_order_of_keys_in_the_file_means_nothing(keys: list[str]) -> None:
+def test_the_order_of_keys_in_the_file_means_nothing(keys):
     def designed(order: list[str], **more: Any) -> list[dict[str, Any]]:
         values = {"align": {"values": [True, False]}}
         vary = {key: values.get(key, {"uniform": [0.0, 1.0]}) for key in order}
@@ -227,7 +220,7 @@ def test_the_order_of_keys_in_the_file_means_nothing(keys: list[str]) -> None:
         assert designed(keys, **more) == designed(sorted(keys), **more)
 
 
-def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path):
     ends = ("A/lift", "B/lift", "C/x/lift", "D/x/lift", "E/other")
     places = [short_scenario(tmp_path / end) for end in ends]
     loaded = load_scenarios(made(scenario=[str(folder) for folder in places]))
@@ -237,18 +230,18 @@ def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -
         load_scenarios(made(scenario=[str(places[0]), str(tmp_path / "link")]))
 
 
-def test_a_row_without_orientation_has_none_to_change() -> None:
+def test_a_row_without_orientation_has_none_to_change():
     with pytest.raises(InputError, match=r"table.rows\[1\].qw: there is no orientation 1"):
         load_scenario("push").changed({"table.rows[1].qw": 1.0})
 
 
 @pytest.mark.parametrize("text", ["plant.block_mass", "plant.block_mass=1:2", "=1", "a=1:b:3"])
-def test_a_vary_of_another_form_is_refused(text: str) -> None:
+def test_a_vary_of_another_form_is_refused(text):
     with pytest.raises(InputError, match="must be KEY=LOW:HIGH:STEPS"):
         sweep_of("push", [text])
 
 
-def test_a_success_rate_without_criteria_is_refused(tmp_path: Path) -> None:
+def test_a_success_rate_without_criteria_is_refused(tmp_path):
     (tmp_path / "bare").mkdir()
     for file, text in (("scenario.toml", "duration = 0.1\n"), ("trajectory.csv", TABLE)):
         (tmp_path / "bare" / file).write_text(text, encoding="utf-8")
@@ -256,7 +249,7 @@ def test_a_success_rate_without_criteria_is_refused(tmp_path: Path) -> None:
         check_sweep(made(scenario=(str(tmp_path / "bare"),), min_success=0.9))
 
 
-def test_shipped_sweeps_can_be_run() -> None:
+def test_shipped_sweeps_can_be_run():
     assert "random_box" in shipped_sweeps()
     for name in shipped_sweeps():
         sweep = load_sweep(name)

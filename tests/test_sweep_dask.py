@@ -1,9 +1,5 @@
 """A Dask cluster gives the same table as this machine's pool, also where workers are lost."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from fmu_support import in_process
@@ -18,23 +14,21 @@ SAMPLES = 8
 
 
 @pytest.fixture(scope="module")
-def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def base(tmp_path_factory):
     """A folder with the sweep on this machine's pool."""
     folder = tmp_path_factory.mktemp("dask")
     sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=1)
     return folder
 
 
-def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(
-    base: Path, tmp_path: Path
-) -> None:
+def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(base, tmp_path):
     pytest.importorskip("cryptography")
     out = tmp_path / "out"
     assert in_process(dask_jobs.local_cluster, str(base), str(out), SAMPLES, timeout=540) == 1
     assert rows_of(out) == rows_of(base / "pool")
 
 
-def test_a_cluster_that_is_not_there_is_reported(base: Path, tmp_path: Path) -> None:
+def test_a_cluster_that_is_not_there_is_reported(base, tmp_path):
     said, seconds = in_process(dask_jobs.nowhere, str(base), str(tmp_path / "out"), timeout=540)
     assert said.startswith("--dask tcp://127.0.0.1:9")
     assert seconds < 60

@@ -51,7 +51,7 @@ def law_sweep(folder: Path, key: str, values: list[float]) -> Sweep:
     return Sweep(scenario=(str(folder),), vary=vary, design="grid")  # type: ignore[arg-type]
 
 
-def test_a_law_that_hangs_costs_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_that_hangs_costs_its_row(tmp_path, monkeypatch):
     monkeypatch.setattr(backend, "GRACE", 1.0)  # s
     definition = law_sweep(tmp_path / "law", "controller.sleep", [0.0, 120.0])
     rows = rows_of(sweep(definition, tmp_path / "out", jobs=2, time_limit=3.0).folder)
@@ -59,7 +59,7 @@ def test_a_law_that_hangs_costs_its_row(tmp_path: Path, monkeypatch: pytest.Monk
     assert "its time limit of 3 s" in rows[1]["error"]
 
 
-def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path: Path) -> None:
+def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path):
     definition = law_sweep(tmp_path / "law", "plant.block_mass", [0.2])
     out = sweep(definition, tmp_path / "out").folder
     shutil.rmtree(tmp_path / "law")  # the sweep has kept it

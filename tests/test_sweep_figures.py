@@ -15,7 +15,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import beta, rankdata, spearmanr
 
-from browser import Page
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.report import write_report
 from panda_cosim.study.sweep.results import influences
@@ -107,7 +106,7 @@ class Report:
 
 
 @pytest.fixture(scope="module", params=CASES)
-def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def case(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("case")
     keys, outcome, rows = CASES[request.param]
     if keys["design"] == "list":
@@ -123,7 +122,7 @@ def is_sampled(name: str) -> bool:
     return "grid" not in name and name not in ("list", "search")
 
 
-def test_the_share_of_success_and_its_interval(case: tuple[str, Report]) -> None:
+def test_the_share_of_success_and_its_interval(case):
     name, report = case
     good, total = int((~report.bad).sum()), len(report.bad)
     if name.startswith("unfinished"):
@@ -142,9 +141,7 @@ def test_the_share_of_success_and_its_interval(case: tuple[str, Report]) -> None
     assert (interval in report.tiles()) == ("Clopper" in report.tiles()) == is_sampled(name)
 
 
-def test_rows_without_a_verdict_are_counted_and_no_missed_criterion(
-    case: tuple[str, Report],
-) -> None:
+def test_rows_without_a_verdict_are_counted_and_no_missed_criterion(case):
     _, report = case
     said = {
         "missed": "missed a criterion",
@@ -160,15 +157,13 @@ def test_rows_without_a_verdict_are_counted_and_no_missed_criterion(
     assert "timeout" not in first
 
 
-def test_successes_beyond_a_limit_are_counted(case: tuple[str, Report]) -> None:
+def test_successes_beyond_a_limit_are_counted(case):
     _, report = case
     count = int((~report.bad & (report.column["summary.limits.torque_share[1]"] > 1)).sum())
     assert f"{count} of the {(~report.bad).sum()} successes exceeded a limit" in report.tiles()
 
 
-def test_influences_are_rank_correlations_of_random_samples_alone(
-    case: tuple[str, Report],
-) -> None:
+def test_influences_are_rank_correlations_of_random_samples_alone(case):
     name, report = case
     found = report.data["influences"]
     assert (found is not None) == is_sampled(name)
@@ -203,7 +198,7 @@ def test_influences_are_rank_correlations_of_random_samples_alone(
                 assert (low, high) == (None, None)
 
 
-def test_bars_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
+def test_bars_hold_the_rows_of_their_values(case):
     name, report = case
     for key, part in report.data["marginals"].items():
         labels = report.data["labels"].get(key)
@@ -222,7 +217,7 @@ def test_bars_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
             assert middles == pytest.approx(np.unique(x), abs=1e-9)
 
 
-def test_cells_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
+def test_cells_hold_the_rows_of_their_values(case):
     _, report = case
     for each in report.data["maps"]:
         shape = tuple(map(len, each["names"]))
@@ -235,7 +230,7 @@ def test_cells_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
                 assert rows.sum(axis=1 - axis).tolist() == counts
 
 
-def test_a_search_is_drawn_with_its_worst_so_far(page: Page, tmp_path: Path) -> None:
+def test_a_search_is_drawn_with_its_worst_so_far(page, tmp_path):
     keys, outcome, _ = CASES["search"]
     report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
     margin = np.array([-1e9 if v is None else v for v in report.column["margin"]], dtype=float)
@@ -247,7 +242,7 @@ def test_a_search_is_drawn_with_its_worst_so_far(page: Page, tmp_path: Path) -> 
     assert page.value("document.querySelectorAll('#search circle').length") > 10
 
 
-def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) -> None:
+def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path):
     on = "push[1].on"
     vary = {MASS: {"uniform": [0.05, 2.0], "steps": 15}, on: {"values": ["hand", "block"]}}
     sweep = Sweep(scenario=("push",), design="grid", vary=vary)
@@ -260,7 +255,7 @@ def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) 
     assert f"15 of 30 rows are missing: among rows 1 to 29. No row has {on} = block." in other.text
 
 
-def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:
+def test_keys_without_influence_and_few_rows_have_no_correlation():
     result = np.linspace(-1.0, 1.0, 12)
     values = {"same": np.ones(12), "falls": -result}
     (found,) = influences(values, {}, result)
@@ -275,7 +270,7 @@ def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:
     assert influences(each_once, {"word": list("abcdefghijkl")}, result)[0].value == 0.0
 
 
-def test_names_of_words_change_no_figure(tmp_path: Path) -> None:
+def test_names_of_words_change_no_figure(tmp_path):
     other = {"nominal": "worn", "calibrated": "calibrated", "worn": "nominal"}
 
     def renamed(values: Mapping[str, Any]) -> tuple[str, float | None]:

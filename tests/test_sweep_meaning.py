@@ -43,7 +43,7 @@ def without(rows: list[dict[str, Any]], *columns: str) -> list[dict[str, Any]]:
     return [{n: v for n, v in row.items() if n not in columns} for row in rows]
 
 
-def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path: Path) -> None:
+def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path):
     ours, theirs = short_scenario(tmp_path / "A/lift"), short_scenario(tmp_path / "B/lift")
     edit(theirs, ("20.0", "90.0"))
     out = sweep(over_mass(ours, theirs, keep="worst:3"), tmp_path / "out", jobs=1).folder
@@ -59,7 +59,7 @@ def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path: Path) -> None
     assert load_scenario(tmp_path / "mine").push[0].force == (0.0, 90.0, 0.0)
 
 
-def test_a_sweep_goes_by_the_scenario_as_it_was_swept_and_by_the_same_code(tmp_path: Path) -> None:
+def test_a_sweep_goes_by_the_scenario_as_it_was_swept_and_by_the_same_code(tmp_path):
     folder, said = short_scenario(tmp_path / "short"), []  # type: ignore[var-annotated]
     definition = over_mass(folder)
     out = sweep(definition, tmp_path / "out", jobs=1, remark=said.append).folder
@@ -87,7 +87,7 @@ def test_a_sweep_goes_by_the_scenario_as_it_was_swept_and_by_the_same_code(tmp_p
 
 
 @pytest.mark.parametrize("name", ["calibrated", "draw_circle"])
-def test_a_scenario_stays_the_same_as_it_is_kept(name: str, tmp_path: Path) -> None:
+def test_a_scenario_stays_the_same_as_it_is_kept(name, tmp_path):
     packed = pack(Loaded(name, name, load_scenario(name)))
     Store(tmp_path).keep_scenarios([packed])
     again = Loaded(name, name, load_scenario(tmp_path / "scenarios" / "0" / name))
@@ -95,7 +95,7 @@ def test_a_scenario_stays_the_same_as_it_is_kept(name: str, tmp_path: Path) -> N
     assert identity(pack(again)) == identity(packed)
 
 
-def test_a_key_without_effect_is_told_on_the_command_line(tmp_path: Path) -> None:
+def test_a_key_without_effect_is_told_on_the_command_line(tmp_path):
     folder = short_scenario(tmp_path / "short")
     arguments = ("--vary", "mismatch.seed=1,2", "--vary", "plant.block_mass=0.1,0.2")
     done = command("sweep", folder, *arguments, "--jobs", 1, "--out", tmp_path / "out")
@@ -106,7 +106,7 @@ def test_a_key_without_effect_is_told_on_the_command_line(tmp_path: Path) -> Non
     assert Store(tmp_path / "out").content["without_effect"] == ["mismatch.seed"]
 
 
-def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path: Path) -> None:
+def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path):
     outcomes = [("success", 0.5), ("missed", -1.5), ("timeout", None), ("missed", -7.0),
                 ("success", None), ("unmeasured", None), ("unexpected", 0.2)]  # fmt: skip
     vary: Any = {FORCE: {"values": list(range(7))}}
@@ -115,7 +115,7 @@ def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path: Path)
     assert [row["index"] for row in store.worst(7, [])] == [2, 5, 3, 1, 6, 0, 4]
 
 
-def test_rows_not_measured_and_expected_failures_are_what_they_are(tmp_path: Path) -> None:
+def test_rows_not_measured_and_expected_failures_are_what_they_are(tmp_path):
     bare, expecting = (short_scenario(tmp_path / name) for name in ("bare", "expecting"))
     edit(bare, ("[success]", "[success]\nmax_slip = 0.001"))  # nothing is held
     edit(expecting, ("= 0.1\n", '= 0.1\nexpect = "failure"\nexpect_reason = "no"\n'))
@@ -143,7 +143,7 @@ def test_rows_not_measured_and_expected_failures_are_what_they_are(tmp_path: Pat
         assert (tmp_path / "mine" / str(index) / "reference.parquet" in files) == is_as_expected
 
 
-def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path: Path) -> None:
+def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path):
     path = write_sweep(tmp_path, 2)
     text = path.read_text(encoding="utf-8").replace("uniform = [0.0, 100.0]", "values = [1.0]")
     path.write_text(f'{text}[vary."duration"]\nvalues = [0.1, 30.0]\n'.replace("samples = 2", ""))
@@ -157,7 +157,7 @@ def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path: Path) -
     assert [(row["margin"], row["missed"]) for row in late] == [(None, None)] * 2
 
 
-def test_a_search_needs_a_margin(tmp_path: Path) -> None:
+def test_a_search_needs_a_margin(tmp_path):
     bare = short_scenario(tmp_path / "bare")
     edit(bare, ("tracking_max = 0.001\norientation_rms = 1.0\n", ""))
     definition = short_sweep(tmp_path, 2, design="search", scenario=(str(bare),))

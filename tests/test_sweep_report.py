@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, HEAVY, MASS, NAME, made_up, pretended, short_sweep
 
 
-def test_bounds_hold_the_share_with_their_confidence() -> None:
+def test_bounds_hold_the_share_with_their_confidence():
     # Ref: Clopper and Pearson 1934: of 0 in n the upper bound solves (1 - p)^n = 0.025.
     low, high = share_bounds(0, 300)
     assert low == 0.0
@@ -33,7 +32,7 @@ def test_bounds_hold_the_share_with_their_confidence() -> None:
     assert np.mean(held) >= 0.95
 
 
-def test_many_rows_give_a_small_page_that_says_so(tmp_path: Path) -> None:
+def test_many_rows_give_a_small_page_that_says_so(tmp_path):
     page = write_report(made_up(tmp_path / "many", 100_000))
     text = page.read_text(encoding="utf-8")
     assert page.stat().st_size < 5e6
@@ -41,7 +40,7 @@ def test_many_rows_give_a_small_page_that_says_so(tmp_path: Path) -> None:
     assert "<b>plant" not in text.partition("<main>")[2]
 
 
-def test_commands_on_the_page_are_made_of_checked_fields(tmp_path: Path) -> None:
+def test_commands_on_the_page_are_made_of_checked_fields(tmp_path):
     folder = made_up(tmp_path / "sweep", 30)
     part, evil = folder / "results" / "part-00000000.parquet", "panda-cosim; touch x"
     table = pq.read_table(part)
@@ -80,9 +79,7 @@ def select(page: Page, name: str, value: str) -> None:
 
 
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
-def test_the_page_draws_itself_and_asks_nobody(
-    page: Page, scheme: str, width: int, tmp_path: Path
-) -> None:
+def test_the_page_draws_itself_and_asks_nobody(page, scheme, width, tmp_path):
     path = write_report(made_up(tmp_path / "sweep", 300))
     page.errors.clear()
     page.requests.clear()
@@ -105,7 +102,7 @@ def test_the_page_draws_itself_and_asks_nobody(
     assert [r for r in page.requests if not r.startswith(("file:", "data:", "about:"))] == []
 
 
-def test_a_grid_is_drawn_at_its_values(page: Page, tmp_path: Path) -> None:
+def test_a_grid_is_drawn_at_its_values(page, tmp_path):
     vary = {FORCE: {"values": [1, 2, 4, 100]}, "mismatch.preset": {"values": ["a", "b"]}}
     sweep = Sweep(scenario=("push",), design="grid", vary=vary)  # type: ignore[arg-type]
 
@@ -139,9 +136,7 @@ def spans_of(title: str, keys: Sequence[str]) -> list[tuple[float, float]]:
 
 @pytest.mark.parametrize("rows", [60, 300, 3000])
 @pytest.mark.parametrize("other", [{"uniform": [0.0, 1.0]}, {"values": [1, 2, 5]}])
-def test_each_cell_of_the_map_counts_the_rows_of_its_place(
-    page: Page, tmp_path: Path, rows: int, other: Any
-) -> None:
+def test_each_cell_of_the_map_counts_the_rows_of_its_place(page, tmp_path, rows, other):
     vary: Any = {MASS: {"uniform": [0.05, 2.0]}, NAME: other}
     sweep = Sweep(scenario=("push",), design="random", samples=rows, seed=1, vary=vary)
 
@@ -183,9 +178,7 @@ def test_each_cell_of_the_map_counts_the_rows_of_its_place(
 
 @pytest.mark.fmu
 @pytest.mark.usefixtures("forked_workers")
-def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(
-    page: Page, tmp_path: Path
-) -> None:
+def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(page, tmp_path):
     gains = {"vary": {"controller.kp": {"values": [6.0, 8.0, 12.0]}}}
     definition = short_sweep(tmp_path, 0, design="grid", keep="all", **gains)
     folder = sweep(definition, tmp_path / "out", jobs=1).folder
@@ -211,7 +204,7 @@ def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(
     assert page.errors == []
 
 
-def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:
+def test_brushing_an_axis_chooses_rows(page, tmp_path):
     page.open(write_report(made_up(tmp_path / "sweep", 300, third=True)))
     page.wait("window.PandaSweep !== undefined")
     page.value(
@@ -238,9 +231,7 @@ def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:
         ('"format": 2', '"format": 1', "format: Input should be 2"),
     ],
 )
-def test_a_sweep_json_that_was_changed_is_refused(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_a_sweep_json_that_was_changed_is_refused(tmp_path, old, new, message):
     folder = made_up(tmp_path / "swept", 4)
     path = folder / "sweep.json"
     path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")

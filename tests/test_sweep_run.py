@@ -38,12 +38,12 @@ COMMAND = str(Path(sys.executable).with_name("panda-cosim"))
 
 
 @pytest.fixture(scope="module")
-def fmus() -> dict[str, bytes]:
+def fmus():
     return {name: path.read_bytes() for name, path in build().items()}
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(tmp_path_factory):
     """A sweep that nothing disturbed."""
     folder = tmp_path_factory.mktemp("whole")
     sweep(short_sweep(folder, 40, keep="failures"), folder / "out", jobs=1)
@@ -73,7 +73,7 @@ def children(process: int) -> list[int]:
     return list(map(int, found))
 
 
-def test_a_table_has_a_row_for_each_sample(whole: Path) -> None:
+def test_a_table_has_a_row_for_each_sample(whole):
     """And for each failure a recording."""
     rows, store = rows_of(whole / "out"), Store(whole / "out")
     assert [row["index"] for row in rows] == list(range(40))
@@ -100,14 +100,14 @@ def check_that_it_repeats(row: dict[str, Any], out: Path) -> None:
     assert Recording.open(out).sha256() == row["recording_sha256"]
 
 
-def test_the_command_repeats_a_row_bit_for_bit(whole: Path, tmp_path: Path) -> None:
+def test_the_command_repeats_a_row_bit_for_bit(whole, tmp_path):
     rows = rows_of(whole / "out")
     for status in ("missed", "success"):
         row = next(row for row in rows if row["status"] == status)
         check_that_it_repeats(row, tmp_path / status)
 
 
-def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus: dict[str, bytes]) -> None:
+def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus):
     definition = replace(load_sweep("random_box"), design="random", samples=2, seed=11)
     design = make_design(definition)
     tasks = [Task(i, 0, design.values(i)) for i in range(2)]
@@ -122,7 +122,7 @@ def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus: dict[str, bytes
     assert rows[False] == rows[True]
 
 
-def test_a_sweep_is_judged_by_its_success_rate(whole: Path, tmp_path: Path) -> None:
+def test_a_sweep_is_judged_by_its_success_rate(whole, tmp_path):
     """By the share itself or, with a confidence, by what the rows prove at it."""
     good = sum(row["status"] == "success" for row in rows_of(whole / "out"))
     share, proved = good / 40, float(beta.ppf(0.05, good, 40 - good + 1))
@@ -143,9 +143,7 @@ def test_a_sweep_is_judged_by_its_success_rate(whole: Path, tmp_path: Path) -> N
     assert command("sweep", in_file, "--out", whole / "out").returncode == 3
 
 
-def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(whole, tmp_path):
     text = write_sweep(whole, 40).read_text(encoding="utf-8")
     text = text.replace('"short"', f'"{whole / "short"}"')
     (tmp_path / "sweep.toml").write_text(text, encoding="utf-8")
@@ -165,7 +163,7 @@ def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(
     assert "(95 %, Clopper-Pearson)" in told
 
 
-def test_ctrl_c_keeps_what_was_done_and_leaves_no_process_and_no_folder(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_was_done_and_leaves_no_process_and_no_folder(tmp_path):
     write_sweep(tmp_path, 400)
     before = set(cache_folder().glob(f"{TEMPORARY}*"))
     process = start(tmp_path)
@@ -182,7 +180,7 @@ def test_ctrl_c_keeps_what_was_done_and_leaves_no_process_and_no_folder(tmp_path
     wait_for(lambda: not any(folder.exists() for folder in left))
 
 
-def test_a_changed_definition_is_refused_and_named(whole: Path) -> None:
+def test_a_changed_definition_is_refused_and_named(whole):
     for keys, named in (
         ({"samples": 41}, r"samples \(was 40, is 41\)"),
         ({"seed": 4}, "seed"),
@@ -193,7 +191,7 @@ def test_a_changed_definition_is_refused_and_named(whole: Path) -> None:
             sweep(definition, whole / "out")
 
 
-def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
+def test_the_worst_rows_are_kept_when_all_are_known(tmp_path):
     out = sweep(short_sweep(tmp_path, 6, keep="worst:2"), tmp_path / "out", jobs=1).folder
     rows = sorted(rows_of(out), key=lambda row: row["margin"])
     kept = sorted(int(path.name) for path in (out / "runs").iterdir())
@@ -206,7 +204,7 @@ def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
     assert (worst / "summary.json").exists()
 
 
-def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path) -> None:
+def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path):
     pytest.importorskip("optuna")
     vary = {FORCE: {"uniform": [0.0, 150.0]}}
     definition = short_sweep(tmp_path, 30, design="search", vary=vary)
@@ -226,7 +224,7 @@ def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path)
     assert all(again[row["index"]] == row for row in rows if row["index"] in before)
 
 
-def test_a_folder_takes_one_sweep_at_a_time(tmp_path: Path) -> None:
+def test_a_folder_takes_one_sweep_at_a_time(tmp_path):
     definition, refused = short_sweep(tmp_path, 4), []
 
     def begin_another(_: object) -> None:
@@ -241,7 +239,7 @@ def test_a_folder_takes_one_sweep_at_a_time(tmp_path: Path) -> None:
     assert sum(sweep(definition, tmp_path / "out", jobs=1).counts.values()) == 4
 
 
-def test_a_search_is_by_a_criterion_that_the_runs_have(tmp_path: Path) -> None:
+def test_a_search_is_by_a_criterion_that_the_runs_have(tmp_path):
     keys = {"design": "search", "vary": {FORCE: {"uniform": [0.0, 150.0]}}}
     there = "must be one of tracking_max, orientation_rms; did you mean 'tracking_max'"
     mistyped = short_sweep(tmp_path, 2, criterion="traking_max", **keys)
@@ -254,7 +252,7 @@ def test_a_search_is_by_a_criterion_that_the_runs_have(tmp_path: Path) -> None:
     assert "margin.tracking_max" in write_report(out).read_text(encoding="utf-8")
 
 
-def test_a_row_is_shown_against_the_unvaried_scenario(whole: Path) -> None:
+def test_a_row_is_shown_against_the_unvaried_scenario(whole):
     missed = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
     path = show_row(whole / "out", missed["index"])
     assert path.relative_to(whole / "out") == Path(f"shown/{missed['index']:07d}/view.html")
@@ -263,7 +261,7 @@ def test_a_row_is_shown_against_the_unvaried_scenario(whole: Path) -> None:
     assert "short unvaried" in text
 
 
-def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path) -> None:
+def test_a_row_becomes_a_scenario_that_regress_takes(whole, tmp_path):
     missed = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
     mine = tmp_path / "mine"
     promote = ("sweep", "promote", whole / "out")
@@ -290,9 +288,7 @@ def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path
         promote_row(whole / "out", 4711, tmp_path / "other")
 
 
-def test_a_run_that_cannot_start_is_a_row_with_its_reason(
-    tmp_path: Path, fmus: dict[str, bytes]
-) -> None:
+def test_a_run_that_cannot_start_is_a_row_with_its_reason(tmp_path, fmus):
     tasks = [Task(0, 0, {"table.rows[2].time": 0.0}), Task(1, 0, {FORCE: 1.0})]
     with Local(job(short_sweep(tmp_path), fmus), 1) as local:
         rows = {done.task.index: done.row for done in local.run(tasks) if done is not None}

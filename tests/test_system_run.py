@@ -1,9 +1,6 @@
 """A coupled system from an .ssp file runs as the scenario that it was made from, bit for bit."""
 
-from __future__ import annotations
-
 import zipfile
-from pathlib import Path
 
 import pytest
 
@@ -18,7 +15,7 @@ TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.05,home,0,0,-0.01,0.08\n"
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A folder with a scenario, and with the files that `build` makes of it."""
     folder = tmp_path_factory.mktemp("system")
     (folder / "short").mkdir()
@@ -33,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_a_system_runs_as_its_scenario_bit_for_bit(folder: Path, coupling: str) -> None:
+def test_a_system_runs_as_its_scenario_bit_for_bit(folder, coupling):
     runs = {"system": (folder / "files" / "Panda.ssp",), "scenario": (folder / "short",)}
     for name, arguments in runs.items():
         out = folder / f"{name}-{coupling}"
@@ -98,9 +95,7 @@ on = "block"
         pytest.param("all types", "3", marks=needs_reference_fmus),
     ],
 )
-def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(
-    tmp_path: Path, kind: str, fmi: str
-) -> None:
+def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(tmp_path, kind, fmi):
     mine, files = tmp_path / "mine", tmp_path / "files"
     if kind == "all types":
         mine.mkdir()
@@ -134,7 +129,7 @@ def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(
 
 
 @pytest.mark.fmu
-def test_run_and_check_refuse_a_system_in_the_same_words(folder: Path, tmp_path: Path) -> None:
+def test_run_and_check_refuse_a_system_in_the_same_words(folder, tmp_path):
     bad = tmp_path / "bad.ssp"
     with (
         zipfile.ZipFile(folder / "files" / "Panda.ssp") as source,
@@ -166,9 +161,7 @@ def test_run_and_check_refuse_a_system_in_the_same_words(folder: Path, tmp_path:
         (("--system", "{ssp}", "--out", "{files}"), "already exists"),
     ],
 )
-def test_bad_input_is_refused_in_one_line(
-    folder: Path, arguments: tuple[str, ...], expected: str
-) -> None:
+def test_bad_input_is_refused_in_one_line(folder, arguments, expected):
     files = folder / "files"
     done = program("run", *(a.format(ssp=files / "Panda.ssp", files=files) for a in arguments))
     assert done.returncode == 2

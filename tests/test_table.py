@@ -63,9 +63,7 @@ def write(folder: Path, content: str | bytes) -> Path:
 
 
 @pytest.mark.parametrize(("content", "expected"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
-def test_a_bad_table_is_refused_in_one_line_that_says_where_and_why(
-    tmp_path: Path, content: str | bytes, expected: str
-) -> None:
+def test_a_bad_table_is_refused_in_one_line_that_says_where_and_why(tmp_path, content, expected):
     path = write(tmp_path, content)
     with pytest.raises(InputError) as caught:
         TrajectoryTable.read(path)
@@ -77,9 +75,7 @@ def test_a_bad_table_is_refused_in_one_line_that_says_where_and_why(
 
 
 @pytest.mark.parametrize("kind", ["missing", "folder", "pipe", "null byte", "name too long"])
-def test_what_is_not_a_plain_file_is_refused_without_waiting_for_it(
-    tmp_path: Path, kind: str
-) -> None:
+def test_what_is_not_a_plain_file_is_refused_without_waiting_for_it(tmp_path, kind):
     path = tmp_path / "trajectory.csv"
     if kind == "folder":
         path.mkdir()
@@ -107,7 +103,7 @@ def test_what_is_not_a_plain_file_is_refused_without_waiting_for_it(
         "grip,frame,time,qz,qy,qx,qw,z,y,x\n0.08,home,0,,,,,0,0,0\n0.02,target,1,0,0,1,0,.1,0,0\n",
     ],
 )
-def test_harmless_variants_of_a_table_mean_the_same(tmp_path: Path, content: str) -> None:
+def test_harmless_variants_of_a_table_mean_the_same(tmp_path, content):
     assert TrajectoryTable.read(write(tmp_path, content)).rows == (
         TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
         TableRow(1.0, "target", (0.0, 0.0, 0.1), 0.02, (0.0, 1.0, 0.0, 0.0)),
@@ -132,9 +128,7 @@ CELL = st.one_of(
         ),
     )
 )
-def test_no_content_at_all_gives_anything_but_a_table_or_one_line(
-    tmp_path: Path, content: bytes
-) -> None:
+def test_no_content_at_all_gives_anything_but_a_table_or_one_line(tmp_path, content):
     path = write(tmp_path, content)
     try:
         table = TrajectoryTable.read(path)
@@ -145,7 +139,7 @@ def test_no_content_at_all_gives_anything_but_a_table_or_one_line(
 
 
 @pytest.mark.parametrize("blank", ["", "  ", ",,,,,,"])
-def test_blank_lines_change_neither_rows_nor_inputs(tmp_path: Path, blank: str) -> None:
+def test_blank_lines_change_neither_rows_nor_inputs(tmp_path, blank):
     path, read = tmp_path / "trajectory.csv", []
     lines = [f"{SHORT.strip()},plant.block_force[1]", "0,home,0,0,0,0.08,3", "1,home,0,0,0,0.08,4"]
     for place in (None, 0, 1, 3):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from forked import command
@@ -43,7 +41,7 @@ MOTORS = ("--set", "scene=motors")
 
 
 @pytest.fixture
-def laws(tmp_path: Path) -> Path:
+def laws(tmp_path):
     (tmp_path / "laws.py").write_text(LAWS)
     (tmp_path / "late.py").write_text(LATE)
     (tmp_path / "clipped.py").write_text(
@@ -63,7 +61,7 @@ def said(*arguments: object) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("law_first", [True, False])
-def test_a_torque_law_and_its_scene_are_named_in_any_order(laws: Path, law_first: bool) -> None:
+def test_a_torque_law_and_its_scene_are_named_in_any_order(laws, law_first):
     law = ("--controller", f"{laws / 'laws.py'}:OSC")
     options = (*law, *MOTORS) if law_first else (*MOTORS, *law)
     gain = ("--set", "controller.stiffness=300")
@@ -86,8 +84,8 @@ def test_a_torque_law_and_its_scene_are_named_in_any_order(laws: Path, law_first
     [("OSC", (), 'scene "motors" takes torques'), ("Angles", MOTORS, 'scene "tabletop" takes')],
 )
 def test_a_law_that_does_not_fit_the_scene_is_refused_with_the_one_that_does(
-    laws: Path, law: str, scene: tuple[str, ...], fits: str
-) -> None:
+    laws, law, scene, fits
+):
     options = ("--controller", f"{laws / 'laws.py'}:{law}", *scene)
     code, text = said("run", laws / "hold", *options, "--no-video", "--out", laws / "run")
     assert code == 1
@@ -98,7 +96,7 @@ def test_a_law_that_does_not_fit_the_scene_is_refused_with_the_one_that_does(
     assert not (laws / "analysis").exists()
 
 
-def test_a_module_that_is_imported_in_a_method_is_named(laws: Path) -> None:
+def test_a_module_that_is_imported_in_a_method_is_named(laws):
     for name in ("run", "check"):
         code, text = said(name, laws / "hold", "--controller", f"{laws / 'late.py'}:Late", *MOTORS)
         assert code == 2, text
@@ -114,8 +112,8 @@ def test_a_module_that_is_imported_in_a_method_is_named(laws: Path) -> None:
     ],
 )
 def test_a_law_that_cannot_be_imported_or_returns_no_numbers_is_named(
-    laws: Path, head: str, body: str, code: int, words: str
-) -> None:
+    laws, head, body, code, words
+):
     (laws / "bad.py").write_text(
         f"{head}\nclass Bad:\n    def update(self, time, qpos):\n        {body}\n"
     )

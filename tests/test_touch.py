@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -31,7 +30,7 @@ def pushed(link: str, force: tuple[float, float, float]) -> Scenario:
 
 
 @pytest.mark.parametrize("link", ["link2", "link4", "link6", "hand"])
-def test_the_observer_finds_the_torques_of_a_push_while_the_arm_moves(link: str) -> None:
+def test_the_observer_finds_the_torques_of_a_push_while_the_arm_moves(link):
     force = np.array([12.0, -20.0, 7.0])  # N
     scenario = replace(pushed(link, tuple(force)), controller={"observer": True})
     run = run_in_memory(scenario).signals
@@ -49,7 +48,7 @@ def test_the_observer_finds_the_torques_of_a_push_while_the_arm_moves(link: str)
     assert np.abs(before).max() < NUMERICAL
 
 
-def test_the_observer_follows_with_its_time_constant() -> None:
+def test_the_observer_follows_with_its_time_constant():
     controller, torque = (
         Controller(Gains(observer=True, observer_gain=250.0), 0.002),
         np.arange(7.0),
@@ -64,7 +63,7 @@ def test_the_observer_follows_with_its_time_constant() -> None:
         np.testing.assert_allclose(controller.outputs["external_torque"], expected, atol=1e-9)
 
 
-def test_a_contact_ends_and_a_collision_stays() -> None:
+def test_a_contact_ends_and_a_collision_stays():
     gains = Gains(observer=True, observer_gain=1e4)
     controller, (plant, _) = Controller(gains), started()
     hold(plant, controller)
@@ -80,7 +79,7 @@ def test_a_contact_ends_and_a_collision_stays() -> None:
 
 
 @pytest.mark.parametrize("law", [True, False])
-def test_an_observer_alone_changes_nothing_else(law: bool) -> None:
+def test_an_observer_alone_changes_nothing_else(law):
     scenario = replace(load_scenario("pick_and_place" if law else "tutorial"), duration=0.5)
     plain = run_in_memory(scenario).signals
     observed = run_in_memory(
@@ -92,7 +91,7 @@ def test_an_observer_alone_changes_nothing_else(law: bool) -> None:
         assert np.array_equal(values, observed.signals[name]), name
 
 
-def test_a_criterion_about_touch_turns_the_observer_on() -> None:
+def test_a_criterion_about_touch_turns_the_observer_on():
     criterion = SignalCriterion("controller.external_torque[2]", reduce="max", above=1.0)
     scenario = replace(
         pushed("hand", (0.0, 0.0, -9.0)), duration=0.5, success=Success(signal=(criterion,))
@@ -101,7 +100,7 @@ def test_a_criterion_about_touch_turns_the_observer_on() -> None:
 
 
 @pytest.mark.parametrize("reaction", ["stop", "yield"])
-def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction: str) -> None:
+def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction):
     scenario = load_scenario("collision")
     run = run_in_memory(replace(scenario, controller={"reaction": reaction}, preflight="fer"))
     force = run.signals["plant.unwanted_contact_force"].ravel()
@@ -117,14 +116,14 @@ def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction: str) -> N
     assert not any("retime" in text for text in advice)
 
 
-def test_without_a_reaction_the_hand_goes_on_pressing() -> None:
+def test_without_a_reaction_the_hand_goes_on_pressing():
     scenario = replace(load_scenario("collision"), controller={"observer": True})
     run = run_in_memory(scenario)
     assert run.signals["plant.unwanted_contact_force"].max() > 150.0  # N
     assert run.summary.events["collision"] is not None
 
 
-def test_an_arm_that_has_stopped_goes_on_when_the_reaction_is_none(tmp_path: Path) -> None:
+def test_an_arm_that_has_stopped_goes_on_when_the_reaction_is_none(tmp_path):
     scenario = replace(
         pushed("link6", (0.0, 0.0, -90.0)), controller={"reaction": "stop"}, duration=4.0
     )

@@ -67,7 +67,7 @@ def angle_between(a: Array, b: Array) -> Array:
 
 
 @given(trajectories())
-def test_each_row_is_reached_at_its_time_and_outside_the_hand_stays(trajectory: Trajectory) -> None:
+def test_each_row_is_reached_at_its_time_and_outside_the_hand_stays(trajectory):
     commands = trajectory.sample(trajectory.times)
     assert np.array_equal(commands[:, POSITION], trajectory.positions)
     assert angle_between(commands[:, QUATERNION], trajectory.orientations).max() < 1e-12
@@ -82,7 +82,7 @@ def test_each_row_is_reached_at_its_time_and_outside_the_hand_stays(trajectory: 
 
 
 @given(trajectories(("quintic",)))
-def test_velocities_are_the_difference_quotients_of_the_poses(trajectory: Trajectory) -> None:
+def test_velocities_are_the_difference_quotients_of_the_poses(trajectory):
     times = inner_times(trajectory)
     ahead, now, behind = (trajectory.sample(times + shift) for shift in (STEP, 0.0, -STEP))
     moved = (ahead - behind)[:, POSITION]
@@ -92,7 +92,7 @@ def test_velocities_are_the_difference_quotients_of_the_poses(trajectory: Trajec
 
 
 @given(trajectories())
-def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory: Trajectory) -> None:
+def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory):
     """Its quaternions keep length one, and their sign."""
     q = trajectory.sample(np.linspace(-0.5, trajectory.times[-1] + 0.5, 2000))[:, QUATERNION]
     assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() < UNIT_TOLERANCE
@@ -114,14 +114,14 @@ def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory: Trajecto
 
 
 @given(trajectories(), st.integers(0, 4000))
-def test_the_grip_holds_from_its_row_on(trajectory: Trajectory, millis: int) -> None:
+def test_the_grip_holds_from_its_row_on(trajectory, millis):
     time = millis * 1e-3
     passed = [k for k, row_time in enumerate(trajectory.times) if row_time <= time + 1e-9]
     expected = trajectory.grips[passed[-1] if passed else 0]
     assert trajectory.sample([time])[0, GRIP] == expected
 
 
-def test_a_tick_that_rounding_puts_before_its_row_belongs_to_the_row() -> None:
+def test_a_tick_that_rounding_puts_before_its_row_belongs_to_the_row():
     row_time = 0.3
     tick = np.nextafter(row_time, 0.0)
     trajectory = Trajectory(
@@ -139,10 +139,7 @@ offsets = st.tuples(number, number, number)
 
 @settings(max_examples=50)
 @given(st.lists(st.tuples(offsets, st.none() | quaternions), min_size=2, max_size=4), yaws)
-def test_aligned_rows_are_the_same_seen_from_the_block(
-    rows: list[tuple[tuple[float, float, float], tuple[float, float, float, float] | None]],
-    yaw: float,
-) -> None:
+def test_aligned_rows_are_the_same_seen_from_the_block(rows, yaw):
     table = TrajectoryTable(
         tuple(TableRow(float(k), "target", p, 0.0, q) for k, (p, q) in enumerate(rows))
     )
@@ -164,7 +161,7 @@ def test_aligned_rows_are_the_same_seen_from_the_block(
 
 
 @given(yaws)
-def test_alignment_leaves_world_and_home_rows_alone(yaw: float) -> None:
+def test_alignment_leaves_world_and_home_rows_alone(yaw):
     table = TrajectoryTable(
         (
             TableRow(0.0, "home", (0.1, 0.2, 0.3), 0.0),
@@ -195,16 +192,14 @@ def test_alignment_leaves_world_and_home_rows_alone(yaw: float) -> None:
         (6.5, HOME, 0.08),
     ],
 )
-def test_the_tutorial_goes_where_the_published_one_goes(
-    time: float, position: tuple[float, float, float], grip: float
-) -> None:
+def test_the_tutorial_goes_where_the_published_one_goes(time, position, grip):
     commands = load_scenario("tutorial").trajectory(START).sample([time])[0]
     assert np.allclose(commands[POSITION], position, rtol=0, atol=1e-12)
     assert np.allclose(commands[QUATERNION], DOWN, rtol=0, atol=1e-12)
     assert commands[GRIP] == grip
 
 
-def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path):
     from fmpy.util import read_csv  # noqa: PLC0415  # heavy
 
     times = np.arange(501) * 0.001 + 1.0
@@ -234,7 +229,7 @@ def spline(count: int, seed: int = 0) -> Trajectory:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 40])
-def test_spline_goes_through_all_rows_and_rests_outside(count: int) -> None:
+def test_spline_goes_through_all_rows_and_rests_outside(count):
     trajectory = spline(count)
     at_rows = trajectory.sample(trajectory.times)
     np.testing.assert_allclose(at_rows[:, :3], trajectory.positions, atol=1e-12)
@@ -244,7 +239,7 @@ def test_spline_goes_through_all_rows_and_rests_outside(count: int) -> None:
     assert not outside[:, 7:13].any()
 
 
-def test_spline_velocities_are_the_poses_derivatives_and_continuous() -> None:
+def test_spline_velocities_are_the_poses_derivatives_and_continuous():
     trajectory, step = spline(8), 1e-6
     t = np.linspace(0.4, trajectory.times[-1] + 0.1, 2001)  # [s]
     before, now, after = (trajectory.sample(t + shift) for shift in (-step, 0.0, step))

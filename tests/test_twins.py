@@ -17,7 +17,7 @@ STAMP: dict[str, Any] = runpy.run_path(str(Path(__file__).parent.parent / ".ci" 
 TICKS = 300
 
 
-def test_the_stamp_is_that_of_the_code() -> None:
+def test_the_stamp_is_that_of_the_code():
     now = {twin: STAMP["digests"](twin) for twin in STAMP["COMPARED"]}
     assert twins.proven() == now, f"Python code has changed: run `{twins.RENEW}`, see CONTRIBUTING"
 
@@ -43,7 +43,7 @@ def drive(it: Instance, name: str) -> list[list[float]]:
 @pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", ["plant", "controller", "trajectory"])
-def test_fmus_of_either_kind_have_the_same_bits(name: str) -> None:
+def test_fmus_of_either_kind_have_the_same_bits(name):
     native, python = (Instance(unpacked(kind, name, 2)).start() for kind in ("native", "python"))
     rows = drive(native, name)
     assert rows == drive(python, name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,7 +81,7 @@ def check_course(run: dict[str, Array], at: int) -> None:
     assert (command[at + rest + round(1e3 * took) :] == command[-1]).all()
 
 
-def test_a_row_ends_at_the_first_contact_and_later_rows_move_forward() -> None:
+def test_a_row_ends_at_the_first_contact_and_later_rows_move_forward():
     run = run_in_memory(scenario("contact > 3"))
     at = first_contact(run.signals, 3.0)
     (end,) = run.summary.row_ends
@@ -92,7 +91,7 @@ def test_a_row_ends_at_the_first_contact_and_later_rows_move_forward() -> None:
 
 
 @pytest.mark.parametrize("until", ["external_force > 6", "external_force[3] > 6"])
-def test_a_row_ends_by_the_observed_force(until: str) -> None:
+def test_a_row_ends_by_the_observed_force(until):
     run = run_in_memory(scenario(until))
     force = run.signals["controller.external_force"]  # of the tick before
     size = np.abs(force[:, 2]) if "[3]" in until else np.linalg.norm(force[:, :3], axis=1)
@@ -107,7 +106,7 @@ def pushing(table: TrajectoryTable) -> InputTable:
     return InputTable(tuple(row.time for row in table.rows), {"plant.link4_force[1]": cells})
 
 
-def test_inputs_in_the_table_move_forward_with_its_rows_and_those_of_other_times_do_not() -> None:
+def test_inputs_in_the_table_move_forward_with_its_rows_and_those_of_other_times_do_not():
     task = scenario("contact > 3")
     within = pushing(task.table)
     beside = replace(within, times=tuple(time + 0.1 for time in within.times))
@@ -120,7 +119,7 @@ def test_inputs_in_the_table_move_forward_with_its_rows_and_those_of_other_times
         np.testing.assert_allclose(run.signals["plant.link4_force"][:, 0], force, atol=1e-12)
 
 
-def test_a_row_that_never_ends_early_is_said_and_changes_nothing() -> None:
+def test_a_row_that_never_ends_early_is_said_and_changes_nothing():
     guarded = run_in_memory(scenario("contact > 500"))
     plain = run_in_memory(scenario(""))
     assert guarded.summary.row_ends[0]["ended_s"] is None
@@ -131,7 +130,7 @@ def test_a_row_that_never_ends_early_is_said_and_changes_nothing() -> None:
     assert "Row 3 (contact > 500) never ended early" in lines
 
 
-def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path: Path) -> None:
+def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path):
     run = run_scenario(scenario("contact > 3"), tmp_path / "run")
     with Session(scenario("contact > 3"), tmp_path / "session") as session:
         for size in (700, 1, 499, 300, 1, 800):
@@ -151,7 +150,7 @@ def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path: Path) -
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("until", ["contact > 3", "external_force > 6"])
-def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path: Path, until: str) -> None:
+def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path, until):
     push = Push(start=2.8, duration=0.1, force=(0.0, 3.0, 0.0))  # is played, too
     table = TrajectoryTable(tuple(replace(r, posture=HOME_Q) for r in rows(until).rows))
     task = replace(scenario(until), table=table, push=(push,), input_table=pushing(table))
@@ -180,12 +179,12 @@ BAD = {
 
 
 @pytest.mark.parametrize("until", BAD)
-def test_a_condition_that_cannot_be_read_is_refused(until: str) -> None:
+def test_a_condition_that_cannot_be_read_is_refused(until):
     with pytest.raises(InputError, match=BAD[until]):
         rows(until)
 
 
-def test_rows_that_cannot_end_early_are_refused() -> None:
+def test_rows_that_cannot_end_early_are_refused():
     good = scenario("contact > 3")
     with pytest.raises(InputError, match="until: is in the table"):
         replace(good, interpolation="spline")
@@ -199,7 +198,7 @@ def test_rows_that_cannot_end_early_are_refused() -> None:
         prepare(replace(good, table=table))
 
 
-def test_the_guarded_scenario_is_the_calibrated_one_with_a_guarded_descent() -> None:
+def test_the_guarded_scenario_is_the_calibrated_one_with_a_guarded_descent():
     plain, guarded = load_scenario("calibrated"), load_scenario("calibrated_guarded")
     assert (plain.mismatch, plain.success) == (guarded.mismatch, guarded.success)
     assert plain.controller == guarded.controller

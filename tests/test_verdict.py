@@ -119,9 +119,7 @@ def fault_in(junit: Path) -> str | None:
     st.sampled_from(["success", "failure"]),
     st.lists(st.sampled_from(list(VALUES)), max_size=4),
 )
-def test_one_precedence_decides_and_a_summary_comes_back(
-    complete: bool, end: str, expect: str, outcomes: list[str]
-) -> None:
+def test_one_precedence_decides_and_a_summary_comes_back(complete, end, expect, outcomes):
     summary = Summary.read(content(complete, end, expect, outcomes))
     word = expected_word(complete, end, expect, outcomes)
     code, status, fault, level = CONTRACT[word]
@@ -135,12 +133,7 @@ def test_one_precedence_decides_and_a_summary_comes_back(
 
 
 @pytest.mark.parametrize("word", SUMMARIES)
-def test_every_door_says_the_same(
-    word: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_every_door_says_the_same(word, tmp_path, capsys, monkeypatch):
     code, status, fault, level = CONTRACT[word]
     raw = SUMMARIES[word]
     summary, folder = Summary.read(raw), tmp_path / "made_up"
@@ -194,7 +187,7 @@ def test_every_door_says_the_same(
         TestedRun(outcome).assert_success()
 
 
-def test_no_reference_is_made_of_a_bad_run(tmp_path: Path) -> None:
+def test_no_reference_is_made_of_a_bad_run(tmp_path):
     run = record(tmp_path, columns())
     for raw in SUMMARIES.values():
         summary = Summary.read(raw)
@@ -207,7 +200,7 @@ LOW = {"name": "min_lift", "value": 0.1, "bound": 0.2, "unit": "m"}
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_old_summaries_are_read(number: int) -> None:
+def test_old_summaries_are_read(number):
     summary = Summary.read({"format": number, "success": False, "criteria": [LOW]})
     assert (summary.verdict.word, summary.margin) == ("missed", pytest.approx(-0.5))
     assert Summary.read({"complete": False, "reason": "cut"}).brief == "ended early: cut"
@@ -223,7 +216,7 @@ def test_old_summaries_are_read(number: int) -> None:
         ('{"complete": 0}', "complete: value 0; must be true or false"),
     ],
 )
-def test_a_damaged_summary_is_refused_with_its_place(text: str, told: str, tmp_path: Path) -> None:
+def test_a_damaged_summary_is_refused_with_its_place(text, told, tmp_path):
     (tmp_path / SUMMARY_FILE).write_text(text)
     with pytest.raises(InputError, match=f"{SUMMARY_FILE}: cannot be read: {told}"):
         Summary.open(tmp_path)
@@ -252,7 +245,7 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 @given(st.sampled_from(list(places(WHOLE))[1:]), st.sampled_from(JUNK))
-def test_what_is_damaged_is_refused_or_shown(place: tuple[Any, ...], junk: Any) -> None:
+def test_what_is_damaged_is_refused_or_shown(place, junk):
     content = deepcopy(WHOLE)
     inner: Any = content
     for key in place[:-1]:

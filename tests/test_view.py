@@ -31,7 +31,7 @@ COLUMNS = hnp.arrays(np.float64, st.integers(1, 60), elements=NUMBERS)
 
 
 @given(COLUMNS)
-def test_columns_come_back_within_half_a_step_and_gaps_as_gaps(values: np.ndarray) -> None:
+def test_columns_come_back_within_half_a_step_and_gaps_as_gaps(values):
     block = encode([values], [1e-3])
     (back,) = decoded(block)
     finite = np.isfinite(values)
@@ -42,13 +42,13 @@ def test_columns_come_back_within_half_a_step_and_gaps_as_gaps(values: np.ndarra
 
 
 @given(hnp.arrays(np.float64, st.integers(2, 60), elements=st.floats(allow_nan=False)))
-def test_any_numbers_at_all_are_packed(values: np.ndarray) -> None:
+def test_any_numbers_at_all_are_packed(values):
     block = encode([values, np.zeros(len(values))], [None, None])
     assert all(0.0 < step < np.inf for step in block["steps"])
     assert np.array_equal(decoded(block)[1], np.zeros(len(values)))
 
 
-def test_a_short_run_is_kept_whole() -> None:
+def test_a_short_run_is_kept_whole():
     time = 0.001 * np.arange(columns.ALL_ROWS)
     kept = Thinning.of(time)
     assert kept.poses(time) is time
@@ -57,7 +57,7 @@ def test_a_short_run_is_kept_whole() -> None:
 
 
 @pytest.mark.parametrize("rows", [columns.ALL_ROWS + 1, 400_000])
-def test_a_long_run_keeps_its_ends_and_every_extreme(rows: int) -> None:
+def test_a_long_run_keeps_its_ends_and_every_extreme(rows):
     time = 0.001 * np.arange(rows)
     values = np.sin(time)
     values[[7, rows // 3, rows - 2]] = 40.0, -50.0, 60.0  # single ticks
@@ -72,7 +72,7 @@ def test_a_long_run_keeps_its_ends_and_every_extreme(rows: int) -> None:
     assert f"Thinned from {rows} rows" in kept.words()
 
 
-def test_uneven_instants_are_kept_as_they_are() -> None:
+def test_uneven_instants_are_kept_as_they_are():
     time = np.array([0.0, 0.001, 0.5, 0.501])
     assert np.allclose(decoded(columns.describe_time(time)["block"])[0], time, atol=1e-6)
     assert columns.describe_time(0.5 + 0.001 * np.arange(9)) == {
@@ -82,7 +82,7 @@ def test_uneven_instants_are_kept_as_they_are() -> None:
     }
 
 
-def test_the_model_has_all_shapes_and_reduces_textures() -> None:
+def test_the_model_has_all_shapes_and_reduces_textures():
     described = describe_model(mujoco.MjModel.from_xml_string(MODEL))
     kinds = [shape["kind"] for body in described["bodies"] for shape in body["shapes"]]
     expected = ["plane", "mesh", "box", "capsule", "ellipsoid", "mesh", "sphere", "cylinder"]
@@ -124,7 +124,7 @@ class Rounded(MadeUp):
     quanta: ClassVar = {f"plant.hand_xpos[{axis}]": 1e-4 for axis in (1, 2, 3)}
 
 
-def test_what_a_references_rounding_explains_is_no_difference() -> None:
+def test_what_a_references_rounding_explains_is_no_difference():
     run = made_up()
     place = 0.1 * np.sin(np.outer(run.time, (1.0, 2.0, 3.0)))
     ghost = Rounded({**run.values, **as_columns({"plant.hand_xpos": np.round(place, 4)})})
@@ -136,7 +136,7 @@ def test_what_a_references_rounding_explains_is_no_difference() -> None:
     assert "tracking error" not in [signal["name"] for signal in rounded["signals"]]
 
 
-def test_a_foreign_run_with_nothing_but_positions_is_described() -> None:
+def test_a_foreign_run_with_nothing_but_positions_is_described():
     document = describe(foreign(made_up()), "key")
     assert document["masses"] is None
     assert document["curves"] == []
@@ -146,7 +146,7 @@ def test_a_foreign_run_with_nothing_but_positions_is_described() -> None:
     json.dumps(document, allow_nan=False)
 
 
-def test_what_cannot_be_shown_is_refused_with_the_reason() -> None:
+def test_what_cannot_be_shown_is_refused_with_the_reason():
     source = made_up()
     source.values = {"time": source.values["time"]}
     with pytest.raises(InputError, match=r"foreign: 0 columns of plant.qpos; .* has 14 positions"):
@@ -155,7 +155,7 @@ def test_what_cannot_be_shown_is_refused_with_the_reason() -> None:
         describe(foreign(made_up(0)), "key")
 
 
-def test_a_run_that_diverged_is_described() -> None:
+def test_a_run_that_diverged_is_described():
     source = made_up()
     source.values["plant.qpos[1]"][50:] = np.nan  # type: ignore[index]
     source.values["other.y"][:] = np.inf
@@ -163,7 +163,7 @@ def test_a_run_that_diverged_is_described() -> None:
     json.dumps(document, allow_nan=False)
 
 
-def test_criteria_and_limits_say_what_they_mean() -> None:
+def test_criteria_and_limits_say_what_they_mean():
     names = ("max_slip", "my own")
     judged = [Criterion.judge(name, 1.0, 2.0, "m", "below") for name in names]
     rows = run.criteria_of(Summary(criteria=tuple(judged)))
@@ -176,7 +176,7 @@ GOOD = {"value": 1.0, "bound": 2.0}
 CRAFTED = """</script><script>alert(1)</script><img src=x onerror=alert(2)>"'&${code}\u2028"""
 
 
-def test_no_text_of_a_run_is_html_in_the_page() -> None:
+def test_no_text_of_a_run_is_html_in_the_page():
     source = made_up(scenario=CRAFTED, purpose=CRAFTED, row_times=[0.1], row_names=[CRAFTED])
     source.values[f"{CRAFTED}.y"] = np.zeros(200)  # type: ignore[index]
     text = view_page(
@@ -188,14 +188,14 @@ def test_no_text_of_a_run_is_html_in_the_page() -> None:
     assert len(script_sources("view")) == 2
 
 
-def test_a_notebook_gets_a_frame_with_the_page() -> None:
+def test_a_notebook_gets_a_frame_with_the_page():
     inline = Inline("<p title=\"a 'b'\">&amp;</p>", 500)
     html = inline._repr_html_()
     assert html.count("<") == 2
     assert 'srcdoc="&lt;p title=&quot;a &#x27;b&#x27;&quot;&gt;&amp;amp;&lt;/p&gt;"' in html
 
 
-def test_columns_of_different_units_are_not_in_one_plot() -> None:
+def test_columns_of_different_units_are_not_in_one_plot():
     units = {"plant.qvel[1]": "m/s", "plant.qvel[2]": "rad/s", "plant.qvel[3]": "rad/s"}
     plots = run.shown_curves(run.CURVES, units)
     assert [plot["columns"] for plot in plots] == [[*units][:1], [*units][1:]]

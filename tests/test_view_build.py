@@ -17,7 +17,7 @@ BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css"
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def source(tmp_path_factory):
     """A copy of the source with the locked libraries in it."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("no node and npm here")
@@ -59,19 +59,19 @@ def code_of(built: dict[str, str]) -> bytes:
     return code
 
 
-def test_rebuilding_gives_the_same_code(source: Path, tmp_path: Path) -> None:
+def test_rebuilding_gives_the_same_code(source, tmp_path):
     node(source, "node", "build.mjs", str(tmp_path))
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(BUILT)
     for name in BUILT:
         assert content(tmp_path / name) == content(VIEW / "page" / name), name
 
 
-def test_the_page_codes_own_tests_pass(source: Path) -> None:
+def test_the_page_codes_own_tests_pass(source):
     """Its types are checked with those of Python, by `.ci/run`."""
     node(source, "npm", "test")
 
 
-def test_the_bundle_carries_its_licences_and_asks_nobody() -> None:
+def test_the_bundle_carries_its_licences_and_asks_nobody():
     notice = (VIEW / "page" / "LICENSES.txt").read_text(encoding="utf-8")
     versions = json.loads((VIEW / "source" / "package.json").read_text())["dependencies"]
     bundles = content(VIEW / "page" / "code.json")

@@ -17,7 +17,7 @@ from view_support import run_scenario_outside
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(tmp_path_factory):
     return run_scenario_outside(tmp_path_factory.mktemp("runs") / "first")
 
 
@@ -34,7 +34,7 @@ def shown(path: Path) -> str:
     return found[1]
 
 
-def test_the_page_lies_in_the_run_or_where_it_is_wanted(run: Path, tmp_path: Path) -> None:
+def test_the_page_lies_in_the_run_or_where_it_is_wanted(run, tmp_path):
     done = view(run)
     assert done.returncode == 0, done.stderr
     assert str(run / "view.html") in done.stdout
@@ -43,7 +43,7 @@ def test_the_page_lies_in_the_run_or_where_it_is_wanted(run: Path, tmp_path: Pat
     assert (tmp_path / "a" / "b.html").is_file()
 
 
-def test_a_scenario_of_ones_own_has_its_reference(tmp_path: Path) -> None:
+def test_a_scenario_of_ones_own_has_its_reference(tmp_path):
     own = shutil.copytree(shipped_scenarios()["push"], tmp_path / "own")
     run = run_scenario_outside(tmp_path / "run", scenario=own)
     out = tmp_path / "view.html"
@@ -57,7 +57,7 @@ def test_a_scenario_of_ones_own_has_its_reference(tmp_path: Path) -> None:
     assert f"regress {own} --update" in " ".join(done.stderr.split())
 
 
-def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(run: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(run, tmp_path):
     record(tmp_path / "small", columns())  # one joint, of a scenario that is not shipped
     out = tmp_path / "view.html"
     for arguments, words in (

@@ -38,24 +38,24 @@ pytestmark = pytest.mark.skipif(find_browser() is None, reason="no Chromium here
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("view")
 
 
 @pytest.fixture(scope="module")
-def run(folder: Path) -> Path:
+def run(folder):
     """The pick and place."""
     return run_scenario_outside(folder / "run")
 
 
 @pytest.fixture(scope="module")
-def view(run: Path, folder: Path) -> Path:
+def view(run, folder):
     """Its page."""
     return write_view([shown_run(run)], folder / "view.html")
 
 
 @pytest.fixture(scope="module")
-def compared(run: Path, folder: Path) -> Path:
+def compared(run, folder):
     """Its page, with a run as a ghost whose block stood elsewhere."""
     other = run_scenario_outside(folder / "other", "--set", "plant.block_pos[1]=0.46")
     return write_view([shown_run(run), shown_run(other)], folder / "compared.html")
@@ -131,7 +131,7 @@ def check_poses(page: Page, model: Any, run: Any, ticks: np.ndarray) -> None:
         assert np.degrees(2 * np.arccos(cosine)).max() < TURN_TOLERANCE
 
 
-def test_the_page_is_small_quick_and_alone(page: Page, view: Path) -> None:
+def test_the_page_is_small_quick_and_alone(page, view):
     assert view.stat().st_size <= 700e3
     show(page, view)
     # On a quiet machine it is less than 3 s; here others may be at work.
@@ -141,14 +141,14 @@ def test_the_page_is_small_quick_and_alone(page: Page, view: Path) -> None:
     assert len(set(picture(page).split(","))) > 100
 
 
-def test_bodies_are_where_mujoco_has_them(page: Page, view: Path, run: Path) -> None:
+def test_bodies_are_where_mujoco_has_them(page, view, run):
     look(page, view)
     recording = Recording.open(run)
     ticks = np.random.default_rng(3).integers(0, recording.rows, 50)
     check_poses(page, load_scene(PlantParameters()), recording, ticks)
 
 
-def test_the_curves_are_the_recording(page: Page, view: Path, run: Path) -> None:
+def test_the_curves_are_the_recording(page, view, run):
     look(page, view)
     recording = Recording.open(run)
     for name in ("plant.qvel[4]", "plant.contact_force", "controller.dq[7]"):
@@ -157,7 +157,7 @@ def test_the_curves_are_the_recording(page: Page, view: Path, run: Path) -> None
         assert np.abs(np.array(shown) - exact).max() <= np.ptp(exact) / 2**16
 
 
-def test_the_arrow_on_the_held_block_carries_its_weight(page: Page, view: Path, run: Path) -> None:
+def test_the_arrow_on_the_held_block_carries_its_weight(page, view, run):
     look(page, view)
     assert Recording.open(run).metadata["parameters"]["plant"]["block_mass"] == 0.18
     page.value(f"{VIEWER}.go({{at: 3.0}})")
@@ -170,7 +170,7 @@ def test_the_arrow_on_the_held_block_carries_its_weight(page: Page, view: Path, 
     assert "besides its weight" in page.value("document.querySelector('.pv-notes').innerText")
 
 
-def test_verdict_and_limits_are_beside_it(page: Page, view: Path, run: Path) -> None:
+def test_verdict_and_limits_are_beside_it(page, view, run):
     look(page, view)
     page.click(".pv-tab:last-child")
     text = page.value("document.querySelector('.pv-facts').innerText")
@@ -182,7 +182,7 @@ def test_verdict_and_limits_are_beside_it(page: Page, view: Path, run: Path) -> 
     assert tip == DEFINITIONS[f"success.{criteria[0]['name']}"].text
 
 
-def test_every_kind_of_joint_is_where_mujoco_has_it(page: Page, folder: Path) -> None:
+def test_every_kind_of_joint_is_where_mujoco_has_it(page, folder):
     model = mujoco.MjModel.from_xml_string(MODEL)
     random = np.random.default_rng(5)
     qpos = random.uniform(-2, 2, (60, model.nq))
@@ -199,7 +199,7 @@ def test_every_kind_of_joint_is_where_mujoco_has_it(page: Page, folder: Path) ->
     assert page.errors == []
 
 
-def test_the_keyboard_plays_and_steps(page: Page, view: Path) -> None:
+def test_the_keyboard_plays_and_steps(page, view):
     look(page, view)
     page.press(" ")
     page.wait(f"{VIEWER}.clock.playing && {NOW} > 0.2")
@@ -216,7 +216,7 @@ def test_the_keyboard_plays_and_steps(page: Page, view: Path) -> None:
     page.press("Escape")
 
 
-def test_a_click_in_a_curve_moves_the_time_and_the_scene(page: Page, view: Path) -> None:
+def test_a_click_in_a_curve_moves_the_time_and_the_scene(page, view):
     look(page, view)
     before = picture(page)
     box = page.value(
@@ -233,7 +233,7 @@ def test_a_click_in_a_curve_moves_the_time_and_the_scene(page: Page, view: Path)
     assert max(needles) - min(needles) < 2  # in all charts
 
 
-def test_any_signal_is_found_and_added(page: Page, view: Path, run: Path) -> None:
+def test_any_signal_is_found_and_added(page, view, run):
     look(page, view)
     page.click(".pv-search")
     page.type("jac[2,")
@@ -250,7 +250,7 @@ def test_any_signal_is_found_and_added(page: Page, view: Path, run: Path) -> Non
     assert page.value(chart) is None
 
 
-def test_the_ghost_is_seen_and_has_curves(page: Page, compared: Path) -> None:
+def test_the_ghost_is_seen_and_has_curves(page, compared):
     show(page, compared)
     seek(page, 2.0)
     hands = [poses_at(page, [2.0], figure)[0, -4, :3] for figure in (0, 1)]
@@ -266,7 +266,7 @@ def test_the_ghost_is_seen_and_has_curves(page: Page, compared: Path) -> None:
     assert "ghost: other" in page.value("document.querySelector('.pv-header').textContent")
 
 
-def test_a_link_names_an_instant_and_a_camera(page: Page, view: Path) -> None:
+def test_a_link_names_an_instant_and_a_camera(page, view):
     show(page, view, place="#t=2.3&cam=front", width=720, height=400)
     assert page.value(NOW) == pytest.approx(2.3)
     assert page.value(f"{STAGE}.viewpoint.name") == "front"
@@ -286,7 +286,7 @@ def test_a_link_names_an_instant_and_a_camera(page: Page, view: Path) -> None:
     assert page.value(f"{STAGE}.camera.position.toArray()") == pytest.approx(eye, abs=2e-3)
 
 
-def test_on_a_phone_all_is_in_reach(page: Page, compared: Path) -> None:
+def test_on_a_phone_all_is_in_reach(page, compared):
     show(page, compared, width=390, height=844)
     for width, height in ((390, 844), (360, 640), (844, 390)):
         page.resize(width, height)
@@ -309,7 +309,7 @@ def check_reach(page: Page, width: int, height: int) -> None:
     assert shown >= 0.25 * height
 
 
-def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:
+def test_crafted_names_are_shown_as_text(page, folder):
     model = mujoco.MjModel.from_xml_string(
         MODEL.replace('name="fixed"', f'name="{escape(CRAFTED)}"')
     )
@@ -354,7 +354,7 @@ def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:
     assert page.value(HIDDEN) is False
 
 
-def test_the_policy_stops_what_would_get_through(page: Page, view: Path, folder: Path) -> None:
+def test_the_policy_stops_what_would_get_through(page, view, folder):
     text = view.read_text(encoding="utf-8")
     bad = "<script>window.ran=1</script><img src='https://example.org/x' onerror='window.ran=1'>"
     path = folder / "pierced.html"
@@ -364,7 +364,7 @@ def test_the_policy_stops_what_would_get_through(page: Page, view: Path, folder:
     assert [error for error in page.errors if "Content Security Policy" in error]
 
 
-def test_a_notebook_shows_it_in_a_frame(page: Page, run: Path, folder: Path) -> None:
+def test_a_notebook_shows_it_in_a_frame(page, run, folder):
     path = folder / "notebook.html"
     done = Run(run, summarize(Recording.open(run), load_scenario("pick_and_place")))
     html = done.view(against=done, height=600)._repr_html_()

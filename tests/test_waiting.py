@@ -27,7 +27,7 @@ def without_end(call: ast.Call, file: str) -> bool:
 
 
 @pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])
-def test_every_wait_has_an_end(path: Path) -> None:
+def test_every_wait_has_an_end(path):
     calls = [node for node in ast.walk(ast.parse(path.read_bytes())) if isinstance(node, ast.Call)]
     endless = [f"line {c.lineno}: {ast.unparse(c)}" for c in calls if without_end(c, path.name)]
     assert endless == [], "give it a timeout; see bounded.py"

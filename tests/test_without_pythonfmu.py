@@ -1,7 +1,5 @@
 """Without the package pythonfmu, what needs it says so in one line, and all else runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -41,9 +39,7 @@ main()
         ("check push", 0),
     ],
 )
-def test_without_the_package_only_what_needs_it_fails_in_one_line(
-    words: str, code: int, tmp_path: Path
-) -> None:
+def test_without_the_package_only_what_needs_it_fails_in_one_line(words, code, tmp_path):
     places = {"OUT": tmp_path / "new", "SLAVE": Path(__file__).parent / "slaves" / "decay.py"}
     places["GUST"] = make_scenario(tmp_path / "gust", ["slave"])[0].parent
     done = script(WITHOUT, *(str(places.get(word, word)) for word in words.split()))

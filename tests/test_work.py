@@ -23,7 +23,7 @@ def same(reason: str) -> str:
 
 
 @pytest.fixture(autouse=True)
-def _importable(monkeypatch: pytest.MonkeyPatch) -> None:
+def _importable(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
 
 
@@ -41,9 +41,7 @@ def is_there(process: int) -> bool:
         return False
 
 
-def test_a_process_works_again_and_is_apart_from_its_caller(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_process_works_again_and_is_apart_from_its_caller(capfd):
     with Workers(1) as workers:
         answers = [
             workers.submit(work_jobs.told, n, died=same, late=same).result() for n in range(3)
@@ -67,7 +65,7 @@ def test_a_process_works_again_and_is_apart_from_its_caller(
         ("exception", "its process ended with exit code 1"),
     ],
 )
-def test_a_call_that_ends_its_process_costs_itself_alone(how: str, reason: str) -> None:
+def test_a_call_that_ends_its_process_costs_itself_alone(how, reason):
     with Workers(2) as workers:
         lost = workers.submit(work_jobs.end, how, died=same, late=str.upper)
         others = [workers.submit(work_jobs.told, n, died=same, late=same) for n in range(4)]
@@ -75,7 +73,7 @@ def test_a_call_that_ends_its_process_costs_itself_alone(how: str, reason: str) 
         assert [other.result(60.0)[0] for other in others] == [0, 1, 2, 3]
 
 
-def test_a_call_whose_process_was_killed_is_tried_again(tmp_path: Path) -> None:
+def test_a_call_whose_process_was_killed_is_tried_again(tmp_path):
     with Workers(1, attempts=2) as workers:
         again = workers.submit(work_jobs.end_once, tmp_path / "mark", died=same, late=same)
         lost = workers.submit(work_jobs.end, "signal", died=same, late=same)
@@ -83,7 +81,7 @@ def test_a_call_whose_process_was_killed_is_tried_again(tmp_path: Path) -> None:
         assert lost.result(60.0) == "its process ended with signal 11"
 
 
-def test_a_call_beyond_its_time_is_killed(tmp_path: Path) -> None:
+def test_a_call_beyond_its_time_is_killed(tmp_path):
     mark = tmp_path / "mark"
     with Workers(1) as workers:
         late = workers.submit(work_jobs.sleep, mark, died=str.upper, late=same, time_limit=0.5)
@@ -92,7 +90,7 @@ def test_a_call_beyond_its_time_is_killed(tmp_path: Path) -> None:
         assert workers.submit(work_jobs.told, 1, died=same, late=same).result(60.0)[0] == 1
 
 
-def test_the_end_kills_what_runs_and_starts_nothing_more(tmp_path: Path) -> None:
+def test_the_end_kills_what_runs_and_starts_nothing_more(tmp_path):
     with Workers(1) as workers:
         workers.submit(work_jobs.sleep, tmp_path / "first", died=same, late=same)
         second = workers.submit(work_jobs.sleep, tmp_path / "second", died=same, late=same)
@@ -114,7 +112,7 @@ with Workers(1) as workers:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, it ends with its call")
-def test_a_process_ends_with_its_caller(tmp_path: Path) -> None:
+def test_a_process_ends_with_its_caller(tmp_path):
     mark = tmp_path / "mark"
     with subprocess.Popen([sys.executable, "-c", CALLER, str(mark)]) as caller:
         wait_for(lambda: mark.exists() and mark.read_text())
