@@ -11,7 +11,8 @@ import pyarrow as pa
 
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.design import Design, make_design
-from panda_cosim.study.sweep.row import Job, command, load_scenarios
+from panda_cosim.study.sweep.packed import load_scenarios
+from panda_cosim.study.sweep.row import Job, command
 from panda_cosim.study.sweep.store import Store, schema
 
 SETTINGS = """\

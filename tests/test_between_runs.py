@@ -20,7 +20,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.compare.between_runs import compare
-from panda_cosim.study.compare.differences import numbers
+from panda_cosim.study.compare.wording import numbers
 from regress_support import CONTENT, columns, record
 
 DISTANCE = 2e-3  # rad

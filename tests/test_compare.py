@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.study.compare.compare import Comparison, compare_with_reference
-from panda_cosim.study.compare.differences import multiple
+from panda_cosim.study.compare.against_reference import Comparison, compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.tubes import tube, widths
+from panda_cosim.study.compare.wording import multiple
 from panda_cosim.task.tolerances import OURS, Tolerances, of_ours
 from regress_support import METADATA, NO_SUCCESS, ROWS, SUMMARY, columns, record
 

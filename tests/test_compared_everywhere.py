@@ -16,7 +16,7 @@ from odd_fmu import odd_fmu
 from panda_cosim import compare
 from panda_cosim.result.judging.signals import judge_signals
 from panda_cosim.result.recording import Column, Recorder, Recording
-from panda_cosim.study.compare.compare import Comparison, compare_with_reference
+from panda_cosim.study.compare.against_reference import Comparison, compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.task.criteria import SignalCriterion
 from panda_cosim.task.tolerances import OURS, Tolerances

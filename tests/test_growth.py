@@ -16,8 +16,8 @@ from panda_cosim.result.judging.contacts import SIGNAL as UNWANTED
 from panda_cosim.result.judging.verdict import Summary
 from panda_cosim.result.recording import Column, Recorder, Recording, storage
 from panda_cosim.run.summary import summarize
+from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.between_runs import compare
-from panda_cosim.study.compare.compare import compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.sweep.store import Store
 from panda_cosim.task.scenario import load_scenario

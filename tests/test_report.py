@@ -17,7 +17,7 @@ from crafted_texts import HOSTILE
 from panda_cosim.fmus.errors import TEXT_LENGTH, legible
 from panda_cosim.result.judging.verdict import SUMMARY_FILE, Summary
 from panda_cosim.result.recording import Recording
-from panda_cosim.study.compare.compare import compare_with_reference
+from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.compare.report import write_report

@@ -12,8 +12,8 @@ import pytest
 from browser import find_browser
 from panda_cosim.result.judging.verdict import Summary
 from panda_cosim.result.recording import Recording
+from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.between_runs import compare as compare_runs
-from panda_cosim.study.compare.compare import compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.compare.report import write_report

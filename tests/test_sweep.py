@@ -20,7 +20,7 @@ from panda_cosim.study.sweep.definition import (
 )
 from panda_cosim.study.sweep.design import keys_without_effect, make_design
 from panda_cosim.study.sweep.engine import check_sweep
-from panda_cosim.study.sweep.row import load_scenarios
+from panda_cosim.study.sweep.packed import load_scenarios
 from sweep_support import TABLE, short_scenario
 
 MASS = "plant.block_mass"

@@ -16,7 +16,7 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
 from ...run.folder import default_folder
-from ...study.compare.differences import multiple
+from ...study.compare.engines import engine_rows, variants
 from ...study.compare.junit import write_junit
 from ...study.compare.regress import (
     Outcome,
@@ -24,15 +24,14 @@ from ...study.compare.regress import (
     Unusable,
     candidate,
     changes,
-    engine_rows,
     exit_code,
     find_scenarios,
     headline,
     run_suite,
-    variants,
     with_values,
 )
 from ...study.compare.report import check_kept_runs, replace_kept_runs, write_report
+from ...study.compare.wording import multiple
 from ...study.sweep.engine import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores
 from ...task.fields import check_rules

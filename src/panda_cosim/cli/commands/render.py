@@ -25,9 +25,9 @@ from ...study.compare.between_runs import (
     judged_text,
     signal_cells,
 )
-from ...study.compare.differences import numbers, signal_names
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
+from ...study.compare.wording import numbers, signal_names
 from ..console import as_cell, show, show_file, show_json, table, tell
 from ..options import CSV_FILE, JSON, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, argument, option
 from ..outcome import PLOTTING, TILING, draw_video

@@ -20,18 +20,9 @@ from ...result.judging.verdict import Summary, Verdict
 from ...result.recording import Recording
 from ...run.result import Run
 from . import differences
-from .differences import (
-    DASH,
-    CriterionRow,
-    Extent,
-    Row,
-    SignalRow,
-    multiple,
-    numbers,
-    percent,
-    precise,
-)
+from .differences import CriterionRow, Extent, Row, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
+from .wording import DASH, multiple, numbers, percent, precise
 
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements

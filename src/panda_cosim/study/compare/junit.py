@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 from ...fmus.atomic import MARK, replacing
 from ...result.judging.criterion import line
-from .differences import instant, measure, multiple
+from .wording import instant, measure, multiple
 
 if TYPE_CHECKING:
     from ...result.judging.verdict import Verdict

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...fmus.errors import TEXT_LENGTH, legible, shown
 from ...show.pictures.panels import thin
 from ...task.tolerances import signal_of
-from .differences import multiple
+from .wording import multiple
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

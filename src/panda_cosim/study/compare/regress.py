@@ -1,10 +1,4 @@
-"""Runs a suite of scenarios, each in a process of its own, and compares them with references.
-
-Engines of several versions of MuJoCo that round differently are never equal to the last bit, and
-what rounding makes may grow. So each scenario runs once more with all inputs of its plant times
-1 + 1e-14. An engine has changed a signal where it is further off than `GROWTH` times what this
-noise has made of the signal so far.
-"""
+"""Runs a suite of scenarios, each in a process of its own, and compares them with references."""
 
 from __future__ import annotations
 
@@ -17,8 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-import numpy as np
-
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ...result.judging.criterion import Criterion
 from ...result.judging.verdict import NO_CRITERIA, Summary
@@ -30,9 +22,8 @@ from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ...task.tolerances import Tolerances
 from ..work import Workers
-from .compare import Comparison, compare_with_reference, describe
+from .against_reference import Comparison, compare_with_reference, describe
 from .reference import Reference, how_to_make, reference_path
-from .tubes import widths
 
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
@@ -318,57 +309,3 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
     if old.quanta != new.quanta:
         lines.append("is rounded anew, as its tolerances have changed")
     return lines
-
-
-NOISE: Final = 1.0 + 1e-14
-GROWTH: Final = 1000.0
-FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
-
-
-def variants(scenario: Scenario | Unusable, engines: Iterable[str]) -> list[Scenario | Unusable]:
-    """Return a scenario as it is, with noise, and with each engine."""
-    if isinstance(scenario, Unusable):
-        return [scenario]
-    name = scenario.name
-    noisy = replace(scenario, name=f"{name}-noise", input_scale=NOISE)
-    return [scenario, noisy, *(replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)]
-
-
-def engine_rows(
-    scenarios: Sequence[Scenario | Unusable], engines: int, outcomes: Iterable[Outcome]
-) -> list[list[Outcome]]:
-    """Return the outcomes of each scenario: its own engine's, then the others' with differences."""
-    rows, remaining = [], iter(outcomes)  # in the order of `variants`
-    for scenario in scenarios:
-        rows.append([next(remaining)])
-        if isinstance(scenario, Scenario):
-            own, noisy = rows[-1][0], next(remaining)
-            others = (next(remaining) for _ in range(engines))
-            rows[-1] += [replace(o, difference=_difference(own, noisy, o)) for o in others]
-    return rows
-
-
-def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
-    if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
-        return "changed"
-    own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
-    return difference_of(own_run, noisy_run, run, own.tolerances)
-
-
-def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:
-    """Tell whether rounding explains how a run differs from another, and the first such tick."""
-    rows = min(each.rows for each in (own, noisy, run))
-    apart, beyond = np.zeros((2, rows + 1), bool)
-    beyond[rows] = own.rows != run.rows
-    for name, width in widths(own, tolerances).items():
-        first, noise, other = (each[name][:rows] for each in (own, noisy, run))
-        apart[:rows] |= first != other
-        if name in own.texts:
-            beyond[:rows] |= (first != other) & (first == noise)
-            continue
-        first, noise, other = (x.astype(float) for x in (first, noise, other))
-        effect = np.maximum.accumulate(np.abs(noise - first))
-        beyond[:rows] |= ~(np.abs(other - first) <= np.maximum(GROWTH * effect, FLOOR * width))
-    if beyond.any():
-        return f"changed, tick {np.argmax(beyond)}"
-    return f"rounding, tick {np.argmax(apart)}" if apart.any() else "equal"

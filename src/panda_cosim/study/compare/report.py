@@ -23,13 +23,14 @@ from ...show.view.page import shown_run
 from ...task.scenario import Scenario
 from ...task.tolerances import flattened
 from ...task.values import Values
-from .compare import Comparison, Deviation, deviation_text, matching_rows
-from .differences import DASH, instant, measure, numbers, side_by_side
+from .against_reference import Comparison, Deviation, deviation_text, matching_rows
+from .differences import side_by_side
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
 from .regress import Outcome, headline
 from .tubes import tube
 from .views import Views, limited, shown_reference
+from .wording import DASH, instant, measure, numbers
 
 CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not

@@ -29,7 +29,8 @@ from ...run.start import start_values
 from ...task.files import read_text
 from ...task.scenario import Scenario
 from .definition import MAX_SAMPLES, Distribution, Sweep
-from .row import Done, Loaded, Row, Task, margin_column
+from .packed import Loaded
+from .row import Done, Row, Task, margin_column
 from .store import Store
 
 Array = NDArray[np.float64]
@@ -37,6 +38,7 @@ Columns = Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers,
 Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list
 COMPARED: Final = 50  # rows in which a key without effect is looked for, besides each word's
+FIRST: Final = 10  # rows of a search that are drawn at random
 _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
 
@@ -191,9 +193,6 @@ def _extremes(column: Array | Sequence[Any]) -> list[ParameterValue]:
     if any(isinstance(value, str | bool) for value in column):
         raise InputError("vary: values of a key must be all numbers, all switches or all text")
     return list(dict.fromkeys((float(min(column)), float(max(column)))))
-
-
-FIRST: Final = 10  # rows drawn at random before the search proper
 
 
 class Search:

@@ -28,15 +28,17 @@ from ..work import cores
 from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
 from .design import Design, Search, check_design, keys_without_effect, make_design
+from .packed import Loaded, load_scenarios, pack, scenario_names
 from .report import write_report
 from .results import lower_bound
-from .row import Done, Job, Loaded, Task, load_scenarios, margin_column, pack, scenario_names
+from .row import Done, Job, Task, margin_column
 from .store import Store, origin, schema
 
 # Time between two parts [s], the most a kill can cost. It grows to this share of the sweep's time,
 # so that a long sweep has few parts.
 FLUSH_SHARE: Final = 0.1
 FLUSH_RANGE: Final = (0.2, 30.0)
+FILE: Final = "sweep.toml"  # of a suite, beside a scenario
 
 
 @dataclass(frozen=True)
@@ -230,9 +232,6 @@ def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:
     for done in rows.run(tasks):
         if done is not None:
             store.keep(done)
-
-
-FILE: Final = "sweep.toml"
 
 
 @dataclass(frozen=True)

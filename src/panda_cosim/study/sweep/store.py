@@ -36,7 +36,8 @@ from ...task.files import read_text
 from ...task.scenario import Scenario, load_scenario
 from ...task.writer import write_scenario
 from .definition import Sweep
-from .row import Done, Loaded, Row, identity, pack, scenario_names
+from .packed import Loaded, identity, pack, scenario_names
+from .row import Done, Row
 
 SWEEP_FILE: Final = "sweep.json"
 FORMAT: Final = 2

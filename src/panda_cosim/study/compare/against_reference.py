@@ -28,9 +28,10 @@ from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...result.judging.verdict import Summary
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, signal_of
-from .differences import LEAST_SHARE, instant, measure, multiple, precise, signal_names
+from .differences import LEAST_SHARE
 from .reference import Reference, column_digest, kept_metadata
 from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, widths
+from .wording import instant, measure, multiple, precise, signal_names
 
 Array = NDArray[np.float64]
 

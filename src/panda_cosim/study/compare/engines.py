@@ -1,0 +1,73 @@
+"""What other versions of MuJoCo change in a suite: nothing, the rounding, or the results.
+
+Engines that round differently are never equal to the last bit, and what rounding makes may grow. So
+each scenario runs once more with all inputs of its plant times 1 + 1e-14. An engine has changed a
+signal where it is further off than `GROWTH` times what this noise has made of the signal so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from ...result.recording import Recording
+from ...task.scenario import Scenario
+from ...task.tolerances import Tolerances
+from .regress import Outcome, Unusable
+from .tubes import widths
+
+NOISE: Final = 1.0 + 1e-14
+GROWTH: Final = 1000.0
+FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
+
+
+def variants(scenario: Scenario | Unusable, engines: Iterable[str]) -> list[Scenario | Unusable]:
+    """Return a scenario as it is, with noise, and with each engine."""
+    if isinstance(scenario, Unusable):
+        return [scenario]
+    name = scenario.name
+    noisy = replace(scenario, name=f"{name}-noise", input_scale=NOISE)
+    return [scenario, noisy, *(replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)]
+
+
+def engine_rows(
+    scenarios: Sequence[Scenario | Unusable], engines: int, outcomes: Iterable[Outcome]
+) -> list[list[Outcome]]:
+    """Return the outcomes of each scenario: its own engine's, then the others' with differences."""
+    rows, remaining = [], iter(outcomes)  # in the order of `variants`
+    for scenario in scenarios:
+        rows.append([next(remaining)])
+        if isinstance(scenario, Scenario):
+            own, noisy = rows[-1][0], next(remaining)
+            others = (next(remaining) for _ in range(engines))
+            rows[-1] += [replace(o, difference=_difference(own, noisy, o)) for o in others]
+    return rows
+
+
+def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
+    if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
+        return "changed"
+    own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
+    return difference_of(own_run, noisy_run, run, own.tolerances)
+
+
+def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:
+    """Tell whether rounding explains how a run differs from another, and the first such tick."""
+    rows = min(each.rows for each in (own, noisy, run))
+    apart, beyond = np.zeros((2, rows + 1), bool)
+    beyond[rows] = own.rows != run.rows
+    for name, width in widths(own, tolerances).items():
+        first, noise, other = (each[name][:rows] for each in (own, noisy, run))
+        apart[:rows] |= first != other
+        if name in own.texts:
+            beyond[:rows] |= (first != other) & (first == noise)
+            continue
+        first, noise, other = (x.astype(float) for x in (first, noise, other))
+        effect = np.maximum.accumulate(np.abs(noise - first))
+        beyond[:rows] |= ~(np.abs(other - first) <= np.maximum(GROWTH * effect, FLOOR * width))
+    if beyond.any():
+        return f"changed, tick {np.argmax(beyond)}"
+    return f"rounding, tick {np.argmax(apart)}" if apart.any() else "equal"

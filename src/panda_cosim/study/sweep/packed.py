@@ -1,0 +1,86 @@
+"""The scenarios of a sweep, packed with the files of their own FMUs, as workers share no folder."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ...fmus.atomic import cache_folder, temporary_folder
+from ...fmus.errors import InputError
+from ...run.folder import with_files
+from ...run.system.assembly import assemble
+from ...task.scenario import Scenario, load_scenario, shipped_scenarios
+from ...task.writer import settings_text, table_text
+from .definition import Sweep
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scenario of a sweep."""
+
+    name: str  # as `panda-cosim run` takes it: a shipped name or an absolute folder
+    label: str  # its name or, where two share it, the shortest end of its path that is its own
+    scenario: Scenario
+    files: Mapping[str, bytes] = field(default_factory=dict)  # of its own FMUs, if it is packed
+
+
+def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
+    """Load a sweep's scenarios, from the folders that keep them as swept if there are any."""
+    names = scenario_names(sweep.scenario)
+    shipped = shipped_scenarios()
+    folders = [shipped.get(name, Path(name)).resolve() for name in names]
+    for i, folder in enumerate(folders):
+        if folder in folders[:i]:
+            raise InputError(f"scenario: {folder} is named twice; folders must differ")
+    places: Sequence[Path | str] = kept or names
+    return tuple(
+        Loaded(name, _label(folder, folders), load_scenario(place))
+        for name, folder, place in zip(names, folders, places, strict=True)
+    )
+
+
+def scenario_names(given: Sequence[str]) -> list[str]:
+    """Return scenarios as `run` takes them anywhere: shipped names, and absolute folders."""
+    shipped = shipped_scenarios()
+    return [name if name in shipped else str(Path(name).resolve()) for name in given]
+
+
+def _label(folder: Path, folders: Sequence[Path]) -> str:
+    """Return the shortest end of a path that no other of the paths has."""
+    ends = (folder.parts[-n:] for n in range(1, len(folder.parts) + 1))
+    own = (e for e in ends if sum(other.parts[-len(e) :] == e for other in folders) == 1)
+    return str(Path(*next(own)))
+
+
+def pack(loaded: Loaded) -> Loaded:
+    """Read the files of a scenario's own FMUs; models are sent as the FMUs built from them."""
+    # A law is sent as Python files: its FMU names the local Python, so each worker builds it.
+    if not loaded.scenario.has_own_parts:
+        return loaded
+    assembly = assemble(loaded.scenario)
+    with temporary_folder(cache_folder()) as folder:
+        scenario = with_files(loaded.scenario, assembly, folder)
+        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    return replace(loaded, scenario=replace(scenario, folder=None), files=files)
+
+
+def unpack(loaded: Loaded, folder: Path) -> Loaded:
+    """Write the files of a scenario's FMUs into a folder, where the scenario looks for them."""
+    if not loaded.files:
+        return loaded
+    folder.mkdir()
+    for name, content in loaded.files.items():
+        (folder / name).write_bytes(content)
+    return replace(loaded, scenario=replace(loaded.scenario, folder=folder), files={})
+
+
+def identity(packed: Loaded) -> str:
+    """Return the SHA-256 of all that a packed scenario consists of, but its name."""
+    content = hashlib.sha256(settings_text(packed.scenario).encode())
+    if packed.scenario.table is not None:
+        content.update(table_text(packed.scenario.table).encode())
+    for name, data in sorted(packed.files.items()):
+        content.update(f"{name} {len(data)} ".encode() + data)
+    return content.hexdigest()
