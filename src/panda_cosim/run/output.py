@@ -15,7 +15,7 @@ from ..fmus.build.libraries import package_version
 from ..fmus.errors import InputError
 from ..fmus.master.system import OpenSystem
 from ..result.judging.verdict import SUMMARY_FILE, Summary, Verdict
-from ..result.recording import AnyRecorder, MemoryRecorder, Recorder, Recording
+from ..result.recording import MemoryRecorder, Recorder, Recording
 from ..task.scenario import is_shipped
 from .folder import SCENARIO_FOLDER, keep_scenario
 from .journal import JOURNAL_FILE, Action, append_action, begin_journal
@@ -42,7 +42,7 @@ class Output:
         metadata = {**_metadata(prepared), "code": code, **provenance}
         metadata |= {"session": JOURNAL_FILE} if journals else {}
         make = Recorder if writes else MemoryRecorder
-        self.recorder: AnyRecorder = make(folder, columns, metadata)
+        self.recorder: MemoryRecorder = make(folder, columns, metadata)
         self.head = {
             "scenario": prepared.scenario.name,
             "kind": prepared.options.kind,

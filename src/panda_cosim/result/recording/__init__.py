@@ -5,7 +5,7 @@ into `recording.parquet` at the end. `Recording` reads either.
 """
 
 from .reader import Recording, by_rows
-from .recorder import AnyRecorder, MemoryRecorder, Recorder
+from .recorder import MemoryRecorder, Recorder
 from .storage import Column
 
-__all__ = ["AnyRecorder", "Column", "MemoryRecorder", "Recorder", "Recording", "by_rows"]
+__all__ = ["Column", "MemoryRecorder", "Recorder", "Recording", "by_rows"]

@@ -293,15 +293,9 @@ def by_rows(
 ) -> NDArray[Any]:
     """Return what a function computes of each row of signals; no signal is whole in memory."""
     # With `before`, the function also gets so many rows before each block but the first.
-    parts = (function(*signals) for signals in recording.in_blocks(*names, before=before))
-    first, row = next(parts), 0
-    if len(first) == recording.rows - before:  # there is only one block
-        return first
-    values = np.empty((max(recording.rows - before, 0), *first.shape[1:]), first.dtype)
-    for part in chain([first], parts):
-        values[row : row + len(part)] = part
-        row += len(part)
-    return values
+    return np.concatenate(
+        [function(*signals) for signals in recording.in_blocks(*names, before=before)]
+    )
 
 
 def bits(values: Array) -> Any:

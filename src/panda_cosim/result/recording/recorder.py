@@ -2,11 +2,9 @@
 
 import json
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,16 +22,72 @@ FLUSH_INTERVAL = 0.3  # [s] wall time; the master's own delay makes it at most 0
 _BUFFER_ROWS = 4096
 
 
-class _Context(ABC):
-    """A recording whose block ends it, as incomplete if `close` was not called."""
+class MemoryRecorder:
+    """Keeps a recording in memory; the folder is only named.
 
-    @abstractmethod
+    `Output` makes one for a run without files. As a context manager it ends the recording, as
+    incomplete if `close` was not called.
+    """
+
+    def __init__(
+        self, folder: str | Path, columns: Sequence[Column], metadata: Mapping[str, object]
+    ) -> None:
+        self._place = Path(folder)
+        self._columns = tuple(columns)
+        # As a file returns it.
+        self._metadata = json.loads(json.dumps({**metadata, "format": storage.FORMAT}))
+        self._values = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
+        self._filled = 0  # rows in memory
+        self._dropped = 0  # rows before these
+        self._is_whole = True  # whether memory holds the recording
+        self.late: dict[str, object] = {}  # metadata that is known only at the end, `storage.LATE`
+        self._ended = False
+
+    @property
+    def rows(self) -> int:
+        """Number of rows appended."""
+        return self._dropped + self._filled
+
+    def append(self, rows: Array) -> None:
+        """Append a block of rows, shape (n, columns), copied."""
+        end = self._filled + len(rows)
+        if end > self._values.shape[1]:
+            shorter = self._values[:, : self._filled]
+            self._values = np.empty((len(self._columns), 2 * end), shorter.dtype)
+            self._values[:, : self._filled] = shorter
+        self._values[:, self._filled : end] = rows.T
+        self._filled = end
+
     def end(self, *, complete: bool, reason: str | None = None) -> None:
         """Take no more rows; the recording can be read from memory. A second call does nothing."""
+        if not self._ended:
+            self._ended = True
+            self._metadata = self._metadata | self._state(complete, reason)
 
-    @abstractmethod
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
-        """End the recording, unless it has ended, and wait for its file."""
+        """End the recording, unless it has ended, and return its file or folder."""
+        self.end(complete=complete, reason=reason)
+        return self._place
+
+    def recording(self) -> Recording | None:
+        """Return what was recorded, if memory holds it."""
+        if not self._is_whole:
+            return None
+        return Recording(self._place / PARQUET_FILE, self._source())
+
+    def _source(self) -> storage.Source:
+        by_name = {
+            column.name: values[: self._filled].astype(storage.read_type(column.type), copy=False)
+            for column, values in zip(self._columns, self._values, strict=True)
+        }
+
+        def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
+            yield [by_name[name] for name in names]
+
+        return storage.Source(self._columns, self._metadata, self._filled, blocks)
+
+    def _state(self, complete: bool, reason: str | None) -> dict[str, object]:
+        return {"complete": complete, "reason": reason, **self.late}
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -48,29 +102,22 @@ class _Context(ABC):
             self.close(complete=False, reason=f"{type(error).__name__}: {error}")
 
 
-class Recorder(_Context):
-    """Writes a recording; it only observes. A full disk raises SimulationError."""
+class Recorder(MemoryRecorder):
+    """Writes a recording; it only observes. A full disk raises SimulationError.
+
+    Rows go to the stream as they come. Memory holds them, too, until they are more than a block.
+    """
 
     def __init__(
-        self,
-        folder: str | Path,
-        columns: Sequence[Column],
-        metadata: Mapping[str, Any],
+        self, folder: str | Path, columns: Sequence[Column], metadata: Mapping[str, object]
     ) -> None:
         place = Path(folder).absolute()  # an FMU may change the working directory
-        self._stream = place / STREAM_FILE
-        self._parquet = place / PARQUET_FILE
+        super().__init__(place, columns, metadata)
+        self._stream, self._parquet = place / STREAM_FILE, place / PARQUET_FILE
         storage.literal(self._parquet)  # or it would be refused after the run
-        # As a file returns it.
-        kept: dict[str, Any] = json.loads(json.dumps({**metadata, "format": storage.FORMAT}))
-        self._memory: MemoryRecorder | None = MemoryRecorder(place, columns, kept)
-        self._buffer = np.empty((len(columns), _BUFFER_ROWS), storage.type_of_rows(columns))
-        self.late: dict[str, Any] = {}  # metadata that is known only at the end, `storage.LATE`
-        self._filled = 0
-        self._saved = 0
+        self._saved = 0  # rows in the stream
         self._size = 0  # of the stream's whole messages [bytes]
         self._error: SimulationError | None = None
-        self._ended = False
         self._file_made: Future[None] | None = None
         try:
             self._make_place()
@@ -80,46 +127,33 @@ class Recorder(_Context):
             reason = getattr(error, "strerror", None) or str(error)
             raise InputError(f"{folder}: cannot be written to: {reason}") from error
         # A thread imports pyarrow and writes the stream's head, while FMUs in C begin to step.
-        head = partial(self._write_head, storage.distinct(columns), kept)
-        self._head: Future[Any] = ThreadPoolExecutor(1).submit(head)
-
-    @property
-    def rows(self) -> int:
-        """Number of rows appended."""
-        return self._saved + self._filled
+        self._schema: Future[Any] = ThreadPoolExecutor(1).submit(self._write_head, self._metadata)
 
     def append(self, rows: Array) -> None:
         """Append a copy of a block of rows, shape (n, columns); flush if it is time."""
         if self._error is not None:
             raise self._error
-        if self._memory is not None:
-            self._memory.append(rows)
-            if self._memory.rows > storage.BLOCK_ROWS:
-                self._memory = None
-        while len(rows):
-            part = rows[: _BUFFER_ROWS - self._filled]
-            self._buffer[:, self._filled : self._filled + len(part)] = part.T
-            self._filled += len(part)
-            rows = rows[len(part) :]
-            if self._filled == _BUFFER_ROWS:
-                self.flush()
-        if time.monotonic() - self._last_flush >= FLUSH_INTERVAL:
+        super().append(rows)
+        is_late = time.monotonic() - self._last_flush >= FLUSH_INTERVAL
+        if is_late or self.rows - self._saved >= _BUFFER_ROWS:
             self.flush()
 
     def flush(self) -> None:
         """Pass all rows to the operating system as one batch; they then survive the process."""
         self._last_flush = time.monotonic()
-        if self._filled:
-            rows = self._buffer[:, : self._filled]
-            self._write(storage.serialize_rows(self._head.result(), rows))
-            self._saved += self._filled
-            self._filled = 0
+        unsaved = self._values[:, self._saved - self._dropped : self._filled]
+        if unsaved.size:
+            self._write(storage.make_batch(self._schema.result(), unsaved).serialize())
+            self._saved = self.rows
+        if self._filled > storage.BLOCK_ROWS:
+            self._is_whole = False
+            self._dropped, self._filled = self.rows, 0
 
     def end(self, *, complete: bool, reason: str | None = None) -> None:
         """End the stream; a thread makes the Parquet file meanwhile, which `close` waits for."""
         if self._ended:
             return
-        self._ended = True
+        super().end(complete=complete, reason=reason)
         failed_before = self._error is not None
         try:
             self._end_stream(complete, reason)
@@ -129,7 +163,7 @@ class Recorder(_Context):
                 raise
         else:
             self._file_made = ThreadPoolExecutor(1).submit(self._make_parquet)
-            if self._memory is None:  # it is read from the file
+            if not self._is_whole:  # it is read from the file
                 self._file_made.result()
 
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
@@ -140,13 +174,9 @@ class Recorder(_Context):
             made.result()
         return self._parquet if self._parquet.exists() else self._stream
 
-    def recording(self) -> Recording | None:
-        """Return what was recorded, if it is short and was written whole."""
-        return None if self._memory is None else self._memory.recording()
-
-    def _write_head(self, columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
+    def _write_head(self, metadata: storage.Metadata) -> Any:
         """Write the stream's first message, and return its schema."""
-        schema = storage.make_schema(columns, metadata)
+        schema = storage.make_schema(self._columns, metadata)
         try:
             self._write(schema.serialize())
         except SimulationError:
@@ -165,29 +195,23 @@ class Recorder(_Context):
             self.flush()
         except SimulationError as error:
             with suppress(SimulationError):  # a short message may fit where the rows did not
-                self._mark_end(complete=False, reason=str(error))
+                self._mark_end(self._state(False, str(error)))
             raise
-        self._mark_end(complete, reason)
+        self._mark_end(self._state(complete, reason))
+
+    def _mark_end(self, state: Mapping[str, object]) -> None:
+        self._error = None
+        self._write(storage.serialize_end(self._schema.result(), state))
 
     def _make_parquet(self) -> None:
         try:
-            memory, stream = self._memory, self._stream
-            source = memory.source() if memory is not None else storage.open_stream(stream)
+            source = self._source() if self._is_whole else storage.open_stream(self._stream)
             storage.write_parquet(source, self._parquet)
             self._stream.unlink()
         except (OSError, InputError) as error:
             raise self._failure(error) from error
         finally:
             self._file.close()
-
-    def _mark_end(self, complete: bool, reason: str | None) -> None:
-        if self._memory is not None:
-            self._memory.late = self.late
-            self._memory.end(complete=complete, reason=reason)
-        state = {"complete": complete, "reason": reason, **self.late}
-        schema = self._head.result()
-        self._error = None
-        self._write(storage.serialize_end(schema, state))
 
     def _write(self, message: Any) -> None:
         """Append one message to the stream, completely or not at all."""
@@ -207,69 +231,9 @@ class Recorder(_Context):
         self._size = size
 
     def _failure(self, error: Exception) -> SimulationError:
-        self._memory = None  # the file has less
+        self._is_whole = False  # the file has less
         why = getattr(error, "strerror", None) or str(error)
         return SimulationError(
             f"{self._stream}: recording failed after {self._saved} rows, which are kept: {why}; "
             "free some space or choose another folder"
         )
-
-
-class MemoryRecorder(_Context):
-    """Keeps a recording in memory, with the interface of `Recorder`; the folder is only named."""
-
-    def __init__(
-        self, folder: Path, columns: Sequence[Column], metadata: Mapping[str, Any]
-    ) -> None:
-        self._path = folder / PARQUET_FILE  # where its file would be looked for
-        self._columns = storage.distinct(columns)
-        self._metadata = {**metadata, "format": storage.FORMAT}
-        self._values = np.empty((len(columns), 2 * _BUFFER_ROWS), storage.type_of_rows(columns))
-        self.late: dict[str, Any] = {}
-        self.rows = 0  # number of rows appended
-        self._ended = False
-
-    def append(self, rows: Array) -> None:
-        """Append a block of rows, shape (n, columns), copied."""
-        end = self.rows + len(rows)
-        if end > self._values.shape[1]:
-            shorter = self._values[:, : self.rows]
-            self._values = np.empty((len(self._columns), 2 * end), shorter.dtype)
-            self._values[:, : self.rows] = shorter
-        self._values[:, self.rows : end] = rows.T
-        self.rows = end
-
-    def flush(self) -> None:
-        """Do nothing: there is no file."""
-
-    def end(self, *, complete: bool, reason: str | None = None) -> None:
-        """Note the end."""
-        if not self._ended:
-            self._ended = True
-            self._metadata |= {"complete": complete, "reason": reason, **self.late}
-
-    def close(self, *, complete: bool, reason: str | None = None) -> Path:
-        """End the recording, which has no file."""
-        self.end(complete=complete, reason=reason)
-        return self._path.parent
-
-    def recording(self) -> Recording:
-        """Return what was recorded."""
-        return Recording(self._path, self.source())
-
-    def source(self) -> storage.Source:
-        """Return what was recorded, as a recording's data."""
-        values = self._values[:, : self.rows]
-        by_name = {
-            column.name: values[i].astype(storage.read_type(column.type), copy=False)
-            for i, column in enumerate(self._columns)
-        }
-        blocks = partial(_one_block, by_name)
-        return storage.Source(self._columns, self._metadata, self.rows, blocks)
-
-
-def _one_block(columns: Mapping[str, Array], names: Sequence[str]) -> Iterator[list[Array]]:
-    yield [columns[name] for name in names]
-
-
-AnyRecorder = Recorder | MemoryRecorder

@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -38,6 +38,7 @@ TYPES: Final[dict[str, DTypeLike]] = {
 }  # fmt: skip
 TEXTS: Final = ("string", "binary")
 REALS: Final = ("double", "float")  # all else is held from row to row
+LATE: Final = ("row_times", "row_ends")  # metadata that a run's end may change
 NO_END = "it has no end mark: the process was killed, the disk was full, or it is still running"
 
 
@@ -72,18 +73,6 @@ def literal(path: Path) -> str:
     return text
 
 
-def distinct(columns: Sequence[Column]) -> tuple[Column, ...]:
-    """Make the columns' names distinct: `a.b` of FMU `x` and `b` of FMU `x.a` would be equal."""
-    renamed: dict[str, Column] = {}
-    for column in columns:
-        name, count = column.name, 1
-        while name in renamed:
-            count += 1
-            name = f"{column.name} ({count})"
-        renamed[name] = column if count == 1 else replace(column, name=name)
-    return tuple(renamed.values())
-
-
 def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
     """Return the Arrow schema of the columns."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
@@ -101,11 +90,6 @@ def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
         for column in columns
     ]
     return pa.schema(fields, metadata={METADATA_KEY: json.dumps(metadata)})
-
-
-def serialize_rows(schema: Any, values: Array) -> Any:
-    """Return the stream's message with these rows. `values` has shape (columns, rows)."""
-    return make_batch(schema, values).serialize()
 
 
 def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
@@ -297,9 +281,6 @@ def read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
     if version != FORMAT:
         raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
     return columns, metadata
-
-
-LATE: Final = ("row_times", "row_ends")  # metadata that a run's end may change
 
 
 def _read_column(path: Path, field: Any) -> Column:
