@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -132,11 +131,11 @@ def test_a_system_that_starts_later_matches_its_reference(tmp_path):
     assert "the reference from 2.5 to" in problems[0]
 
 
-def test_a_comparison_of_no_signal_is_no_match(tmp_path, reference):
+def test_a_comparison_of_no_signal_is_no_match(tmp_path, compared):
     run = record(tmp_path / "now", {"time": columns()["time"]})
-    empty = replace(reference, quanta={}, units={"time": "s"})
-    comparison = compare_with_reference(run, SUMMARY, empty, TOLERANCES)
-    assert texts(comparison) == "no signal was compared"
+    problems = compared({"time": columns()["time"]}).problems
+    assert len(problems) == 5  # four missing signals
+    assert problems[-1] == "no signal was compared"
     with pytest.raises(InputError, match="the run records no signal"):
         Reference.of(run, SUMMARY, TOLERANCES)
 
@@ -232,9 +231,10 @@ def test_a_tube_holds_its_signal_moved_within_both_tolerances(values, ticks, tol
 
 
 def test_a_reference_comes_back_as_it_was_and_is_small(tmp_path, reference):
-    for name in reference.columns:
-        tolerance, values = widths(reference, TOLERANCES)[name], reference.column(name)
-        np.testing.assert_allclose(values, columns()[name], rtol=0.0, atol=0.051 * tolerance)
+    for name, tolerance in widths(reference, TOLERANCES).items():
+        np.testing.assert_allclose(
+            reference[name], columns()[name], rtol=0.0, atol=0.051 * tolerance
+        )
     assert reference.metadata["parameters"] == METADATA["parameters"]
     assert reference.summary == SUMMARY
     assert (tmp_path / "reference.parquet").stat().st_size < 6000  # bytes

@@ -60,7 +60,7 @@ def signal_problems(recording: Recording, reference: Reference) -> list[str]:
         if unit != before:
             problems.append(f"{name} has the unit {unit!r}, the reference {before!r}")
     for name, kind in recording.types.items():
-        before = reference.types.get(name, kind)
+        before = reference.kinds.get(name, kind)
         if kind != before:
             problems.append(f"{name} has the type {kind}, the reference {before}")
     return problems
@@ -276,7 +276,7 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
     tolerance: float,
     ticks: int,
 ) -> Deviation:
-    unit, expected = reference.units[name], reference.column(name)
+    unit, expected = reference.units[name], reference[name]
     if not len(rows):
         nowhere = "at none of the reference's instants"
         return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0, found=nowhere)

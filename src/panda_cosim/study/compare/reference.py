@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -25,12 +24,12 @@ from numpy.typing import NDArray
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
 from ...result.judging.verdict import Summary
-from ...result.recording import Recording
+from ...result.recording import Column, Recording
 from ...result.recording.reader import bits
-from ...result.recording.storage import METADATA_KEY, TEXTS, literal, make_batch, values_of
+from ...result.recording.storage import METADATA_KEY, Source, literal, make_batch, values_of
 from ...task.files import as_argument
 from ...task.scenario import Scenario
-from ...task.tolerances import Tolerances, signal_of
+from ...task.tolerances import Tolerances
 from ..work import processor
 from .tubes import widths
 
@@ -45,55 +44,39 @@ _LARGEST = 2**31 - 1
 _KEPT = ("scenario", "coupling", "step_size", "start_time", "versions", "platform", "fmus")
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """A reference recording, with which runs are compared."""
+class Reference(Recording):
+    """A reference: the recording of an approved run, rounded, with which runs are compared.
 
-    rows: int  # ticks, both ends included
-    step_size: float  # time between two ticks [s]
-    # Makes a column (rows,), in its unit, whenever it is used; all of an hour are 2 GB.
-    column: Callable[[str], Array]
-    quanta: Mapping[str, float]  # rounding step of each Real, in its unit
-    held: tuple[str, ...]  # columns of other types, as they were recorded
-    types: Mapping[str, str]  # of every recorded column, as Arrow names it; none in format 1
-    nominals: Mapping[str, float]  # of the columns that declare one, in their units
-    units: Mapping[str, str]  # of every recorded column, with values or not
-    digests: Mapping[str, str]  # of every recorded column's bits
-    metadata: Mapping[str, Any]  # scenario, versions, machine, FMUs, parameters
-    summary: Summary
+    `of` makes one of a run, and `read` opens a file. It is read as a recording is; each column is
+    made when it is used, since all of an hour are 2 GB.
 
-    @property
-    def time(self) -> Array:
-        """Instant of each row (rows,) [s]."""
-        start: float = self.metadata.get("start_time", 0.0)  # only a system's
-        return start + self.step_size * np.arange(self.rows, dtype=np.float64)
+    Attributes:
+        quanta: Rounding step of each Real, in its unit.
+        units: Unit of every recorded column; in format 1, not all of these have values.
+        digests: Digest of every recorded column's bits.
+        kinds: Type of every recorded column, as Arrow names it; none in format 1.
+        step_size: Time between two rows [s].
+        summary: Of the approved run.
+    """
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns of numbers with values. The view reads a reference as it reads a recording."""
-        return (*self.quanta, *(name for name in self.held if self.types[name] not in TEXTS))
-
-    @property
-    def texts(self) -> tuple[str, ...]:
-        """Columns of texts."""
-        return tuple(name for name in self.held if self.types[name] in TEXTS)
+    def __init__(
+        self,
+        path: Path,
+        source: Source,
+        quanta: Mapping[str, float],
+        recorded: Mapping[str, Sequence[str]],
+        summary: Summary,
+    ) -> None:
+        super().__init__(path, source)
+        self.quanta, self.summary = quanta, summary
+        self.units = {name: unit for name, (unit, *_) in recorded.items()}
+        self.digests = {name: digest for name, (_, digest, *_) in recorded.items()}
+        self.kinds = {name: kind for name, (_, _, *kinds) in recorded.items() for kind in kinds}
+        self.step_size: float = self.metadata["step_size"]
 
     def is_real(self, name: str) -> bool:
         """Whether a column is of real numbers."""
         return name in self.quanta
-
-    @property
-    def descriptions(self) -> dict[str, str]:
-        """Descriptions of columns, which a reference has none of."""
-        return {}
-
-    def __getitem__(self, name: str) -> Array:
-        """Return a column (n,), or a signal's columns side by side (n, k)."""
-        if name in self.quanta or name in self.held:
-            return self.column(name)
-        return np.column_stack(
-            [self.column(each) for each in self.columns if signal_of(each) == name]
-        )
 
     @classmethod
     def of(cls, recording: Recording, summary: Summary, tolerances: Tolerances) -> Self:
@@ -102,7 +85,6 @@ class Reference:
         half = widths(recording, tolerances)
         if not half:
             raise InputError("the run records no signal; it cannot become a reference")
-        names = ("time", *half)
         quanta = {n: width / QUANTA for n, width in half.items() if recording.is_real(n)}
 
         def column(name: str) -> Array:
@@ -111,24 +93,19 @@ class Reference:
                 return values
             return np.asarray(values[0] + np.round((values - values[0]) / quantum) * quantum)
 
-        return cls(
-            rows=recording.rows,
-            step_size=float(recording.metadata["step_size"]),
-            column=column,
-            quanta=quanta,
-            held=tuple(name for name in half if name not in quanta),
-            types={name: recording.types[name] for name in names},
-            nominals=recording.nominals,
-            units={name: recording.units.get(name, "") for name in names},
-            digests={name: column_digest(recording[name]) for name in names},
-            metadata=kept_metadata(recording),
-            summary=summary,
-        )
+        columns = [
+            Column(name, recording.units.get(name, ""), "", kind, recording.nominals.get(name))
+            for name, kind in recording.types.items()
+            if name == "time" or name in half
+        ]
+        source = Source(tuple(columns), kept_metadata(recording), recording.rows, _reader(column))
+        recorded = {c.name: (c.unit, column_digest(recording[c.name]), c.type) for c in columns}
+        return cls(recording.path, source, quanta, recorded, summary)
 
     def write(self, path: Path, recording: Recording) -> None:
         """Write the file atomically, block by block of the recording that it was made of."""
         origins = {name: float(recording[name][0]) for name in self.quanta}
-        parts = (self.units, self.digests, self.types)
+        parts = (self.units, self.digests, self.kinds)
         text = json.dumps(
             {
                 "format": FORMATS[-1],
@@ -145,7 +122,7 @@ class Reference:
             replacing(path) as temporary,
             pq.ParquetWriter(
                 literal(temporary),
-                schema := _schema(self.quanta, {name: self.types[name] for name in self.held}),
+                schema := _schema(self.quanta, self.kinds),
                 compression="zstd",
                 compression_level=19,
                 use_dictionary=False,
@@ -160,7 +137,8 @@ class Reference:
             writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
 
     def _blocks(self, recording: Recording, origins: Mapping[str, float]) -> Iterator[list[Array]]:
-        held = [recording[name] for name in self.held]  # not in blocks, which are of float64
+        # Those of other types are not in blocks, which are of float64.
+        held = [recording[n] for n in self.kinds if n != "time" and n not in self.quanta]
         row = before = 0  # `before`: rows at the start of a block that were in the one before
         for block in recording.in_blocks("time", *self.quanta, before=2):
             columns, end = [], row + len(block[0]) - before
@@ -181,33 +159,36 @@ class Reference:
             raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
         file, description = _open(path)
         quanta, metadata = description["quanta"], description["metadata"]
-        origins, columns = description.get("origins", {}), description["columns"]
-        types = {name: kind for name, (_, _, *kinds) in columns.items() for kind in kinds}
+        origins, nominals = description.get("origins", {}), description.get("nominals", {})
+        rows, recorded = description["rows"], description["columns"]
 
         def column(name: str) -> Array:
+            if name == "time":
+                start = metadata.get("start_time", 0.0)  # only a system's
+                return np.asarray(start + metadata["step_size"] * np.arange(rows))
             values = values_of(_read(file, name).combine_chunks())
             if name not in quanta:
                 return values
             steps = values.astype(int).cumsum().cumsum()
             return np.asarray(origins.get(name, 0.0) + steps * quanta[name])
 
-        return cls(
-            rows=description["rows"],
-            step_size=metadata["step_size"],
-            column=column,
-            quanta=quanta,
-            held=tuple(name for name in file.schema_arrow.names if name not in quanta),
-            types=types,
-            nominals=description.get("nominals", {}),
-            units={name: unit for name, (unit, *_) in columns.items()},
-            digests={name: digest for name, (_, digest, *_) in columns.items()},
-            metadata=metadata,
-            summary=Summary.read(description["summary"]),
-        )
+        columns = [Column("time", "s")]
+        for field in file.schema_arrow:
+            name, kind = field.name, "double" if field.name in quanta else str(field.type)
+            columns.append(Column(name, recorded[name][0], "", kind, nominals.get(name)))
+        source = Source(tuple(columns), metadata, rows, _reader(column))
+        return cls(path, source, quanta, recorded, Summary.read(description["summary"]))
 
 
-def _schema(quanta: Iterable[str], held: Mapping[str, str]) -> Any:
-    types = {**dict.fromkeys(quanta, "int32"), **held}
+def _reader(column: Callable[[str], Array]) -> Callable[[Sequence[str]], Iterator[list[Array]]]:
+    """Return what reads columns in blocks of rows, of which there is one."""
+    return lambda names: iter([[column(name) for name in names]])
+
+
+def _schema(quanta: Mapping[str, float], kinds: Mapping[str, str]) -> Any:
+    """Return the schema of a file with these rounded columns, and others as they were recorded."""
+    others = {name: kind for name, kind in kinds.items() if name not in ("time", *quanta)}
+    types = {**dict.fromkeys(quanta, "int32"), **others}
     fields = [pa.field(n, pa.type_for_alias(kind), nullable=False) for n, kind in types.items()]
     return pa.schema(fields)
 
@@ -232,11 +213,9 @@ def _open(path: Path) -> tuple[Any, dict[str, Any]]:
     if description["format"] not in FORMATS:
         valid = " or ".join(map(str, FORMATS))
         raise InputError(f"{path}: format {excerpt(description['format'])}; must be {valid}")
-    columns, quanta = description["columns"], description["quanta"]
-    held = {n: kinds[0] for n, (_, _, *kinds) in columns.items() if kinds and n not in quanta}
-    held.pop("time", None)
+    kinds = {n: kind for n, (_, _, *kinds) in description["columns"].items() for kind in kinds}
     is_whole = file.metadata.num_rows == description["rows"]
-    if not (is_whole and file.schema_arrow == _schema(quanta, held)):
+    if not (is_whole and file.schema_arrow == _schema(description["quanta"], kinds)):
         raise InputError(f"{path}: is damaged: its columns are not those of its description")
     return file, description
 

@@ -146,7 +146,7 @@ def _figure(
     rows = matching_rows(recording.time, reference)
     run = np.full(reference.rows, np.nan)
     run[rows[rows >= 0]] = recording[deviation.name][rows >= 0]
-    expected = reference.column(deviation.name).astype(float)
+    expected = reference[deviation.name].astype(float)
     width = deviation.tolerance + reference.quanta.get(deviation.name, 0.0) / 2
     lines = curve(
         deviation.unit,
