@@ -22,7 +22,7 @@ from panda_cosim.assets import STEP_SIZE
 from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.interface.variables import Interface, input_, output
 from panda_cosim.fmus.master.wiring import BLOCK_ROWS
-from panda_cosim.fmus.sources.targets import build_fmu
+from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.stopping import StopRequest
@@ -127,7 +127,8 @@ def set_up(folder: Path, variables: int) -> float:
     outputs = [output(f"y{i}", (), "", "An output", start=0.0) for i in numbers]
     for name in "ab":
         interface = Interface(f"Big{name.upper()}", "Many variables", (*inputs, *outputs))
-        build_fmu(NativeFmu(interface, "player", "Holds 0."), folder / f"{name}.fmu")
+        fmu = Target().make(NativeFmu(interface, "player", "Holds 0."))
+        (folder / f"{name}.fmu").write_bytes(fmu)
     connections = "".join(f'"b.u{i}" = "a.y{i}"\n' for i in numbers)
     system = 'duration = 0.01\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n'
     (folder / SCENARIO_FILE).write_text(system + connections, encoding="utf-8")

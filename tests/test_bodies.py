@@ -128,7 +128,7 @@ def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path):
     assert (found["qpos"].shape, found["qvel"].shape) == ((23,), (21,))
     assert found["qpos"].unit[16:20] == ("m", "m", "m", "1")
     (tmp_path / "cup.toml").write_text('extends = "PandaPlnt"\n')
-    with pytest.raises(InputError, match="extends: value 'PandaPlnt'; valid: PandaPlant"):
+    with pytest.raises(InputError, match="extends: value 'PandaPlnt'; must be one of PandaPlant"):
         model_part(tmp_path / "cup.xml")
 
 

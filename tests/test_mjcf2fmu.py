@@ -21,7 +21,7 @@ from panda_cosim.cli.app import app
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu
-from panda_cosim.fmus.sources.targets import Target, build_fmu
+from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.plant.mujoco_warnings import taken_warnings
 
 
@@ -32,7 +32,8 @@ def box(tmp_path):
 
 def write(model: Path, out: Path, options: ModelOptions, fmi: int = 2) -> Path:
     """Make an FMU, named after its file."""
-    return build_fmu(model_fmu(model, options, out.stem), out, Target(fmi=fmi))
+    out.write_bytes(Target(fmi=fmi).make(model_fmu(model, options, out.stem)))
+    return out
 
 
 def test_variables_have_the_units_that_mujoco_defines(box):
@@ -100,17 +101,17 @@ def test_suggestions_of_the_interface_are_valid(box, tmp_path):
 
 BAD_INTERFACES = {
     "name = [": r"^\S+bad.toml: cannot be read: Invalid value",
-    'nam = "x"': "no key 'nam'; valid: name, .*; did you mean 'name'",
+    'nam = "x"': "key: value 'nam'; must be one of name, .*; did you mean 'name'",
     'name = "a b"': "must be of letters, digits and _",
     "outputs = 3": "outputs|inline|table",
     '[outputs]\n"a b" = { source = "qpos" }': "outputs.a b: a name must be",
     '[outputs]\nx = { sourse = "qpos" }': "must be a table such as",
-    '[outputs]\nx = { source = "body bix xpos" }': "not in the model; did you mean 'box'",
-    '[outputs]\nx = { source = "site zzz xpos" }': "not in the model; valid: ",
+    '[outputs]\nx = { source = "body bix xpos" }': "body: value 'bix'; .*; did you mean 'box'",
+    '[outputs]\nx = { source = "site zzz xpos" }': "site: value 'zzz'; the model has tip",
     '[outputs]\nx = { source = "body box ypos" }': "mjcf2fmu --help` lists the sources",
-    '[outputs]\nx = { source = "qpoz" }': "no field of MjData; did you mean",
+    '[outputs]\nx = { source = "qpoz" }': "must be a field of MjData, .*; did you mean",
     '[outputs]\nx = { source = "data qpos 5 9" }': "qpos has 8 elements",
-    '[outputs]\nx = { source = "qpos", unit = "inch" }': "unit 'inch': valid",
+    '[outputs]\nx = { source = "qpos", unit = "inch" }': "unit: value 'inch'; must be one of",
     '[inputs]\nx = { source = "ctrl", start = [1, 2] }': "start: must be a number, or 1 of them",
     '[inputs]\nx = { source = "qpos" }': "no such input",
     '[parameters]\nx = { source = "body post free_xy" }': "has no free joint",
@@ -123,7 +124,7 @@ BAD_INTERFACES = {
     '[parameters]\nx = { source = "qpos", tunable = true }': "an effect at the start only",
     "[parameters]\nx = { source = \"body 'box mass\" }": "a quotation mark",
     '[parameters]\nx = { source = "model geom_size ² 1" }': "no such parameter",
-    'keyframe = "none"': "no keyframe 'none'; valid: turned",
+    'keyframe = "none"': "keyframe: value 'none'; the model has turned",
     '[inputs]\nx = { source = "ctrl" }\n[outputs]\nx = { source = "qpos" }': "two variables",
 }  # fmt: skip
 

@@ -132,7 +132,7 @@ def test_a_law_by_option_is_compared_with_the_shipped_one(folder, tmp_path):
 def test_a_law_is_read_and_checked_without_being_run(folder, tmp_path):
     (tmp_path / "law.py").write_text(LAW)
     law = read_law(tmp_path / "law.py", "Hold")
-    assert law.description == "Holds the joints"
+    assert law.text == "Holds the joints"
     assert law.takes == ("qpos", "hand_xpos")
     assert law.parameters == {"gain": 2.0, "offsets": (0.0, 0.1), "on": True}
     path = folder / "my_law.py"
@@ -151,7 +151,7 @@ def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder):
     ("old", "new", "message"),
     [
         ("my_law.py:ResolvedRate", "my_law.py", r"\[fmus\] controller: .*FILE.py:CLASS"),
-        ("my_law.py:ResolvedRate", "my_law.py:Resolved", "no class 'Resolved'; .*ResolvedRate"),
+        ("my_law.py:ResolvedRate", "my_law.py:Resolved", "class: value 'Resolved'; .*ResolvedRate"),
         ("my_law.py:ResolvedRate", "law.txt", r"\[fmus\] controller: value .*must be LAW.py:CLASS"),
         ("# gain", "gian = 1\n# gain", "gian: no such parameter of ResolvedRate; .*gain"),
         ("[controller]", '[connect]\n"plant.ctr" = "controller.ctrl"\n[controller]',

@@ -168,7 +168,7 @@ def peculiar(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("peculiar")
     (folder / "peculiar.py").write_text(PECULIAR)
     fmu = slave_fmu(folder / "peculiar.py", "Peculiar")
-    return build_fmu(fmu, folder / "Peculiar.fmu", Target(fmi=request.param))
+    return build_fmu(fmu, Target(fmi=request.param))
 
 
 @pytest.mark.fmu

@@ -29,7 +29,7 @@ from ...assets import STEP_SIZE
 from ..build.libraries import SOURCES
 from ..build.native import NativeFmu
 from ..errors import InputError
-from ..interface.variables import Interface, Numbers, Variable
+from ..interface.variables import Interface, Numbers, Variable, input_, output
 from .python_fmu import class_of, code_of, is_slave, python_fmu
 
 SLAVE: Final = SOURCES.with_name("inside") / "law.py"
@@ -42,27 +42,20 @@ _TAKEN: Final = {"ctrl": "its output", "start": "a method", "update": "a method"
 
 @dataclass(frozen=True)
 class LawFile:
-    """A law, as read from its file."""
+    """A law, as `read_law` reads it from its file; its FMU is made once its signals are known."""
 
     path: Path
     name: str  # of the class
     text: str  # docstring of the class
-    takes: tuple[str, ...] = ()  # names of the signals that `update` takes
-    parameters: Mapping[str, bool | Numbers] | None = None  # start values by name
-    is_slave: bool = False  # a PythonFMU slave, whose variables are known only once it runs
-
-    @property
-    def description(self) -> str:
-        """First line of the docstring."""
-        return self.text.splitlines()[0]
+    takes: tuple[str, ...]  # names of the signals that `update` takes
+    parameters: Mapping[str, bool | Numbers]  # start values by name
 
 
-def read_law(path: Path, name: str) -> LawFile:
-    """Read a class without running it: a law, or a PythonFMU slave."""
+def read_law(path: Path, name: str) -> LawFile | None:
+    """Read a law without running it; None if the class is a PythonFMU slave."""
     node = class_of(path, name)
-    text = ast.get_docstring(node) or name
-    if is_slave(node):
-        return LawFile(path, name, text, is_slave=True)
+    if is_slave(node):  # its variables are known only once it runs
+        return None
     takes = _takes(path, node)
     parameters = dict(_parameters(node))
     taken = _TAKEN | dict.fromkeys(takes, "one of its signals")
@@ -71,7 +64,7 @@ def read_law(path: Path, name: str) -> LawFile:
             f"{path}: class {name}: {parameter} = ...: is the name of {taken[parameter]}; must be "
             "another name"
         )
-    return LawFile(path, name, text, takes, parameters)
+    return LawFile(path, name, ast.get_docstring(node) or name, takes, parameters)
 
 
 def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
@@ -89,13 +82,10 @@ def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
 
 def _parameters(node: ast.ClassDef) -> Iterator[tuple[str, bool | Numbers]]:
     for statement in node.body:
-        if isinstance(statement, ast.Assign):
-            target, value = statement.targets[0], statement.value
-        elif isinstance(statement, ast.AnnAssign) and statement.value is not None:
-            target, value = statement.target, statement.value
-        else:
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
             continue
-        literal = _literal(value)
+        target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
+        literal = _literal(statement.value)
         if literal is not None and isinstance(target, ast.Name) and not target.id.startswith("_"):
             yield target.id, literal
 
@@ -119,12 +109,12 @@ def law_interface(
     law: LawFile, signals: Callable[[str], Variable | None], ctrl: Variable
 ) -> Interface:
     """The variables of a law's FMU: shapes and units are those of the signals."""
-    variables = [_input(law, name, signals(name)) for name in law.takes]
-    variables.append(
-        Variable("ctrl", ctrl.shape, ctrl.unit, "output", "discrete", ctrl.description)
+    variables = (
+        *(_input(law, name, signals(name)) for name in law.takes),
+        output("ctrl", ctrl.shape, ctrl.unit, ctrl.description, "discrete"),
+        *(_parameter(name, value) for name, value in law.parameters.items()),
     )
-    variables += [_parameter(name, value) for name, value in (law.parameters or {}).items()]
-    interface = Interface(law.name, law.description, tuple(variables))
+    interface = Interface(law.name, law.text.splitlines()[0], variables)
     for scalar in interface.scalars():
         if scalar.variable.causality == "parameter":
             scalar.checked(f"{law.path}: {scalar.name}", scalar.start)
@@ -137,10 +127,8 @@ def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
             f"{law.path}: {law.name}.update takes {name!r}, which does not exist; must be a "
             "command or an output of another FMU"
         )
-    start = 0.0 if signal.start is None else signal.start
-    return Variable(
-        name, signal.shape, signal.unit, "input", "continuous", signal.description, start
-    )
+    start: Any = 0.0 if signal.start is None else signal.start
+    return input_(name, signal.shape, signal.unit, signal.description, start)
 
 
 def _parameter(name: str, value: bool | Numbers) -> Variable:

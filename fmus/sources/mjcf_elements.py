@@ -1,28 +1,23 @@
-"""Units and descriptions of the elements of MuJoCo's fields, from joints and actuators."""
+"""What each element of MuJoCo's fields is: a part of which object, and in which unit."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 
-FREE: Final = 0  # mjtJoint
-HINGE, SLIDE, BALL = 3, 2, 1
-QPOS: Final = {HINGE: ("rad",), SLIDE: ("m",), BALL: ("1",) * 4, FREE: (*"mmm", *"1111")}
-DOF: Final = {HINGE: ("rad",), SLIDE: ("m",), BALL: ("rad",) * 3, FREE: (*"mmm", *["rad"] * 3)}
-_FORCE: Final = {"rad": "N.m", "m": "N"}
-_FIELDS: Final = {"mocap_pos": "m", "mocap_quat": "1", "xpos": "m", "xquat": "1", "site_xpos": "m"}
-_POSE: Final = (*(f"position {axis}" for axis in "xyz"), *(f"quaternion {part}" for part in "wxyz"))
-# What the elements of a joint are called.
-_POSITIONS: Final = {HINGE: ("angle",), SLIDE: ("position",), BALL: _POSE[3:], FREE: _POSE}
-_TURNS: Final = ("about x", "about y", "about z")
-_MOTIONS: Final = {
-    HINGE: ("",),
-    SLIDE: ("",),
-    BALL: _TURNS,
-    FREE: ("along x", "along y", "along z", *_TURNS),
-}
+FREE, BALL, SLIDE, HINGE = range(4)  # mjtJoint
+_POSE: Final = (*((f"position {axis}", "m") for axis in "xyz"),
+                *((f"quaternion {part}", "1") for part in "wxyz"))  # fmt: skip
+_LINEAR: Final = tuple((f"along {axis}", "m") for axis in "xyz")
+_TURNS: Final = tuple((f"about {axis}", "rad") for axis in "xyz")
+# Parts of a joint's position and of its motion, with their units, by its kind.
+_POSITIONS: Final = {HINGE: (("angle", "rad"),), SLIDE: (("position", "m"),),
+                     BALL: _POSE[3:], FREE: _POSE}  # fmt: skip
+_MOTIONS: Final = {HINGE: (("", "rad"),), SLIDE: (("", "m"),), BALL: _TURNS,
+                   FREE: (*_LINEAR, *_TURNS)}  # fmt: skip
+_FORCES: Final = {"rad": "N.m", "m": "N", "": ""}
 _OF_MOTIONS: Final = {
     "qvel": "velocity", "qacc": "acceleration",
     "qfrc_bias": "bias force", "qfrc_applied": "applied force",
@@ -30,6 +25,21 @@ _OF_MOTIONS: Final = {
     "qfrc_constraint": "constraint force",
 }  # fmt: skip
 _OF_ACTUATORS: Final = {"ctrl": "control", "actuator_force": "force"}
+# Units of fields whose elements all have the same, or a pattern that repeats.
+_UNITS: Final = {
+    "xpos": ("m",), "xipos": ("m",), "subtree_com": ("m",), "geom_xpos": ("m",),
+    "site_xpos": ("m",), "mocap_pos": ("m",), "xquat": ("1",), "mocap_quat": ("1",),
+    "xmat": ("1",), "geom_xmat": ("1",), "site_xmat": ("1",), "geom_friction": ("1",),
+    "xfrc_applied": ("N", "N", "N", "N.m", "N.m", "N.m"), "body_mass": ("kg",),
+    "gravity": ("m/s2",), "wind": ("m/s",),
+}  # fmt: skip
+_SENSORS: Final = {
+    "touch": "N", "accelerometer": "m/s2", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
+    "torque": "N.m", "rangefinder": "m", "tendonpos": "m", "tendonvel": "m/s", "ballquat": "1",
+    "ballangvel": "rad/s", "framepos": "m", "framequat": "1", "framexaxis": "1",
+    "frameyaxis": "1", "framezaxis": "1", "framelinvel": "m/s", "frameangvel": "rad/s",
+    "framelinacc": "m/s2", "frameangacc": "rad/s2", "subtreecom": "m", "subtreelinvel": "m/s",
+}  # fmt: skip
 # MuJoCo's numbers of the kinds of actuators.
 _ON_JOINTS: Final = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _TENDON: Final = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -42,66 +52,73 @@ _FOLLOWING: Final = (  # whose force follows the control, perhaps filtered
 )
 
 
-def units(model: Any, field: str) -> str | tuple[str, ...]:
-    """Units of the elements of a field of mjData, or of all of them; "" if they are not known."""
-    dofs = [unit for kind in model.jnt_type for unit in DOF[int(kind)]]
-    match field:
-        case "qpos":
-            return tuple(unit for kind in model.jnt_type for unit in QPOS[int(kind)])
-        case "qvel" | "qacc":
-            return tuple(f"{unit}/s{'2' * (field == 'qacc')}" for unit in dofs)
-        case "ctrl":
-            return tuple(_unit_of_control(model, i) for i in range(model.nu))
-        case "actuator_force":
-            return tuple(_FORCE.get(_joint_unit(model, i), "") for i in range(model.nu))
-    if field.startswith("qfrc_"):
-        return tuple(_FORCE[unit] for unit in dofs)
-    return _FIELDS.get(field, "")
+class Element(NamedTuple):
+    """One number of a field; `text` is "" where its variable's own description says it."""
+
+    unit: str  # "" if it is not known
+    text: str = ""
 
 
-def _joint_unit(model: Any, actuator: int) -> str:
-    """Unit of the length of an actuator, by what it acts on."""
-    transmission, target = int(model.actuator_trntype[actuator]), model.actuator_trnid[actuator, 0]
-    if transmission in _ON_JOINTS:
-        return {HINGE: "rad", SLIDE: "m"}.get(int(model.jnt_type[target]), "")
-    return "m" if transmission == _TENDON else ""
-
-
-def _unit_of_control(model: Any, actuator: int) -> str:
-    """Unit of a motor's force, or of a servo's position or velocity; "" of anything else."""
-    gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
-    unit, follows = _joint_unit(model, actuator), model.actuator_dyntype[actuator] in _FOLLOWING
-    if not (unit and follows and model.actuator_gaintype[actuator] == _FIXED):
-        return ""
-    if model.actuator_biastype[actuator] == _NO_BIAS:
-        return _FORCE[unit] if gain[0] == 1.0 else ""
-    if bias[0] == 0.0 and bias[1] == -gain[0]:
-        return unit
-    return f"{unit}/s" if not bias[:2].any() and bias[2] == -gain[0] else ""
-
-
-def descriptions(model: Any, field: str) -> tuple[str, ...]:
-    """Descriptions of the elements of a field of mjData; of joints and actuators only."""
+def elements(model: Any, field: str, size: int) -> tuple[Element, ...]:
+    """What the elements of a field of mjData or mjModel are."""
+    if field == "qpos" or field in _OF_MOTIONS:
+        return tuple(_of_joints(model, field))
     if field in _OF_ACTUATORS:
-        names = (_actuator(model, i) for i in range(model.nu))
-        return tuple(f"{_OF_ACTUATORS[field].capitalize()} of {name}" for name in names)
-    return tuple(_of_joints(model, field)) if field == "qpos" or field in _OF_MOTIONS else ()
+        return tuple(_of_actuator(model, i, field) for i in range(model.nu))
+    if field == "sensordata":
+        units = (u for i in range(model.nsensor) for u in _of_sensor(model, i))
+        return tuple(map(Element, units))
+    pattern = _UNITS.get(field, ("",))
+    return tuple(Element(pattern[i % len(pattern)]) for i in range(size))
 
 
-def _of_joints(model: Any, field: str) -> Iterator[str]:
+def dof_units(model: Any) -> list[str]:
+    """Unit of the motion of each degree of freedom."""
+    return [unit for kind in model.jnt_type for _, unit in _MOTIONS[int(kind)]]
+
+
+def _of_joints(model: Any, field: str) -> Iterator[Element]:
+    parts, word = (_POSITIONS, "") if field == "qpos" else (_MOTIONS, _OF_MOTIONS[field])
     for joint, kind in enumerate(map(int, model.jnt_type)):
         name = _name(model.joint(joint), "joint")
-        for part in (_POSITIONS if field == "qpos" else _MOTIONS)[kind]:
-            words = " ".join(filter(None, (_OF_MOTIONS.get(field), part)))
-            yield f"{words[0].upper()}{words[1:]} of {name}"
+        for part, unit in parts[kind]:
+            text = f"{word} {part}".strip()
+            given = {"qpos": unit, "qvel": f"{unit}/s", "qacc": f"{unit}/s2"}.get(field)
+            yield Element(given or _FORCES[unit], f"{text[0].upper()}{text[1:]} of {name}")
 
 
-def _actuator(model: Any, actuator: int) -> str:
-    """Name of an actuator; of one without a name, with its joint."""
-    view, target = model.actuator(actuator), int(model.actuator_trnid[actuator, 0])
-    is_on_joint = not view.name and int(model.actuator_trntype[actuator]) in _ON_JOINTS
-    on_joint = f" on {_name(model.joint(target), 'joint')}" if is_on_joint else ""
-    return _name(view, "actuator") + on_joint
+def _of_actuator(model: Any, actuator: int, field: str) -> Element:
+    """What the control or the force of an actuator is; one without a name has its joint's."""
+    view, name = model.actuator(actuator), _name(model.actuator(actuator), "actuator")
+    transmission, target = int(model.actuator_trntype[actuator]), model.actuator_trnid[actuator, 0]
+    length = "m" if transmission == _TENDON else ""
+    if transmission in _ON_JOINTS:
+        length = {HINGE: "rad", SLIDE: "m"}.get(int(model.jnt_type[target]), "")
+        name += "" if view.name else f" on {_name(model.joint(target), 'joint')}"
+    unit = _unit_of_control(model, actuator, length) if field == "ctrl" else _FORCES[length]
+    return Element(unit, f"{_OF_ACTUATORS[field].capitalize()} of {name}")
+
+
+def _unit_of_control(model: Any, actuator: int, length: str) -> str:
+    """Unit of a motor's force, or of a servo's position or velocity; "" of anything else."""
+    gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
+    follows = model.actuator_dyntype[actuator] in _FOLLOWING
+    if not (length and follows and model.actuator_gaintype[actuator] == _FIXED):
+        return ""
+    if model.actuator_biastype[actuator] == _NO_BIAS:
+        return _FORCES[length] if gain[0] == 1.0 else ""
+    if bias[0] == 0.0 and bias[1] == -gain[0]:
+        return length
+    return f"{length}/s" if not bias[:2].any() and bias[2] == -gain[0] else ""
+
+
+def _of_sensor(model: Any, sensor: int) -> tuple[str, ...]:
+    kind: str = mujoco.mjtSensor(int(model.sensor_type[sensor])).name[7:].lower()
+    unit = _SENSORS.get(kind, "")
+    if kind in ("jointpos", "jointvel"):  # of a hinge or a slide
+        joint = int(model.jnt_type[model.sensor_objid[sensor]])
+        unit = _MOTIONS[joint][0][1] + "/s" * (kind == "jointvel")
+    return (unit,) * int(model.sensor_dim[sensor])
 
 
 def _name(view: Any, kind: str) -> str:

@@ -10,14 +10,15 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
 from ...plant.parameters import ARM_JOINTS
 from ..build.description import BASE_UNITS
-from ..errors import InputError, did_you_mean, one_line
+from ..errors import InputError, one_line, refuse
 from ..interface.plant import PLANT
-from ..interface.variables import Causality, Interface, Variable, output
+from ..interface.variables import Causality, Interface, Variable
 from ..reading import open_regular
 from .mjcf_sources import OBJECTS, TUNABLE, Sources, words_of
 
@@ -32,7 +33,7 @@ HEAD: Final = {"name": str, "description": str, "keyframe": str, "extends": str,
 KEYS: Final = {"source": str, "unit": str, "description": str, "start": object, "min": object,
                "max": object, "tunable": bool}  # fmt: skip
 _WORDS: Final = {str: "a text", bool: "true or false", dict: "a table"}
-Variables = dict[str, dict[str, dict[str, Any]]]
+Rows = dict[str, dict[str, Any]]  # keys of each variable, `source` at least, by name
 # Interfaces that a model with the same objects can take over, by name.
 EXTENDED: Final = {PLANT.model: PLANT}
 # Objects of PandaPlant whose values its vectors begin with, by kind.
@@ -40,29 +41,37 @@ FIRST: Final = {
     "joint": (*ARM_JOINTS, "finger_joint1", "finger_joint2", "obj_freejoint"),
     "actuator": tuple(f"actuator{i}" for i in range(1, 9)),
 }
-_MAX_BYTES: Final = 4 * 1024 * 1024
 IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
 
 @dataclass
 class Description:
-    """The content of an interface file."""
+    """The content of an interface file: read from one, or what `mjcf2fmu` takes without one.
+
+    `interface` completes it from a model; nothing in it is checked against a model before.
+    """
 
     name: str  # model name of the FMU
-    text: str = ""  # description, one line
+    description: str = ""  # one line
     keyframe: str = ""  # to start at; "": qpos0
-    # Keys of each variable, `source` at least, by section and name.
-    variables: Variables = field(default_factory=lambda: {section: {} for section in SECTIONS})
     extends: str = ""  # name of an interface that it takes over and adds to
+    inputs: Rows = field(default_factory=dict)
+    outputs: Rows = field(default_factory=dict)
+    parameters: Rows = field(default_factory=dict)
+
+    @property
+    def sections(self) -> dict[str, Rows]:
+        """The variables of each section."""
+        return {section: getattr(self, section) for section in SECTIONS}
 
     def add(self, section: str, source: str) -> None:
         """Add a variable, named after its source; a longer name if the first is taken."""
         name = variable_name(source)
         if section == "parameters" and name.endswith(("qpos", "qvel")):
             name = f"start_{name}"
-        if any(name in variables for variables in self.variables.values()):
+        if any(name in rows for rows in self.sections.values()):
             name = re.sub(r"\W+", "_", source.strip(), flags=re.A)
-        self.variables[section][name] = {"source": source}
+        self.sections[section][name] = {"source": source}
 
 
 def variable_name(source: str) -> str:
@@ -108,7 +117,7 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
     """Format a description as TOML, with suggestions as commented lines."""
     whole = deepcopy(description)
     for section in SECTIONS:
-        present = [keys["source"] for keys in whole.variables[section].values()]
+        present = [keys["source"] for keys in whole.sections[section].values()]
         for source in extra[section]:
             if source not in present:
                 whole.add(section, source)
@@ -116,13 +125,13 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
         "# One line per variable; `source` names it in the model. unit, description, start, min",
         "# and max are optional; parameters with `tunable = true` may change between steps.",
         f"name = {json.dumps(description.name)}",
-        f"description = {json.dumps(description.text)}",
+        f"description = {json.dumps(description.description)}",
         f"keyframe = {json.dumps(description.keyframe)}  # empty: start at qpos0",
     ]
-    for section in SECTIONS:
+    for section, rows in whole.sections.items():
         lines += ["", f"[{section}]"]
-        for name, keys in whole.variables[section].items():
-            mark = "" if name in description.variables[section] else "# "
+        for name, keys in rows.items():
+            mark = "" if name in description.sections[section] else "# "
             # JSON's strings, numbers and lists are valid TOML.
             pairs = ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
             lines.append(f"{mark}{name} = {{ {pairs} }}")
@@ -133,13 +142,13 @@ def read_description(path: Path) -> Description:
     """Read a description; refuses a file that cannot be read or has invalid content."""
     try:
         with open_regular(path) as file:
-            raw = file.read(_MAX_BYTES)
+            raw = file.read()
         content = tomllib.loads(raw.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
     _check(str(path), content, HEAD)
-    variables: Variables = {section: content.get(section, {}) for section in SECTIONS}
-    for section, rows in variables.items():
+    description = Description(**{"name": path.stem, **content})
+    for section, rows in description.sections.items():
         for name, keys in rows.items():
             place = f"{path}: {section}.{name}"
             if not IDENTIFIER.fullmatch(name):
@@ -147,24 +156,15 @@ def read_description(path: Path) -> Description:
             if not isinstance(keys, dict) or "source" not in keys:
                 raise InputError(f'{place}: must be a table such as {{ source = "ctrl" }}')
             _check(place, keys, KEYS)
-    extends = content.get("extends", "")
-    if extends not in ("", *EXTENDED):
-        raise InputError(f"{path}: extends: value {extends!r}; valid: {', '.join(EXTENDED)}")
-    return Description(
-        content.get("name", path.stem),
-        content.get("description", ""),
-        content.get("keyframe", ""),
-        variables,
-        extends,
-    )
+    if description.extends not in ("", *EXTENDED):
+        refuse(f"{path}: extends", description.extends, f"must be one of {', '.join(EXTENDED)}")
+    return description
 
 
 def _check(place: str, content: Mapping[str, Any], valid: Mapping[str, type]) -> None:
     for key, value in content.items():
         if key not in valid:
-            raise InputError(
-                f"{place}: no key {key!r}; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
-            )
+            refuse(f"{place}: key", key, f"must be one of {', '.join(valid)}", valid)
         if not isinstance(value, valid[key]):
             raise InputError(f"{place}: {key}: must be {_WORDS[valid[key]]}")
 
@@ -174,25 +174,37 @@ def interface(description: Description, model: Any) -> Interface:
     if not IDENTIFIER.fullmatch(description.name):
         raise InputError(f"name {description.name!r}: must be of letters, digits and _")
     sources = Sources(model, description.keyframe)
-    variables: list[Variable] = []
-    for section, causality in SECTIONS.items():
-        for name, keys in description.variables[section].items():
-            row = sources.find(causality, keys["source"])
-            variables.append(_variable(f"{section}.{name}", name, keys, row))
+    base = EXTENDED.get(description.extends)
+    if base is not None:
+        description = _with_poses(description, sources)
+    variables = [
+        _variable(f"{section}.{name}", name, keys, sources.find(causality, keys["source"]))
+        for section, causality in SECTIONS.items()
+        for name, keys in description.sections[section].items()
+    ]
     names = [variable.name for variable in variables]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{name}: two variables have this name")
     terminals = {"robot": tuple(v.name for v in variables if v.causality != "parameter")}
-    if description.extends:
-        base = EXTENDED[description.extends]
+    if base is not None:
         variables, terminals = _extended(base, variables, sources), {**base.terminals}
     rows = tuple(variables)
-    return Interface(description.name, description.text, rows, terminals, is_model=True)
+    return Interface(description.name, description.description, rows, terminals, is_model=True)
+
+
+def _with_poses(description: Description, sources: Sources) -> Description:
+    """Add the poses of all free bodies, as outputs NAME_xpos and NAME_xquat."""
+    whole = deepcopy(description)
+    for body, what in product(sources.free_bodies(), ("xpos", "xquat")):
+        source = f"body {shlex.quote(body)} {what}"
+        if not any(variable_name(source) in rows for rows in whole.sections.values()):
+            whole.add("outputs", source)
+    return whole
 
 
 def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
-    """Take over an interface's variables but the user's, and the pose of each free body."""
+    """Take over an interface's variables but those that have a name of the user's."""
     # The whole model's qpos and qvel begin with those of the robot and the block.
     for kind, names in FIRST.items():
         for i, name in enumerate(names):
@@ -202,40 +214,20 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
                     f"model's {kind}s; put the <include> before {kind}s of your own"
                 )
     own_names = {variable.name for variable in own}
-    poses = [v for v in _poses(sources) if v.name not in own_names]
-    taken = []
-    for variable in base.variables:
-        whole = variable
+    taken = [v for v in base.variables if v.name not in own_names and v.source != "scene"]
+    for i, variable in enumerate(taken):
         if variable.source in ("qpos", "qvel"):
             row = sources.find("output", variable.source)
             text = f"{variable.description}; then the model's further joints"
-            whole = replace(variable, shape=row.shape, unit=row.unit, description=text)
-        if variable.name not in own_names and variable.source != "scene":
-            taken.append(whole)
-    return sorted([*taken, *own, *poses], key=lambda v: list(SECTIONS.values()).index(v.causality))
-
-
-def _poses(sources: Sources) -> list[Variable]:
-    """Poses of all free bodies, as outputs NAME_xpos and NAME_xquat."""
-    poses = []
-    for body in sources.free_bodies():
-        source = f"body {shlex.quote(body)}"
-        name = variable_name(source)
-        poses += [
-            output(f"{name}_xpos", (3,), "m", f"Origin of the body {body}, world frame",
-                   source=f"{source} xpos"),
-            output(f"{name}_xquat", (4,), "1", f"Orientation of the body {body}, world frame, "
-                   "(w, x, y, z)", source=f"{source} xquat"),
-        ]  # fmt: skip
-    return poses
+            taken[i] = replace(variable, shape=row.shape, unit=row.unit, description=text)
+    return sorted([*taken, *own], key=lambda v: list(SECTIONS.values()).index(v.causality))
 
 
 def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> Variable:
     """Complete a model's variable with the keys of the interface file."""
     unit = keys.get("unit")
     if unit and unit not in BASE_UNITS:
-        near = did_you_mean(unit, BASE_UNITS)
-        raise InputError(f"{place}: unit {unit!r}: valid: {', '.join(BASE_UNITS)}{near}")
+        refuse(f"{place}: unit", unit, f"must be one of {', '.join(BASE_UNITS)}", BASE_UNITS)
     if keys.get("tunable") and row.causality != "parameter":
         raise InputError(f"{place}: tunable: only parameters have this key")
     if keys.get("tunable") and row.source.split()[0] not in TUNABLE:

@@ -18,13 +18,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from ...assets import STEP_SIZE
 from ..build.libraries import SOURCES, digest, last_line, package_version
 from ..build.native import NativeFmu, Option
-from ..errors import CosimError, InputError, did_you_mean, one_line
-from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
+from ..errors import CosimError, InputError, one_line, refuse
+from ..interface.variables import Interface, Value, Variable
 from ..processes import SAFE_PATH, run
 
 HOST: Final = "python_host.py"  # what the library calls Python through
@@ -53,7 +53,7 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
 ) -> NativeFmu:
     """Describe the FMU of a slave class."""
     package, files = package_of(interface, code)
-    files[HOST] = (SOURCES / HOST).read_bytes()
+    files |= {HOST: (SOURCES / HOST).read_bytes(), **(resources or {})}
     options = [("package", package), ("slave", " ".join(slave))]
     if private:  # the names by which the code's modules, or their packages, are imported
         tops = (path.partition("/")[0].removesuffix(".py") for path in code)
@@ -68,16 +68,9 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
         f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
         "that holds them, for the same Python version.",
     )
-    return NativeFmu(
-        interface,
-        "python",
-        law,
-        files | dict(resources or {}),
-        tuple(options),
-        recorded_python(needs),
-        requirements,
-        step_size,
-    )
+    recorded = recorded_python(needs)
+    return NativeFmu(interface, "python", law, files, tuple(options), recorded, requirements,
+                     step_size)  # fmt: skip
 
 
 def listed_needs(needs: Iterable[str]) -> str:
@@ -204,9 +197,7 @@ def class_of(path: Path, name: str) -> ast.ClassDef:
     """Return a class of a file."""
     classes = classes_of(path)
     if name not in classes:
-        valid = ", ".join(classes) or "none"
-        near = did_you_mean(name, classes)
-        raise InputError(f"{path}: no class {name!r}; classes there: {valid}{near}")
+        refuse(f"{path}: class", name, f"the file has {', '.join(classes) or 'none'}", classes)
     return classes[name]
 
 
@@ -241,14 +232,9 @@ def slave_fmu(path: Path, name: str = "") -> NativeFmu:
     description, law, rows = _described(path, chosen)
     variables = tuple(_variable(path, row) for row in rows)
     interface = Interface(chosen, one_line(description or law) or chosen, variables)
+    slave = (path.stem, chosen)
     return python_fmu(
-        interface,
-        law or chosen,
-        code,
-        (path.stem, chosen),
-        (PYTHONFMU,),
-        private=True,
-        step_size=0.0,
+        interface, law or chosen, code, slave, (PYTHONFMU,), private=True, step_size=0.0
     )
 
 
@@ -278,20 +264,12 @@ def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
 def _variable(path: Path, row: list[Any]) -> Variable:
     name, kind, causality, variability, text, start = row
     if causality not in _CAUSALITIES:
-        valid = ", ".join(_CAUSALITIES)
-        raise InputError(f"{path}: variable {name}: causality {causality!r}; valid: {valid}")
+        must = f"must be one of {', '.join(_CAUSALITIES)}"
+        refuse(f"{path}: variable {name}: causality", causality, must)
     fixed = "fixed" if causality == "parameter" else ""
-    known = variability or fixed or ("continuous" if kind == "Real" else "discrete")
-    has_start = causality in ("input", "parameter") or known == "constant"
-    convert: dict[str, type[Value]] = {"Boolean": bool, "String": str}
-    value = convert.get(kind, float)(0 if start is None else start) if has_start else None
-    return Variable(
-        name,
-        (),
-        "",
-        cast(Causality, causality),
-        cast(Variability, known),
-        one_line(text),
-        value,
-        kind=cast(Kind, kind),
-    )
+    known: Any = variability or fixed or ("continuous" if kind == "Real" else "discrete")
+    value = None
+    if causality in ("input", "parameter") or known == "constant":
+        convert: type[Value] = {"Boolean": bool, "String": str}.get(kind, float)
+        value = convert(0 if start is None else start)
+    return Variable(name, (), "", causality, known, one_line(text), value, kind=kind)

@@ -1,4 +1,4 @@
-"""Builds FMUs into the cache, where later calls find them, or into files."""
+"""Builds FMUs into the cache, where later calls find them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...assets import SCENES, STEP_SIZE
 from ...assets.franka import ROBOTS
 from ...plant.parameters import PlantParameters
-from ..atomic import cache_folder, cached, replacing
+from ..atomic import cache_folder, cached
 from ..build.description import STOP_TIME, Layout
 from ..build.libraries import code_digest, digest, made_with, own_licences, this_platform
 from ..errors import InputError
@@ -74,14 +74,9 @@ class Target:
         return self.make(describe())
 
 
-def build(
-    names: Iterable[str] = INSTANCES, out: Path | None = None, target: Target | None = None
-) -> dict[str, Path]:
+def build(names: Iterable[str] = INSTANCES, target: Target | None = None) -> dict[str, Path]:
     """Build those of the project's own FMUs that the cache does not hold."""
-    fmus = {name: _own(name, target or Target()) for name in names}
-    if out is None:
-        return fmus
-    return {name: _put(out / path.name, path.read_bytes()) for name, path in fmus.items()}
+    return {name: _own(name, target or Target()) for name in names}
 
 
 def build_trajectory(commands: NDArray[np.float64], target: Target | None = None) -> Path:
@@ -89,11 +84,9 @@ def build_trajectory(commands: NDArray[np.float64], target: Target | None = None
     return _own("trajectory", target or Target(), commands.astype("<f8").tobytes())
 
 
-def build_fmu(fmu: NativeFmu, path: Path | None = None, target: Target | None = None) -> Path:
-    """Build an FMU that is not one of the project's own, in the cache or as a file."""
+def build_fmu(fmu: NativeFmu, target: Target | None = None) -> Path:
+    """Build an FMU that is not one of the project's own, in the cache."""
     chosen = target or Target()
-    if path is not None:
-        return _put(path, chosen.make(fmu))
     place = _place(fmu.model, chosen, fmu.digest, repr(fmu.recorded))
     return cached(place, lambda: chosen.make(fmu))
 
@@ -129,13 +122,6 @@ def _place(model: str, target: Target, *content: str | bytes) -> Path:
              target.mujoco)  # fmt: skip
     name = digest(model, repr(shape), own_licences(), *content)
     return cache_folder() / name[:24] / f"{model}.fmu"
-
-
-def _put(path: Path, content: bytes) -> Path:
-    """Write a file whole or, on a full disk for instance, not at all."""
-    with replacing(path) as partial:
-        partial.write_bytes(content)
-    return path
 
 
 # What the project's own FMUs consist of.

@@ -143,7 +143,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         from ...fmus.sources.law import read_law  # noqa: PLC0415 - few scenarios need it
 
         law = read_law(path, class_name)
-        if not law.is_slave:
+        if law is not None:
             return law
         from ...fmus.sources.python_fmu import require_pythonfmu, slave_fmu  # noqa: PLC0415
 
@@ -151,7 +151,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         if not run_code:
             raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
                                    "only known when it is run")  # fmt: skip
-        slave = slave_fmu(law.path, law.name)
+        slave = slave_fmu(path, class_name)
         path = build_fmu(slave)
         interface = described_interface(read_fmu(path))
         return Part(name, path, interface, lambda target=None: build_fmu(slave, target=target))
