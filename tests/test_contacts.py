@@ -12,9 +12,9 @@ import pytest
 
 from panda_cosim import load_scenario, run_scenario
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.plant.plant import SUPPORT, UNWANTED, Plant, PlantParameters, contacts_of, kinds_of
 from panda_cosim.plant.scene import load_scene
+from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.contacts import unwanted_contacts
 from panda_cosim.result.judging.verdict import Summary
 from panda_cosim.run.summary import summarize
@@ -49,8 +49,8 @@ def shortened() -> Scenario:
     return replace(scenario, duration=4.0, success=success)
 
 
-def said(summary: Summary) -> str:
-    return "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
+def said(run: Course, summary: Summary) -> str:
+    return "\n".join(advise(run, summary))
 
 
 def test_a_block_that_stands_is_carried_by_its_weight_and_touched_by_nothing_else():
@@ -140,15 +140,16 @@ def test_the_native_plant_sums_the_same_bits(plant, tmp_path):
 
 @pytest.mark.parametrize("plant", [STRUCK, EDGED])
 def test_a_contact_is_missed_and_named_before_any_other_advice(plant):
-    summary = summarize(course(**plant), shortened())
+    run = course(**plant)
+    summary = summarize(run, shortened())
     assert [c.name for c in summary.criteria if not c.ok] == ["max_unwanted_force"]
-    lines = said(summary)
+    lines = said(run, summary)
     assert "more time" not in lines
     assert "carry less" not in lines
-    assert "the path must avoid them" in lines
+    assert "the path must avoid this" in lines
     needed = tuple(replace(criterion, ok=True) for criterion in summary.criteria)  # as of a peg
-    assert "must avoid" not in said(replace(summary, criteria=needed))
-    assert lines.index("Unwanted contacts: ") < lines.index("Beyond the robot's limits")
+    assert "must avoid" not in said(run, replace(summary, criteria=needed))
+    assert lines.index(" touch ") < lines.index("torque rate")
 
 
 def test_a_wall_of_ones_own_is_named_where_the_block_strikes_it(tmp_path):
@@ -161,7 +162,8 @@ def test_a_wall_of_ones_own_is_named_where_the_block_strikes_it(tmp_path):
     file = tmp_path / "walled" / "scenario.toml"
     kept = [line for line in file.read_text().splitlines() if not line.startswith("scene")]
     file.write_text("\n".join([*kept, "[fmus]", 'plant = "wall.xml"', ""]))
-    summary = run_scenario(Scenario.read(tmp_path / "walled"), tmp_path / "run").summary
+    run = run_scenario(Scenario.read(tmp_path / "walled"), tmp_path / "run")
+    summary = run.summary
     assert ("block", "wall") in {tuple(c["bodies"]) for c in summary.contact["unwanted"]}
-    assert "carry less" not in said(summary)
+    assert "carry less" not in " ".join(advise(run.recording, summary, ours=False))
     assert not next(c for c in summary.criteria if c.name == "max_unwanted_force").ok

@@ -9,8 +9,9 @@ import pytest
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.result.judging.advice import weakest_grip
 from panda_cosim.run.prepare import prepare
-from panda_cosim.study.check.diagnosis import rehearse, weakest_grip
+from panda_cosim.study.check.diagnosis import rehearse
 from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_plain
@@ -66,7 +67,7 @@ def test_a_check_says_what_the_block_takes():
     heavy = {"block_mass": 2.0, "block_friction": 0.4}
     robust = replace(gripping(FORCE), gains="robust", scene="elastic", plant=heavy)
     prepared = prepare(robust)
-    grip = weakest_grip(rehearse(prepared).recording, prepared)
+    grip = weakest_grip(rehearse(prepared).recording)
     assert grip is not None
     _, friction, needed = grip
     assert friction < 0.4 * 2.0 * FORCE * 1.05

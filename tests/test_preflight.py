@@ -17,8 +17,9 @@ from forked import command
 from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import FINGERTIPS, ArmModel
+from panda_cosim.result.judging.advice import refusals
+from panda_cosim.result.judging.checks import CHECKS
 from panda_cosim.result.judging.definitions import DEFINITIONS
-from panda_cosim.result.judging.limits import CHECKS, outcome
 from panda_cosim.result.judging.preflight import preflight
 from panda_cosim.result.judging.verdict import Summary
 from panda_cosim.show.view import run
@@ -449,13 +450,13 @@ def test_what_is_not_recorded_is_not_called_accepted(signal, rested):
     del run.signals[signal]
     told = preflight(run, "fer")
     assert told["refusals"] is None
-    assert "good" not in [level for level, _ in outcome(told, complete=True)]
+    assert "good" not in [level for level, _ in refusals(told, complete=True)]
 
 
 def test_a_run_that_ended_midway_is_not_called_accepted(rested):
     judged = preflight(recorded(rested), "fer")
-    assert "good" in [level for level, _ in outcome(judged, complete=True)]
-    assert "good" not in [level for level, _ in outcome(judged, complete=False)]
+    assert "good" in [level for level, _ in refusals(judged, complete=True)]
+    assert "good" not in [level for level, _ in refusals(judged, complete=False)]
 
 
 def test_an_impedance_law_is_judged_by_its_torques_in_any_scene(rested):

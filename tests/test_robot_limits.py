@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from fake_recording import FakeRecording
 from panda_cosim import load_scenario
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.cli.outcome import outcome_lines
+from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.limits import (
     exceeded,
     first_limit,
@@ -24,6 +25,7 @@ from panda_cosim.task.limits import torque_rates
 from random_tasks import run_plain
 
 TICKS = 20
+JERK = ("joint-reference jerk of joint 4", "200%")
 NO_REFERENCE = np.zeros(51, [("ctrl", float, 8)])  # outputs of a law of one's own, for 0.05 s
 
 
@@ -56,21 +58,21 @@ def test_a_torque_rate_is_measured_but_for_the_servos_switching_on():
     run.signals["plant.actuator_force"][10:, 1] += 1.5  # N.m in 1 ms, at most 1 N.m
     shares = limit_shares(run)
     assert shares["torque_rate_share"][1] == pytest.approx(1.5)
-    assert exceeded(shares) == ["torque rate of joint 2 (150%)"]
+    assert list(exceeded(run, shares)) == [("torque rate of joint 2", "150%", 0.01)]
 
 
 def test_jerk_is_that_of_the_reference():
     run = still()
     # One step of 0.0125 rad/s of joint 4: 12.5 rad/s^2, and 12,500 rad/s^3 of 6,250.
     run.signals["controller.qvel_ref"][10:, 3] = 0.0125
-    assert exceeded(limit_shares(run)) == ["joint-reference jerk of joint 4 (200%)"]
+    assert [each[:2] for each in exceeded(run, limit_shares(run))] == [JERK]
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_the_last_row_counts(coupling):
     run = still(coupling=coupling)
     run.signals["controller.qvel_ref"][-1, 3] = 0.0125
-    assert exceeded(limit_shares(run)) == ["joint-reference jerk of joint 4 (200%)"]
+    assert [each[:2] for each in exceeded(run, limit_shares(run))] == [JERK]
 
 
 @pytest.mark.parametrize("on", [0, 1, 2, 10])
@@ -99,7 +101,7 @@ def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits():
     run.signals["plant.actuator_force"][12:, 1] = 10.22
     course = replace(run_plain(replace(scenario, duration=0.05)), controller=NO_REFERENCE)
     shares = limit_shares(run)
-    assert exceeded(shares) == ["torque rate of joint 2 (522%)"]
+    assert list(exceeded(run, shares)) == [("torque rate of joint 2", "522%", 0.012)]
     assert shares["not_measured"] == dict.fromkeys(
         [f"reference_{kind}_share" for kind in ("velocity", "acceleration", "jerk")],
         "controller.qvel_ref is not recorded",
@@ -139,14 +141,15 @@ def test_limits_are_told_where_all_criteria_hold_and_can_be_criteria():
     unbounded = replace(scenario.success, max_limit_share=None)
     summary = summarize(run, replace(scenario, success=unbounded))
     assert summary.success
-    text = "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
-    assert "Beyond the robot's limits: " in text
-    assert "torque rate" in text
+    text = "\n".join(advise(run, summary))
+    assert re.search(r"torque rate of joint \d is \d+% of its limit", text)
     assert "reference jerk" not in text  # which is kept
     assert "limit of joint" in text
-    assert "give that row more time (`panda-cosim retime" in text
-    foreign = outcome_lines(summary, realtime=False, ours=False)
-    assert not any("retime" in line for line, _ in foreign)  # it refuses FMUs of one's own
+    assert "more time does not help" in text
+    early = replace(summary, first_limit={**(summary.first_limit or {}), "time_s": 0.1})
+    for ours in (True, False):  # it refuses FMUs of one's own
+        told = "\n".join(advise(run, early, ours=ours))
+        assert ("give that row more time (`panda-cosim retime" in told) == ours
     for bound, ok in ((1.0, False), (100.0, True)):
         bounded = replace(scenario.success, max_limit_share=bound)
         summary = summarize(run, replace(scenario, success=bounded))

@@ -169,9 +169,10 @@ def test_yaw_counts_modulo_a_quarter_turn(record, yaw, error):
 
 @pytest.mark.parametrize("rows", [0, 100])
 def test_an_incomplete_run_is_no_success(record, rows):
-    summary = summarize(record(blank_rows()[:rows], complete=False), scenario(max_tilt=1.0))
+    recording = record(blank_rows()[:rows], complete=False)
+    summary = summarize(recording, scenario(max_tilt=1.0))
     assert (summary.success, summary.complete, summary.reason) == (False, False, "cut")
-    assert "ended early: cut" in next(outcome_lines(summary, realtime=False))[0]
+    assert "ended early: cut" in next(outcome_lines(summary, recording, realtime=False))[0]
 
 
 @pytest.mark.parametrize("expect", ["success", "failure"])
@@ -185,10 +186,10 @@ def test_a_missed_criterion_decides_and_what_was_not_measured_is_no_verdict(reco
     assert summary.as_expected == (expect == "failure")  # as min_lift is missed
     assert summary.margin == -1.0
     told = "Failure, as expected" if expect == "failure" else "Success criteria missed: "
-    assert next(outcome_lines(summary, realtime=False))[0].startswith(told)
+    assert next(outcome_lines(summary, recording, realtime=False))[0].startswith(told)
 
     open_ended = summarize(recording, replace(asked, success=Success(max_slip=0.001)))
-    assert next(outcome_lines(open_ended, realtime=False))[0].startswith("No verdict")
+    assert next(outcome_lines(open_ended, recording, realtime=False))[0].startswith("No verdict")
 
 
 def test_tracking_of_a_law_without_orientation_is_measured(tmp_path):

@@ -13,8 +13,8 @@ from control_support import hold, started
 from panda_cosim import Session, load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
+from panda_cosim.result.judging.advice import refusals
 from panda_cosim.result.judging.holds import COLLISION
-from panda_cosim.result.judging.limits import outcome
 from panda_cosim.show.pictures.motion import key_moments
 from panda_cosim.task.criteria import SignalCriterion, Success
 from panda_cosim.task.scenario import Push, Scenario
@@ -111,7 +111,7 @@ def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction):
     assert force[-1] < (25.0 if reaction == "stop" else 0.1)
     moved = run.signals["plant.hand_xpos"][-1] - run.signals["plant.hand_xpos"][first + 50]
     assert np.linalg.norm(moved) < 0.001  # m, the rest of the run
-    advice = [text for _, text in outcome(run.summary.preflight, complete=True)]
+    advice = [text for _, text in refusals(run.summary.preflight, complete=True)]
     assert any("it follows the touch at t = " in text for text in advice)
     assert not any("retime" in text for text in advice)
 

@@ -151,7 +151,7 @@ def test_every_door_says_the_same(word, tmp_path, capsys, monkeypatch):
         left = end.exit_code
     printed = json.loads(capsys.readouterr().out)
     assert (left, printed["exit_code"], printed["summary"]["verdict"]) == (code, code, word)
-    _, style = next(door.outcome_lines(summary, realtime=False))
+    _, style = next(door.outcome_lines(summary, run.recording, realtime=False))
     assert style == {"good": "bold green", "plain": "bold", "bad": "bold red"}[level]
     assert fault_in(junit) == fault
 

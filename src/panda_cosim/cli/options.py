@@ -13,7 +13,7 @@ from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue, literal
 from ..fmus.sources.targets import Kind, Target, outdated
 from ..fmus.twins import IN_RUNS, notice
-from ..result.judging.limits import ARMS
+from ..result.judging.checks import ARMS
 from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
 from ..task.values import Values
 from .console import tell, warn

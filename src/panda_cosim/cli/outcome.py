@@ -20,9 +20,8 @@ import typer
 from ..fmus.atomic import check_replaceable
 from ..fmus.errors import CosimError, InputError, SimulationError
 from ..fmus.sources.targets import Kind, Target
-from ..result.judging.contacts import Touch
+from ..result.judging.advice import advise, refusals
 from ..result.judging.criterion import cells
-from ..result.judging.limits import exceeded, outcome, remedy_of
 from ..result.judging.verdict import FAILED, Summary, Verdict
 from ..result.recording import Recording
 from ..run.folder import claimed_folder
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
 STYLES = {"wrong": "bold red", "refused": "bold red", "hint": "yellow", "good": "green"}
 LEVELS = {"bad": "bold red", "plain": "bold", "good": "bold green"}  # of a verdict
-SHOWN = 3  # unwanted contacts that are named
 Progress = Callable[[int, int], None]  # completed and total steps
 
 
@@ -126,7 +124,9 @@ def conclude(done: Run, output: Output, *, ours: bool, realtime: bool = False) -
         if not output.json:
             if done.summary.criteria:
                 show(verdict_table(done.summary))
-            for text, style in outcome_lines(done.summary, realtime=realtime, ours=ours):
+            for text, style in outcome_lines(
+                done.summary, done.recording, realtime=realtime, ours=ours
+            ):
                 show(text, style)
         draw_view(output, done)
         for path in chain(_files(done), _draw(done, output)):
@@ -224,7 +224,7 @@ def verdict_table(summary: Summary) -> Table:
 
 
 def outcome_lines(
-    summary: Summary, *, realtime: bool, ours: bool = True
+    summary: Summary, recording: Recording, *, realtime: bool, ours: bool = True
 ) -> Iterator[tuple[str, str]]:
     """Yield the lines below the table, each with its style; `ours`: all FMUs are."""
     yield summary.headline, LEVELS[summary.verdict.level]
@@ -236,10 +236,10 @@ def outcome_lines(
             if at is None
             else (f"{name} ended early, at t = {at:.3f} s", "")
         )
-    for level, text in outcome(summary.preflight, complete=summary.complete):
+    for line in advise(recording, summary, ours=ours):
+        yield line, STYLES["hint"]
+    for level, text in refusals(summary.preflight, complete=summary.complete):
         yield text, STYLES[level]
-    for line in (*_contact_lines(summary), *_limit_lines(summary, ours=ours)):
-        yield line, "yellow"
     if realtime:
         timing = summary.timing
         late = f"{timing['worst_lateness_s'] * 1e3:.1f} ms"
@@ -258,44 +258,6 @@ def _speed_line(summary: Summary) -> str:
     if not tracking:
         return simulated
     return f"{simulated}; tracking RMS {tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"
-
-
-def _contact_lines(summary: Summary) -> Iterator[str]:
-    """Name the unwanted contacts, which often cause all that follows."""
-    contacts = [str(Touch(**contact)) for contact in summary.contact.get("unwanted", [])]
-    if contacts:
-        more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
-        named = "; ".join(contacts[:SHOWN])
-        # A task whose criteria all hold with these contacts, such as a peg in its hole, needs them.
-        held = bool(summary.criteria) and summary.success
-        advice = "" if held else "; the path must avoid them"
-        yield f"Unwanted contacts: {named}{more}{advice}"
-    elif peak := summary.contact.get("unwanted_force_N"):
-        yield f"Unwanted contacts, with up to {peak:.3g} N"
-
-
-def _limit_lines(summary: Summary, *, ours: bool) -> Iterator[str]:
-    """Yield the robot limits that were exceeded, and the first one that bound the controller."""
-    beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
-    if beyond:
-        yield f"Beyond the robot's limits: {', '.join(beyond)}"
-    first, collision = summary.first_limit, summary.events["collision"]
-    if first:
-        remedy = remedy_of(f"{first['kind']} limit", ours=ours)
-        if contacts and contacts[0]["time_s"] <= first["time_s"]:
-            remedy = "after the contact above"
-        elif collision is not None and collision <= first["time_s"]:
-            remedy = f"after the collision at t = {collision:.3f} s"
-        yield (
-            f"The {first['kind']} limit of joint {first['joint']} first limited the motion at "
-            f"t = {first['time_s']:.3f} s: {remedy}"
-        )
-    elif (
-        collision is None
-        and not contacts
-        and any(limit.startswith("torque rate") for limit in beyond)
-    ):
-        yield f"Torque rate: {remedy_of('torque rate', ours=ours)}"
 
 
 def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:

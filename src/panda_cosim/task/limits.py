@@ -82,13 +82,11 @@ def torque_rates(torque: Array, on: int | None = None) -> Array:
     return rates
 
 
-def reference_rates(
-    velocity: Array, metadata: Mapping[str, Any], *, held: bool = True
-) -> tuple[Array, Array]:
+def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array, Array]:
     """Acceleration and jerk of the joint reference, each (n, 7) [rad/s^2], [rad/s^3]."""
     # They are finite differences of its velocity (n, 7), or a joint's (n,) [rad/s], between the
-    # controller's updates, 0 before there are enough of them; unless `held`, there is a row for
-    # each update alone. The metadata has the controller's period and the coupling.
+    # controller's updates, 0 before there are enough of them, and held as outputs are. The metadata
+    # has the controller's period and the coupling.
     parameters = metadata.get("parameters", {}).get("controller", {})
     period = parameters.get("period", STEP_SIZE)
     if not (isinstance(period, int | float) and period > 0.0):
@@ -99,7 +97,5 @@ def reference_rates(
     acceleration, jerk = np.zeros_like(updates), np.zeros_like(updates)
     acceleration[1:] = np.diff(updates, axis=0) / period
     jerk[2:] = np.diff(acceleration[1:], axis=0) / period
-    if not held:
-        return acceleration, jerk
     update = np.maximum(np.arange(len(velocity)) - late, 0) // ticks
     return acceleration[update], jerk[update]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
-from .limits import CHECKS, Check
+from .checks import CHECKS, Check
 
 ARM: Final = ("plant.qpos", "plant.qvel", "plant.actuator_force", "plant.qfrc_bias", "plant.jac")
 SENT: Final = ("controller.qpos_ref",)

@@ -1,12 +1,9 @@
-"""The robot's limits: the largest use of each, and what its real interface would refuse."""
+"""The robot's limits: how much of each a run uses, and which one bound it first."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,92 +12,25 @@ from ...assets.franka import ROBOTS, RobotLimits
 from ...task.limits import LIMITS_OF, METRICS, reference_rates, robot_of, saturated, torque_rates
 from ..recording import Recording, by_rows
 
-Level = Literal["wrong", "refused", "hint", "good"]
-
-DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
-ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario has them
-
-
-@dataclass(frozen=True)
-class Check:
-    """One condition of the interface; checks.toml says what the fields are."""
-
-    interface: str
-    error: str
-    what: str
-    unit: str
-    remedy: str
-    necessary: bool = True
-    limit: str = "the limit"
-
-
-_TABLES = tomllib.loads(Path(__file__).with_name("checks.toml").read_text(encoding="utf-8"))
-REMEDIES: Final[Mapping[str, str]] = _TABLES.pop("remedies")  # what to change
-# By the key of their largest share in summary.json.
-CHECKS: Final[Mapping[str, Check]] = {
-    key: Check(**entry | {"remedy": REMEDIES[entry["remedy"]]}) for key, entry in _TABLES.items()
-}
-
-
-def remedy_of(what: str, *, ours: bool) -> str:
-    """Return what helps against a limit that held the arm back; `ours`: all FMUs are."""
-    own = {name: REMEDIES[name] if ours else "" for name in ("retime", "noise", "weak")}
-    return REMEDIES[what].format(**own)
-
-
-def outcome(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[Level, str]]:
-    """Yield in lines what the robot would refuse, by that section of a run's summary.json."""
-    if not preflight:
-        return
-    robot, own = preflight["robot"], preflight["interface"]
-    if preflight["refusals"] is None:
-        yield "wrong", f"{robot}: signals that the {own} interface is judged by are not recorded"
-    elif not preflight["refusals"] and not complete:
-        yield "hint", f"{robot} refuses nothing over the {own} interface up to where the run ended"
-    elif not preflight["refusals"]:
-        yield "good", f"{robot} refuses nothing over the {own} interface"
-    for each in preflight["findings"]:
-        if not each["necessary"]:
-            yield "hint", f"{robot} recommends against: {_text(each)}"
-        elif each["interface"] in (own, "arm"):
-            yield "refused", f"{robot} refuses: {_text(each)}"
-        else:
-            yield "hint", f"{robot} refuses over the {each['interface']} interface: {_text(each)}"
-    if (preflight["refusals"] or 0) > 1:
-        yield "hint", f"{robot} stops at the first refusal; later ones may follow from it"
-    if (one_more := preflight["late"].get("lost_packets")) and not preflight["joint_refusals"]:
-        borne = f"{preflight['lost_packets']} lost packets in a row"
-        yield "hint", f"{robot} tolerates {borne}; one more, and it refuses: {_text(one_more)}"
-
-
-def _text(refusal: Mapping[str, Any]) -> str:
-    """Describe the first violation of a condition."""
-    row = f" (row {refusal['row']})" if refusal["row"] else ""
-    joint = f" {refusal['joint']}" if refusal["what"].endswith("joint") else ""
-    limit = refusal.get("limit", "the limit")
-    share = f" (in the run up to {refusal['share']:.3g} times it)" if "share" in refusal else ""
-    return (
-        f"{refusal['error']} at t = {refusal['time_s']:.3f} s{row}: {refusal['what']}{joint} is "
-        f"{refusal['value']:.4g} {refusal['unit']}; {limit} is {refusal['bound']:.4g} "
-        f"{refusal['unit']}{share}; {refusal['remedy']}"
-    )
-
-
 Array = NDArray[np.float64]
+Metrics = dict[str, Any]  # as a section of summary.json has them
+Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
 
 HAND: Final = "plant.hand_xpos"
 FORCE: Final = "plant.actuator_force"  # of the servos [N.m, N]
 REFERENCE: Final = "controller.qvel_ref"
 # Values 1 to 6 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk", "torque", "torque rate")
+_Q, _QD, _F = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]"
+_REF, _Q_REF = f"{REFERENCE}[7]", "controller.qpos_ref[7]"
 
 
-def limit_shares(recording: Recording) -> dict[str, Any]:
+def limit_shares(recording: Recording) -> Metrics:
     """Largest use of each robot limit, per joint or finger, 1 at the limit."""
     # Positions, speeds and torques are the plant's. Metrics named `reference_` are those of the
     # controller's joint reference: acceleration and jerk are finite differences between its
     # updates. The torque rate is that of the servos' torques, without their switching on.
-    shares: dict[str, Any] = {}
+    shares: Metrics = {}
     missing = {}
     controller = recording.metadata.get("parameters", {}).get("controller", {})
     for key in _USES:
@@ -132,9 +62,6 @@ def all_lacking(recorded: Container[str]) -> str:
 def shares_over_time(recording: Recording, metric: str) -> Iterator[Array]:
     """Yield the use of a limit at each row (n,), joint by joint, 1 and -1 at the limit."""
     return iter(_USES[metric][1](recording))
-
-
-Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
 
 
 def _robot(recording: Recording) -> RobotLimits:
@@ -186,15 +113,13 @@ def _torque_rates(recording: Recording) -> Iterable[Array]:
 
 
 def _reference_rates(order: int) -> Elements:
-    """Return acceleration (0) or jerk (1) of the reference, at the controller's updates."""
+    """Return acceleration (0) or jerk (1) of the reference, held between updates."""
     return lambda recording: (
-        reference_rates(velocity, recording.metadata, held=False)[order]
+        reference_rates(velocity, recording.metadata)[order]
         for velocity in _of(REFERENCE)(recording)
     )
 
 
-_Q, _QD, _F = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]"
-_REF, _Q_REF = f"{REFERENCE}[7]", "controller.qpos_ref[7]"
 # By metric: the signals that it needs, and the shares of the limit, joint by joint.
 _USES: Final[Mapping[str, tuple[tuple[str, ...], Elements]]] = {
     "position_share": ((_Q,), _positions),
@@ -208,26 +133,26 @@ _USES: Final[Mapping[str, tuple[tuple[str, ...], Elements]]] = {
 }
 
 
-def largest_share(shares: Mapping[str, Any]) -> float | None:
+def largest_share(shares: Metrics) -> float | None:
     """Largest of all `limit_shares`; None if nothing was measured."""
     return max((max(shares[key]) for key in METRICS if key in shares), default=None)
 
 
-def exceeded(shares: Mapping[str, Any]) -> list[str]:
-    """List each kind of exceeded limit, such as "torque rate of joint 2 (176%)"."""
-    lines = []
+def exceeded(recording: Recording, shares: Metrics) -> Iterator[tuple[str, str, float]]:
+    """Yield each kind of exceeded limit, as "torque rate of joint 2", "176%", and when [s]."""
     for key, metric in METRICS.items():
         values = shares.get(key)
         most = int(np.argmax(values)) if values else 0
         if values and values[most] > 1.0:
             part = "finger" if key == "finger_speed_share" else "joint"
             share = f"{values[most]:.0%}"
+            used = [*shares_over_time(recording, key)][most]
+            at = float(recording.time[np.abs(used).argmax()])
             share = "just above 100%" if share == "100%" else share
-            lines.append(f"{metric} of {part} {most + 1} ({share})")
-    return lines
+            yield f"{metric} of {part} {most + 1}", share, at
 
 
-def first_limit(recording: Recording) -> dict[str, Any] | None:
+def first_limit(recording: Recording) -> Metrics | None:
     """Return `time_s`, `joint` (from 1) and `kind` of the limit that bound first, or None."""
     plant = recording.metadata.get("parameters", {}).get("plant", {})
     scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])

@@ -21,10 +21,9 @@ from ...controller.model import FINGERTIPS, ArmModel
 from ...controller.touch import ROTOR
 from ...task import rotations
 from ...task.limits import robot_of
-from ...task.trajectory import TIME_TOLERANCE
 from ..recording import Recording
+from .checks import CHECKS, REMEDIES, table_row
 from .holds import first_collision
-from .limits import CHECKS, DERIVATIVES, REMEDIES
 
 Array = NDArray[np.float64]
 Refusal = dict[str, Any]  # as `findings` of summary.json has them
@@ -32,6 +31,7 @@ Rates = Sequence[Array]  # positions (n, k) and their three derivatives
 # Key of `CHECKS`, values (n, k), largest sizes (k,) or (n, k), and what both are counted from (k,).
 Measure = tuple[str, Array, Array, Array | float]
 
+DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
 BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
 AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
@@ -52,7 +52,7 @@ class _Judge:
         self.first: dict[str, Refusal] = {}  # of each check
         self._robot, self._cause = robot, _cause(recording)
         self._touch = touch  # when a joint first collides [s]
-        self._row_times = np.array(recording.metadata.get("row_times", ()), dtype=float)
+        self._metadata = recording.metadata
 
     def see(self, time: Array, measures: Iterable[Measure]) -> None:
         """Compare values with their bounds in the last rows, whose instants are (n,) [s]."""
@@ -71,13 +71,12 @@ class _Judge:
                 remedy = self._cause if more_time else ""
                 if at >= self._touch and (more_time or check.remedy == REMEDIES["smooth"]):
                     remedy = REMEDIES["after_touch"]
-                ahead = int(np.searchsorted(self._row_times, at - TIME_TOLERANCE)) + 1
                 self.first[key] = {
                     "name": key,
                     **vars(check),
                     "remedy": (remedy or check.remedy).format(robot=self._robot, touch=self._touch),
                     "time_s": at,
-                    "row": min(ahead, len(self._row_times)) or None,
+                    "row": table_row(self._metadata, at),
                     "joint": k + 1 if values.shape[1] > 1 else None,
                     "value": zero + value,
                     "bound": zero + math.copysign(size, value),

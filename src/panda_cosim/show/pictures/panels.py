@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...assets.franka import OPENING_MAX, ROBOTS
+from ...assets.franka import OPENING_MAX
 from ...result.judging.holds import Hold, find_holds
 from ...result.judging.limits import shares_over_time
-from ...task.limits import reference_rates, robot_of
 from .motion import SHAPES, FloatArray, check_signals
 
 if TYPE_CHECKING:
@@ -153,12 +152,12 @@ def _positions(axes: Axes, curves: Curves) -> None:
     _legend(axes, 7)
 
 
-def _limited(shares: Callable[[Recording], Iterator[FloatArray]]) -> Panel:
-    """Return a panel of what has a limit for each joint, from shares of it (n,) [1]."""
+def _limited(metric: str) -> Panel:
+    """Return a panel of what has a limit for each joint, as shares of it."""
 
     def draw(axes: Axes, curves: Curves) -> None:
         what = axes.get_title(loc="left")
-        peaks = _draw_shares(axes, curves.time, shares(curves.recording))
+        peaks = _draw_shares(axes, curves.time, shares_over_time(curves.recording, metric))
         peak = f"{np.max(peaks):.0f} % (joint {int(np.argmax(peaks)) + 1})"
         axes.set_title(f"{what}, {peak} of the limit at most")
 
@@ -180,17 +179,6 @@ def _draw_shares(axes: Axes, time: FloatArray, shares: Iterator[FloatArray]) -> 
     if reach < TICKS_REACH:
         axes.set_yticks([-100, -50, 0, 50, 100])
     return peaks
-
-
-def _shares(metric: str) -> Callable[[Recording], Iterator[FloatArray]]:
-    return lambda recording: shares_over_time(recording, metric)
-
-
-def _jerks(recording: Recording) -> Iterator[FloatArray]:
-    """Yield the jerk of each joint's reference at each row, as a share of its limit."""
-    for joint, limit in enumerate(ROBOTS[robot_of(recording.metadata)].jerk, 1):
-        velocity = recording[f"controller.qvel_ref[{joint}]"]
-        yield reference_rates(velocity, recording.metadata)[1] / limit
 
 
 def _power(axes: Axes, curves: Curves) -> None:
@@ -218,9 +206,9 @@ PANELS: tuple[tuple[tuple[str, str, Panel], ...], ...] = (
     ),
     (
         ("Joint positions", "share of range [%]", _positions),
-        ("Joint velocities", LIMIT, _limited(_shares("velocity_share"))),
-        ("Jerk of the reference", LIMIT, _limited(_jerks)),
-        ("Joint torques", LIMIT, _limited(_shares("torque_share"))),
-        ("Torque rates", LIMIT, _limited(_shares("torque_rate_share"))),
+        ("Joint velocities", LIMIT, _limited("velocity_share")),
+        ("Jerk of the reference", LIMIT, _limited("reference_jerk_share")),
+        ("Joint torques", LIMIT, _limited("torque_share")),
+        ("Torque rates", LIMIT, _limited("torque_rate_share")),
     ),
 )

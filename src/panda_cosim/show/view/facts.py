@@ -10,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
+from ...result.judging.advice import refusals
+from ...result.judging.checks import CHECKS
 from ...result.judging.definitions import DEFINITIONS
-from ...result.judging.limits import CHECKS, outcome
 from ...result.judging.verdict import Summary, json_values
 from ...task.limits import METRICS
 from ..pictures.motion import Signals, key_moments
@@ -64,7 +65,7 @@ def limits_of(summary: Summary) -> list[dict[str, Any]]:
 def refusals_of(summary: Summary) -> list[str]:
     """Return what the real robot would refuse, in lines."""
     try:
-        lines = outcome(summary.preflight, complete=summary.complete)
+        lines = refusals(summary.preflight, complete=summary.complete)
         return [text for level, text in lines if level == "refused"]
     except (
         AttributeError,

@@ -28,7 +28,7 @@ from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
 from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...fmus.master.wiring import Name
 from ...fmus.reading import file_inside, finite_number, read_xml
-from ...result.judging.limits import Level
+from ...result.judging.advice import Level
 from ...result.recording import Recording
 from ...run.execution import Execution
 from ...run.options import Options

@@ -1,0 +1,234 @@
+"""What went wrong in a run and what helps, from its recording and summary.
+
+`run` and `check` say the same lines. Causes come before their symptoms; what helps is in
+checks.toml.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...fmus.interface.plant import FORCES
+from ...task.criteria import HELD_FORCE
+from ...task.scenario import TABLE_FILE
+from ..recording import Recording, by_rows
+from .checks import REMEDIES, table_row
+from .contacts import SIGNAL as UNWANTED
+from .contacts import Touch
+from .holds import FORCE, HAND, SUPPORT, find_holds
+from .limits import exceeded
+from .verdict import Summary
+
+Array = NDArray[np.float64]
+Level = Literal["wrong", "refused", "hint", "good"]
+Finding = tuple[float, str]  # when [s], and what is wrong then
+
+SINGULAR: Final = "controller.singular"
+SHOWN: Final = 4  # unwanted contacts that are named
+GRAVITY: Final = 9.81  # [m/s^2]
+SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
+AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
+JOLT: Final = 0.02  # [s] for which the torques answer the begin or end of a push
+SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
+FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it opens
+
+
+def advise(recording: Recording, summary: Summary, *, ours: bool = True) -> Iterator[str]:
+    """Yield what went wrong and what helps, in lines, each with the table's row.
+
+    `ours`: all FMUs are; of others the block and its grip are not known.
+    """
+    if not recording.rows:
+        return
+    found = [*_contacts(recording, summary, ours), *(_dragging(recording) if ours else ())]
+    found += _limits(recording, summary, ours)
+    found += [*_lost(recording), *_releases(recording)] if ours else []
+    for at, text in found:
+        row = table_row(recording.metadata, at)
+        yield f"{TABLE_FILE}: row {row}: {text}" if row else text
+
+
+def _remedy(name: str, *, ours: bool) -> str:
+    """Return what helps; commands take our own FMUs alone."""
+    own = {key: REMEDIES[key] if ours else "" for key in ("retime", "route", "noise", "weak")}
+    return REMEDIES[name].format(**own)
+
+
+def _contacts(recording: Recording, summary: Summary, ours: bool) -> Iterator[Finding]:
+    """Name the unwanted contacts, which often cause all that follows."""
+    contacts = [Touch(**each) for each in summary.contact.get("unwanted", ())]
+    peak, more = summary.contact.get("unwanted_force_N"), len(contacts) - SHOWN
+    # A task whose criteria all hold with these contacts, such as a peg in its hole, needs them.
+    is_needed = bool(summary.criteria) and summary.success
+    remedy = "" if is_needed else f"; {_remedy('contact', ours=ours)}"
+    for touch in contacts[:SHOWN]:
+        yield touch.time_s, f"{touch}{remedy}"
+    if more > 0:
+        yield contacts[SHOWN].time_s, f"unwanted contacts of {more} more pairs"
+    if peak and not contacts:
+        at = float(recording.time[recording[UNWANTED].argmax()])
+        yield at, f"unwanted contacts have up to {peak:.3g} N, at t = {at:.3f} s"
+
+
+def _dragging(recording: Recording) -> Iterator[Finding]:
+    sliding = np.hypot(recording["plant.qvel[10]"], recording["plant.qvel[11]"]) > SLIDING
+    pressed = (recording[FORCE] > HELD_FORCE) & (recording[SUPPORT] > 0.0)
+    for row in np.flatnonzero(sliding & pressed)[:1]:
+        at = float(recording.time[row])
+        text = f"the fingers drag or push the block along its support at t = {at:.3f} s"
+        yield at, f"{text}; {REMEDIES['drag']}"
+
+
+def _limits(recording: Recording, summary: Summary, ours: bool) -> Iterator[Finding]:
+    """Name the robot limit that bound the controller first, and those that were exceeded."""
+    causes = [(each["time_s"], "the contact") for each in summary.contact.get("unwanted", ())[:1]]
+    if (collision := summary.events.get("collision")) is not None:
+        causes.append((collision, f"the collision at t = {collision:.3f} s"))
+
+    def remedy(at: float, name: str) -> str:
+        after = [cause for cause in causes if cause[0] <= at]
+        return f"it follows {max(after)[1]}" if after else _remedy(name, ours=ours)
+
+    if first := summary.first_limit:
+        at, kind = first["time_s"], f"{first['kind']} limit"
+        text = f"the {kind} of joint {first['joint']} first limits the motion at t = {at:.3f} s"
+        yield at, f"{text}; {remedy(at, 'singular' if _is_singular(recording, at) else kind)}"
+        causes.append((at, f"the {kind}"))
+    for name, share, at in exceeded(recording, summary.limits):
+        text = f"{name} is {share} of its limit at t = {at:.3f} s"
+        causes += [(edge, f"a push; {REMEDIES['push']}") for edge in _pushes(recording, at)]
+        yield at, f"{text}; {remedy(at, 'torque rate')}" if name.startswith("torque rate") else text
+
+
+def _is_singular(recording: Recording, at: float) -> bool:
+    """Whether the arm is nearly stretched at an instant [s]."""
+    if SINGULAR not in recording:
+        return False
+    return bool(recording[SINGULAR][np.searchsorted(recording.time, at)])
+
+
+def _pushes(recording: Recording, at: float) -> list[float]:
+    """Return when a push began or ended that the torques answer at an instant [s]."""
+    time, edges = recording.time, []
+    for name in (f"plant.{force}" for force in FORCES.values()):
+        if name in recording:
+            rows = np.flatnonzero(np.diff(recording[name], axis=0).any(axis=1))
+            edges += [edge for edge in time[rows + 1].tolist() if 0.0 <= at - edge < JOLT]
+    return edges
+
+
+def _lost(recording: Recording) -> Iterator[Finding]:
+    """Compare friction with the block's weight and acceleration; say where it is lost."""
+    weakest = weakest_grip(recording)
+    if weakest is not None and weakest[1] < weakest[2]:
+        at, force, needed = weakest
+        text = f"at t = {at:.3f} s the grip holds {force:.3g} N by friction; the block needs "
+        yield at, f"{text}{needed:.3g} N: {REMEDIES['grip']}"
+    raised = _raised(recording)
+    for hold in find_holds(recording):
+        if raised[hold.end - 1] and hold.let_go == hold.end < recording.rows:
+            at = float(recording.time[hold.end])
+            yield at, f"the block falls out of the closed fingers at t = {at:.3f} s"
+
+
+def _raised(recording: Recording) -> NDArray[np.bool_]:
+    """Whether the hand holds the block and is above where it took it, at each row."""
+    raised, height = np.zeros(recording.rows, dtype=bool), recording[f"{HAND}[3]"]
+    for hold in find_holds(recording):
+        rows = slice(hold.grasp, hold.let_go)
+        raised[rows] = height[rows] > height[hold.grasp] + AWAY
+    return raised
+
+
+def weakest_grip(recording: Recording) -> tuple[float, float, float] | None:
+    """Return time [s], friction [N] and need [N] where the grip is weakest while it carries."""
+    carried = _raised(recording)
+    if not carried.any():
+        return None
+    plant = recording.metadata["parameters"]["plant"]
+    force = _average(recording[FORCE])
+
+    def hand(jac: Array, joints: Array) -> Array:
+        speed: Array = np.einsum("nij,nj->ni", jac[:, :3], joints[:, :7])
+        return speed
+
+    speed = _average(by_rows(recording, hand, "plant.jac", "plant.qvel"))
+    acceleration = np.diff(speed, axis=0, prepend=speed[:1]) / STEP_SIZE
+    acceleration[:, 2] += GRAVITY
+    needed = float(plant["block_mass"]) * np.linalg.norm(acceleration, axis=1)
+    friction = float(plant["block_friction"]) * force
+    row = np.flatnonzero(carried)[(friction[carried] / needed[carried]).argmin()]
+    return float(recording.time[row]), float(friction[row]), float(needed[row])
+
+
+def _releases(recording: Recording) -> Iterator[Finding]:
+    """Say where the hand moves on before the fingers have let go."""
+    command, force = recording["controller.pos_cmd"], recording[FORCE]
+    for hold in find_holds(recording):
+        row = hold.let_go
+        if row >= hold.end:
+            continue
+        away = np.linalg.norm(command[row:] - command[row], axis=1) > AWAY
+        pressing = 0.5 * float(force[row + int(away.argmax())]) if away.any() else 0.0
+        if 2.0 * pressing > HELD_FORCE:
+            at, longer = float(recording.time[row]), pressing / FORCE_RATE
+            text = f"the hand moves on while each finger still presses with {pressing:.3g} N; "
+            yield at, text + REMEDIES["release"].format(longer=longer)
+
+
+def _average(values: Array) -> Array:
+    """Average values (n, ...) over the last `SMOOTHING` rows, up to each."""
+    padded = np.pad(values, [(SMOOTHING, 0), *[(0, 0)] * (values.ndim - 1)], mode="edge")
+    total = padded.cumsum(axis=0)
+    mean: Array = (total[SMOOTHING:] - total[:-SMOOTHING]) / SMOOTHING
+    return mean
+
+
+def refusals(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[Level, str]]:
+    """Yield in lines what the robot would refuse, by that section of a run's summary.json."""
+    if not preflight:
+        return
+    robot, own = preflight["robot"], preflight["interface"]
+    if preflight["refusals"] is None:
+        yield "wrong", f"{robot}: signals that the {own} interface is judged by are not recorded"
+    elif not preflight["refusals"] and not complete:
+        yield "hint", f"{robot} refuses nothing over the {own} interface up to where the run ended"
+    elif not preflight["refusals"]:
+        yield "good", f"{robot} refuses nothing over the {own} interface"
+    for each in preflight["findings"]:
+        text = _refusal(each)
+        if not each["necessary"]:
+            yield "hint", f"{robot} recommends against: {text}"
+        elif each["interface"] in (own, "arm"):
+            yield "refused", f"{robot} refuses: {text}"
+        else:
+            yield (
+                "hint",
+                f"{robot} refuses over the {each['interface']} interface: {text}",
+            )
+    if (preflight["refusals"] or 0) > 1:
+        yield "hint", f"{robot} stops at the first refusal; later ones may follow from it"
+    if (one_more := preflight["late"].get("lost_packets")) and not preflight["joint_refusals"]:
+        borne = f"{preflight['lost_packets']} lost packets in a row"
+        yield (
+            "hint",
+            f"{robot} tolerates {borne}; one more, and it refuses: {_refusal(one_more)}",
+        )
+
+
+def _refusal(found: Mapping[str, Any]) -> str:
+    """Describe the first violation of a condition."""
+    row = f" (row {found['row']})" if found["row"] else ""
+    joint = f" {found['joint']}" if found["what"].endswith("joint") else ""
+    limit = found.get("limit", "the limit")
+    share = f" (in the run up to {found['share']:.3g} times it)" if "share" in found else ""
+    return (
+        f"{found['error']} at t = {found['time_s']:.3f} s{row}: {found['what']}{joint} is "
+        f"{found['value']:.4g} {found['unit']}; {limit} is {found['bound']:.4g} "
+        f"{found['unit']}{share}; {found['remedy']}"
+    )
