@@ -5,7 +5,8 @@ Text is on one line, printable, with the nearest valid name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any, Final, NoReturn
 from unicodedata import category
@@ -114,6 +115,15 @@ def refuse(
     """
     hint = did_you_mean(str(value), near)
     raise error(f"{place}: value {excerpt(value)}; {must}{hint}")
+
+
+@contextmanager
+def located(place: object) -> Iterator[None]:
+    """Put a place (a file, a line, a key) before the message of what is refused within."""
+    try:
+        yield
+    except (InputError, ValueError) as error:
+        raise InputError(f"{place}: {error}") from None
 
 
 class SimulationError(CosimError):

@@ -226,10 +226,10 @@ def test_stimuli_are_what_the_master_fed(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "code", "words"),
     [({"fmi_ls_manifest": None}, 2, "no experiments, so that nothing was compared"),
-     ({"references": "time,qpos[3]\n"}, 2, "each once, with a row"),
+     ({"references": "time,qpos[3]\n"}, 2, "has no rows"),
      ({"references": "time,qpos[9]\n0,1\n"}, 2, r"no variable 'qpos[9]'"),
      ({"references": "time,qpos[3]\n0,one\n"}, 2, "references.csv: qpos[3]: must have a number in"),
-     ({"references": "time,qpos[3]\n0\n"}, 2, "references.csv: row 1: 1 values; must be 2"),
+     ({"references": "time,qpos[3]\n0\n"}, 2, "references.csv: line 2: 1 values; must be 2"),
      ({"reference": lambda text: text.replace('stepSize="0.0005"', 'stepSize="0"')}, 2,
       "stepSize '0'"),
      ({"fmi_ls_manifest": lambda text: text.replace("reference.exp", "../../../x.exp")}, 2,

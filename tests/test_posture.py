@@ -17,7 +17,7 @@ from panda_cosim.assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.table import TableRow, TrajectoryTable, read_tables
 from panda_cosim.task.timing.reference import joint_reference
 from panda_cosim.task.trajectory import StartPose
 from panda_cosim.task.writer import write_scenario
@@ -136,7 +136,7 @@ HEAD = "time,frame,x,y,z,grip,q1,q2,q3,q4,q5,q6,q7\n"
 def test_columns_that_are_no_posture_are_refused(tmp_path, text, message):
     (tmp_path / "trajectory.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        TrajectoryTable.read(tmp_path / "trajectory.csv")
+        read_tables(tmp_path / "trajectory.csv")
 
 
 def test_what_postures_do_not_go_with_is_refused(tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.task.table import COLUMNS, InputTable, TableRow, TrajectoryTable
+from panda_cosim.task.table import COLUMNS, TableRow, read_tables
 
 HEAD = "time,frame,x,y,z,qw,qx,qy,qz,grip\n"
 SHORT = "time,frame,x,y,z,grip\n"
@@ -66,7 +66,7 @@ def write(folder: Path, content: str | bytes) -> Path:
 def test_a_bad_table_is_refused_in_one_line_that_says_where_and_why(tmp_path, content, expected):
     path = write(tmp_path, content)
     with pytest.raises(InputError) as caught:
-        TrajectoryTable.read(path)
+        read_tables(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert expected in message
@@ -86,7 +86,7 @@ def test_what_is_not_a_plain_file_is_refused_without_waiting_for_it(tmp_path, ki
     elif kind == "name too long":
         path = tmp_path / ("a" * 5000)
     with pytest.raises(InputError):
-        TrajectoryTable.read(path)
+        read_tables(path)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,8 @@ def test_what_is_not_a_plain_file_is_refused_without_waiting_for_it(tmp_path, ki
     ],
 )
 def test_harmless_variants_of_a_table_mean_the_same(tmp_path, content):
-    assert TrajectoryTable.read(write(tmp_path, content)).rows == (
+    table, _ = read_tables(write(tmp_path, content))
+    assert table.rows == (
         TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
         TableRow(1.0, "target", (0.0, 0.0, 0.1), 0.02, (0.0, 1.0, 0.0, 0.0)),
     )
@@ -131,7 +132,7 @@ CELL = st.one_of(
 def test_no_content_at_all_gives_anything_but_a_table_or_one_line(tmp_path, content):
     path = write(tmp_path, content)
     try:
-        table = TrajectoryTable.read(path)
+        table, _ = read_tables(path)
     except InputError as error:
         assert str(error).isprintable()  # noqa: PT017  # most contents are refused, not all
     else:
@@ -145,7 +146,6 @@ def test_blank_lines_change_neither_rows_nor_inputs(tmp_path, blank):
     for place in (None, 0, 1, 3):
         more = lines if place is None else [*lines[:place], blank, *lines[place:]]
         path.write_text("\n".join(more) + "\n")
-        inputs, has_others = InputTable.of_trajectory(path)
-        read.append((TrajectoryTable.read(path), inputs.times, inputs.columns, has_others))
+        read.append(read_tables(path))
     assert read == read[:1] * 4
-    assert read[0][2] == {"plant.block_force[1]": ("3", "4")}
+    assert read[0][1].columns == {"plant.block_force[1]": ("3", "4")}

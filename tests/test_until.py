@@ -15,8 +15,9 @@ from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.fmus.interface.controller import COMMANDS, POSTURE_COMMANDS
 from panda_cosim.run.prepare import prepare
+from panda_cosim.task.input_table import InputTable
 from panda_cosim.task.scenario import Push
-from panda_cosim.task.table import InputTable, TableRow, TrajectoryTable
+from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]

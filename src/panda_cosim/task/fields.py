@@ -204,15 +204,17 @@ def check_rules(rules: Mapping[str, object]) -> None:
             raise InputError(message)
 
 
-def check_keys(place: str, keys: Collection[str], valid: Collection[str]) -> None:
+def check_keys(
+    place: str, keys: Collection[str], valid: Collection[str], kind: str = "key"
+) -> None:
     """Refuse keys that are unknown."""
     for key in keys:
         if key not in valid:
-            raise InputError(place + _unknown(key, valid))
+            raise InputError(place + _unknown(key, valid, kind))
 
 
-def _unknown(key: str, valid: Collection[str]) -> str:
-    return f"key {excerpt(key)} is unknown; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
+def _unknown(key: str, valid: Collection[str], kind: str = "key") -> str:
+    return f"{kind} {excerpt(key)} is unknown; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
 
 
 def _describe(error: ValidationError, cls: type) -> str:

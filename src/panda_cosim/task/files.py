@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import shlex
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..fmus.atomic import MARK, replacing
-from ..fmus.errors import InputError
+from ..fmus.errors import InputError, excerpt, one_line
 from ..fmus.reading import open_regular
 
 MODEL_FILE = "plant.mjb"  # of a foreign plant, in `scenario` in the run's folder
 MAX_DIGITS = 40  # of an integer; Python would read any number of them
 MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may have 255
+
+MAX_BYTES = 256 * 1024 * 1024  # of a table; 100 000 rows of 10 long numbers take 25 MB
+
+
+@dataclass(frozen=True)
+class Csv:
+    """Cells of a CSV file: names of the columns, and the other rows by their line."""
+
+    names: list[str]
+    rows: Mapping[int, list[str]]
 
 
 def safe_name(name: str) -> str:
@@ -102,3 +116,37 @@ def read_text(path: Path, max_bytes: int) -> str:
     if not text.strip():
         raise InputError(f"{path}: is empty")
     return text
+
+
+def parse_csv(text: str, check: Callable[[list[str]], None] = lambda _: None) -> Csv:
+    """Parse a CSV text whose names of columns pass a check; blank lines are skipped.
+
+    Raises:
+        InputError: It is no table, or a name occurs twice; the message begins with the line.
+    """
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    lines = (cells for cells in reader if any(map(str.strip, cells)))
+    rows = {}
+    try:
+        names = [name.strip() for name in next(lines, [])]
+        check(names)
+        if not all(names):
+            raise InputError("a column has no name; must have one above each cell")
+        for name, count in Counter(names).most_common(1):
+            if count > 1:
+                raise InputError(f"column {excerpt(name)} occurs {count} times; must occur once")
+        for cells in lines:
+            if len(cells) != len(names):
+                must = f"must be {len(names)} ({one_line(','.join(names))})"
+                raise InputError(f"{len(cells)} values; {must}")
+            rows[reader.line_num] = cells
+    except (csv.Error, InputError) as error:
+        raise InputError(f"line {reader.line_num}: {error}") from None
+    return Csv(names, rows)
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Return rows as CSV, floats exactly, as repr() writes them."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()

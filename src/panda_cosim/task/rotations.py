@@ -41,8 +41,7 @@ def log(q: Array) -> Array:
     angle = 2.0 * np.arctan2(sine, shortest[..., :1])
     # If the sine is 0, so is the vector; any finite factor will do, and 2 is the limit.
     factor = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
-    vector: Array = factor * shortest[..., 1:]
-    return vector
+    return np.asarray(factor * shortest[..., 1:])
 
 
 def about_z(angle: float) -> Array:
@@ -61,5 +60,4 @@ def rotate(q: Array, v: Array) -> Array:
     """Rotate vectors v (n, 3) by unit quaternions q (n, 4), (w, x, y, z)."""
     w, u = q[:, :1], q[:, 1:]
     across = 2.0 * np.cross(u, v)
-    rotated: Array = v + w * across + np.cross(u, across)
-    return rotated
+    return np.asarray(v + w * across + np.cross(u, across))

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, PlainValidator, SkipValidation
 from ..assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ..assets.franka import DEFAULT_ROBOT, LIMIT_FILES, ROBOTS
 from ..fmus.build.libraries import check_engine
-from ..fmus.errors import InputError, did_you_mean, excerpt
+from ..fmus.errors import InputError, did_you_mean, excerpt, located, refuse
 from ..fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
 from ..fmus.interface.plant import FORCE_MAX, FORCES
 from .criteria import Success
@@ -32,8 +32,9 @@ from .fields import (
     numbers,
 )
 from .files import read_toml
+from .input_table import InputTable
 from .mismatch import Mismatch
-from .table import InputTable, TableRow, TrajectoryTable
+from .table import TableRow, TrajectoryTable, read_tables
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 from .values import Values, changed
@@ -330,30 +331,20 @@ class Scenario:
         path = folder / SCENARIO_FILE
         keys = read_toml(path, _MAX_BYTES)
         needs_none = keys.get("system") or keys.get("fmus") or keys.get("route")
-        has_table, driven = not needs_none or (folder / TABLE_FILE).exists(), InputTable()
-        if has_table:
-            driven, has_table = InputTable.of_trajectory(folder / TABLE_FILE)
-        table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else None
-        try:
+        table, driven = None, InputTable()
+        if not needs_none or (folder / TABLE_FILE).exists():
+            table, driven = read_tables(folder / TABLE_FILE)
+        with located(path):
             check_keys("", keys, KEYS)
             inputs = keys.get("inputs", {})
             file = inputs.get("file") if isinstance(inputs, Mapping) else None
             if file is not None and driven.columns:
-                raise InputError(
-                    f"[inputs] file: value {excerpt(file)}; must be left out, as {TABLE_FILE} "
-                    "has inputs"
-                )
+                must = f"must be left out, as {TABLE_FILE} has inputs"
+                refuse("[inputs] file", file, must)
             if file is not None:
                 driven = InputTable.read(folder / Line().check("[inputs] file", file))
-            return cls(
-                **keys,
-                name=folder.resolve().name,
-                table=table,
-                input_table=driven,
-                folder=folder,
-            )
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+            name = folder.resolve().name
+            return cls(**keys, name=name, table=table, input_table=driven, folder=folder)
 
     def changed(self, values: Values) -> Scenario:
         """Return it with values changed by key, all at once: the one way to change a scenario.

@@ -8,23 +8,20 @@ missing, all of them. Columns `FMU.INPUT` are an `InputTable`, which may also st
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
 from pydantic import PlainValidator
 
 from ..assets.franka import GRIP_FORCE_MAX, GRIP_STIFFNESS, OPENING_MAX, Q_MAX, Q_MIN
-from ..fmus.errors import InputError, did_you_mean, excerpt
-from ..fmus.reading import finite_number
-from .fields import Choice, Line, Quantity, Vector, checked
-from .files import read_text
+from ..fmus.errors import InputError, excerpt, located
+from .fields import Choice, Line, Quantity, Vector, check_keys, checked
+from .files import MAX_BYTES, csv_text, parse_csv, read_text
+from .input_table import InputTable
 
 FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
@@ -33,6 +30,8 @@ NAME_COLUMN = "name"  # of the waypoint, for pictures
 POSTURE_COLUMNS = tuple(f"q{joint}" for joint in range(1, 8))  # of all rows or of none
 UNTIL_COLUMN = "until"  # what ends the row early
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
+_TOGETHER = (QUATERNION_COLUMNS, POSTURE_COLUMNS)  # all of them or none
+_BLANK = ("", "", "", "")  # the orientation of `home`
 
 POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
 _QUATERNION_PART = Quantity(-1e6, 1e6)  # its length is scaled to 1, so any sane scale will do
@@ -52,7 +51,6 @@ MIN_GAP = 1e-6  # s between rows; a smaller gap is a mistake, and gives absurd v
 MIN_QUATERNION_LENGTH = 1e-6
 UNIT_TOLERANCE = 1e-15  # of a length that is 1 but for rounding
 MAX_ROWS = 100_000
-_MAX_BYTES = 64 * 1024 * 1024  # 100 000 rows of 10 long numbers take 25 MB
 
 _UNTIL = re.compile(r"(contact|external_force(?:\[([1-6])\])?)\s*>\s*(\d+\.?\d*|\.\d+)", re.A)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.I | re.A)
@@ -171,11 +169,9 @@ class TrajectoryTable:
     def __post_init__(self) -> None:
         if not 2 <= len(self.rows) <= MAX_ROWS:
             raise InputError(f"{len(self.rows)} rows; must be 2 to {MAX_ROWS}")
-        for number, (before, after) in enumerate(zip(self.rows, self.rows[1:], strict=False), 2):
-            try:
+        for number, (before, after) in enumerate(pairwise(self.rows), 2):
+            with located(f"row {number}"):
                 _check_order(before.time, after.time)
-            except InputError as error:
-                raise InputError(f"row {number}, {error}") from None
             if (after.posture is None) is self.has_posture:
                 raise InputError(f"row {number}: q1 to q7; must be set in all rows or in none")
 
@@ -184,18 +180,18 @@ class TrajectoryTable:
         """Whether its rows have a posture."""
         return self.rows[0].posture is not None
 
-    @classmethod
-    def read(cls, path: str | Path) -> Self:
-        """Read a table from a CSV file (UTF-8, byte-order mark and CRLF accepted).
-
-        Raises:
-            InputError: The file cannot be used; the message names line, column and value.
-        """
-        text = read_text(Path(path), _MAX_BYTES)
-        try:
-            return cls(tuple(_parse(text)))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+    @property
+    def text(self) -> str:
+        """Content of a file; columns that are blank or 0 in all rows are left out."""
+        others = (*OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
+        more = [name for name in others if any(getattr(row, name) for row in self.rows)]
+        names = (*COLUMNS, *more, *(POSTURE_COLUMNS if self.has_posture else ()))
+        rows: list[Sequence[object]] = [names]
+        for row in self.rows:
+            last = (*(getattr(row, name) for name in more), *(row.posture or ()))
+            orientation = row.orientation or _BLANK
+            rows.append((row.time, row.frame, *row.position, *orientation, row.grip, *last))
+        return csv_text(rows)
 
 
 def _check_order(before: float, after: float) -> None:
@@ -206,46 +202,49 @@ def _check_order(before: float, after: float) -> None:
         )
 
 
-def _parse(text: str) -> list[TableRow]:
-    """Parse the file's text; errors name the line."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    stripped = ([cell.strip() for cell in cells] for cells in reader)
-    lines = (cells for cells in stripped if any(cells))
-    rows: list[TableRow] = []
-    try:
-        header = next(lines, [])
-        _check_header(header)
-        for cells in lines:
-            if len(cells) != len(header):
-                raise InputError(f"{len(cells)} values; must be {len(header)} ({','.join(header)})")
-            rows.append(_parse_row(dict(zip(header, cells, strict=True))))
-            if len(rows) > 1:
-                _check_order(rows[-2].time, rows[-1].time)
-    except (csv.Error, InputError) as error:
-        raise InputError(f"line {reader.line_num}: {error}") from None
-    return rows
+def read_tables(path: Path) -> tuple[TrajectoryTable | None, InputTable]:
+    """Read a scenario's CSV file (UTF-8): the rows of the hand, if any, and inputs beside them.
+
+    Raises:
+        InputError: The file cannot be used; the message names line, column and value.
+    """
+    text = read_text(path, MAX_BYTES)
+    with located(path):
+        table = parse_csv(text, _check_names)
+        names = [name for name in table.names if "." in name]
+        inputs = InputTable.of(table, names, str(path)) if names else InputTable()
+        if not _has_rows(table.names):
+            return None, inputs
+        rows: list[TableRow] = []
+        for line, cells in table.rows.items():
+            with located(f"line {line}"):
+                stripped = map(str.strip, cells)
+                rows.append(_row(dict(zip(table.names, stripped, strict=True))))
+                if len(rows) > 1:
+                    _check_order(rows[-2].time, rows[-1].time)
+        return TrajectoryTable(tuple(rows)), inputs
 
 
-def _check_header(names: list[str]) -> None:
+def _has_rows(names: Sequence[str]) -> bool:
+    """Tell whether a file with these columns has rows of the hand: not if it has inputs alone."""
+    return len(names) == 1 or [name for name in names if "." not in name] != ["time"]
+
+
+def _check_names(names: Sequence[str]) -> None:
+    if not _has_rows(names):
+        return
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
     valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
-    for name in names:
-        if name not in valid and "." not in name:
-            hint = did_you_mean(name, valid)
-            raise InputError(f"column {excerpt(name)} is unknown; valid: {', '.join(valid)}{hint}")
-        if names.count(name) > 1:
-            raise InputError(f"column {name} occurs {names.count(name)} times; must occur once")
-    optional = () if set(QUATERNION_COLUMNS) & set(names) else QUATERNION_COLUMNS
-    postures = POSTURE_COLUMNS if set(POSTURE_COLUMNS) & set(names) else ()
-    required = [name for name in (*COLUMNS, *postures) if name not in optional]
-    missing = [name for name in required if name not in names]
-    if missing:
-        needed = ", ".join(required)
-        raise InputError(f"{', '.join(missing)}: missing; must have the columns {needed}")
+    check_keys("", [name for name in names if "." not in name], valid, "column")
+    absent = {n for group in _TOGETHER if not set(group) & set(names) for n in group}
+    needed = [name for name in (*COLUMNS, *POSTURE_COLUMNS) if name not in absent]
+    if missing := [name for name in needed if name not in names]:
+        wanted = ", ".join(needed)
+        raise InputError(f"{', '.join(missing)}: missing; must have the columns {wanted}")
 
 
-def _parse_row(cells: dict[str, str]) -> TableRow:
+def _row(cells: dict[str, str]) -> TableRow:
     may_be_blank = (*QUATERNION_COLUMNS, *OPTIONAL_COLUMNS)
     blank = [name for name in may_be_blank if not cells.get(name)]
     parts = [name for name in QUATERNION_COLUMNS if name not in blank]
@@ -275,77 +274,3 @@ def _number(column: str, text: str) -> float:
         hint = " with a decimal point" if "," in text else " such as 0.25"
         raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")
     return float(_BOUNDS[column].check(f"column {column}", float(text)))
-
-
-MAX_BYTES = 256 * 1024 * 1024
-
-
-@dataclass(frozen=True)
-class InputTable:
-    """Inputs over time as texts; what they are for gives them their types."""
-
-    times: tuple[float, ...] = ()  # of each row [s]; two rows of one time are a jump
-    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by FMU.INPUT
-    place: str = field(default="", compare=False)  # of the file, for messages
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a file."""
-        return cls.of_text(read_text(path, MAX_BYTES), str(path))
-
-    @classmethod
-    def of_text(cls, text: str, place: str) -> Self:
-        """Read the text of a file."""
-        columns = _columns(place, text)
-        return cls(_times(place, columns.pop("time")), columns, place)
-
-    @classmethod
-    def of_trajectory(cls, path: Path) -> tuple[Self, bool]:
-        """Read the inputs in a trajectory's table, and whether it has other columns, too."""
-        text = read_text(path, MAX_BYTES)
-        header = next((line for line in text.splitlines() if line.strip(" \t,")), "")
-        if "." not in header:
-            return cls(), True
-        columns = _columns(str(path), text)
-        inputs = {name: cells for name, cells in columns.items() if "." in name}
-        has_others = len(inputs) + 1 < len(columns)
-        return cls(_times(str(path), columns["time"]), inputs, str(path)), has_others
-
-    @property
-    def text(self) -> str:
-        """Content of a file."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["time", *self.columns])
-        writer.writerows(zip(self.times, *self.columns.values(), strict=True))
-        return text.getvalue()
-
-
-def _columns(path: str, text: str) -> dict[str, tuple[str, ...]]:
-    """Cells by the names of columns."""
-    try:
-        lines = csv.reader(io.StringIO(text), strict=True)
-        names, *rows = [line for line in lines if any(cell.strip() for cell in line)]
-    except (csv.Error, ValueError) as error:
-        raise InputError(f"{path}: {error}; must be CSV") from None
-    names = [name.strip() for name in names]
-    if "time" not in names or len(set(names)) < len(names) or not rows:
-        raise InputError(
-            f"{path}: line 1: columns {excerpt(','.join(names))}; must be time and inputs as "
-            "FMU.INPUT, each once, with a row"
-        )
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(names):
-            raise InputError(f"{path}: row {number}: {len(row)} values; must be {len(names)}")
-    return dict(zip(names, zip(*rows, strict=True), strict=True))
-
-
-def _times(path: str, texts: tuple[str, ...]) -> tuple[float, ...]:
-    times = [finite_number(text) for text in texts]
-    for row, (before, time) in enumerate(pairwise([-1e308, *times]), 1):
-        if time is None or (before is not None and time < before):
-            raise InputError(
-                f"{path}: row {row}: time {excerpt(texts[row - 1])}; must be a number, and not "
-                "before the row above"
-            )
-    return tuple(time for time in times if time is not None)

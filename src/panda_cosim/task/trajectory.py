@@ -167,7 +167,7 @@ class Trajectory:
         u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
         s, rate = self.time_law(u, duration)
         shift = np.diff(self.positions, axis=0, append=self.positions[-1:])[row]
-        turn = _turns(self.orientations)[row]
+        turn = turns(self.orientations)[row]
         commands = np.empty((len(t), len(COMMANDS)))
         commands[:, 0:3] = self.positions[row] + s * shift
         commands[:, 3:7] = rotations.multiply(rotations.exp(s * turn), self.orientations[row])
@@ -206,9 +206,9 @@ class Trajectory:
         return s[:, None], rate[:, None]
 
 
-def _turns(orientations: Array) -> Array:
+def turns(orientations: Array) -> Array:
     """Return each segment's rotation vector in world axes, and zero. Shape (n, 3) [rad]."""
     following = np.concatenate([orientations[1:], orientations[-1:]])
-    turns = rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
-    turns[(following == orientations).all(axis=1)] = 0.0  # exactly, instead of about 1e-17
-    return turns
+    turned = rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
+    turned[(following == orientations).all(axis=1)] = 0.0  # exactly, instead of about 1e-17
+    return turned

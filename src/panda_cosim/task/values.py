@@ -20,8 +20,9 @@ from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.tables import INTERFACES
 from .fields import Line, check_keys, check_rules, field_names
+from .input_table import InputTable
 from .mismatch import Mismatch, default_of
-from .table import QUATERNION_COLUMNS, InputTable
+from .table import QUATERNION_COLUMNS
 
 if TYPE_CHECKING:
     from .scenario import Scenario

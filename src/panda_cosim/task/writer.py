@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -17,16 +15,8 @@ from numpy.typing import ArrayLike
 from ..fmus.atomic import check_replaceable, replacing
 from ..fmus.errors import InputError, did_you_mean, excerpt
 from .criteria import toml_keys
-from .files import write_all
+from .files import csv_text, write_all
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
-from .table import (
-    COLUMNS,
-    NAME_COLUMN,
-    OPTIONAL_COLUMNS,
-    POSTURE_COLUMNS,
-    UNTIL_COLUMN,
-    TrajectoryTable,
-)
 from .trajectory import COMMANDS, POSTURE_COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
@@ -44,7 +34,6 @@ _FMUS: Final = {  # lines of the section [fmus]
 _GUST: Final = '\n[connect]\n"plant.push_force[2]" = "convert(gust.force)"\n'
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
-_BLANK = ("", "", "", "")  # the orientation of `home`
 # Keys that are written if they say something.
 _RARE = ("system", "step", "tolerance", "order", "timing", "timing_share", "route", "mujoco",
          "preflight", "input_scale")  # fmt: skip
@@ -103,7 +92,7 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
     # Files that it was read from are copied, with their comments, if they still describe it.
     written = {folder / SCENARIO_FILE: settings_text(scenario)}
     if scenario.table is not None:
-        written[folder / TABLE_FILE] = table_text(scenario.table)
+        written[folder / TABLE_FILE] = scenario.table.text
     if scenario.input_table.columns:
         written[folder / INPUTS_FILE] = scenario.input_table.text
     write_all(_original(scenario, folder) or written)
@@ -172,26 +161,12 @@ def _literal(value: Any) -> str:
     return repr(value)
 
 
-def table_text(table: TrajectoryTable) -> str:
-    """Return the text of trajectory.csv; columns that are blank or 0 in all rows are left out."""
-    others = (*OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
-    more = [name for name in others if any(getattr(row, name) for row in table.rows)]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*COLUMNS, *more, *(POSTURE_COLUMNS if table.has_posture else ())])
-    for row in table.rows:
-        orientation = row.orientation or _BLANK
-        last = (*(getattr(row, name) for name in more), *(row.posture or ()))
-        writer.writerow((row.time, row.frame, *row.position, *orientation, row.grip, *last))
-    return text.getvalue()
-
-
 def write_input_csv(
     path: Path, times: ArrayLike, commands: ArrayLike, *, overwrite: bool = False
 ) -> None:
     """Write commands (n, 14 or 28) at times (n,) [s] as an input file of `fmpy simulate`."""
     check_replaceable(path, overwrite=overwrite)
-    with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")  # writes floats exactly, as repr()
-        writer.writerow(("time", *(*COMMANDS, *POSTURE_COMMANDS)[: np.shape(commands)[1]]))
-        writer.writerows(np.column_stack([times, commands]).tolist())
+    names = ("time", *(*COMMANDS, *POSTURE_COMMANDS)[: np.shape(commands)[1]])
+    rows = np.column_stack([times, commands]).tolist()
+    with replacing(path) as partial:
+        partial.write_text(csv_text([names, *rows]), encoding="utf-8")

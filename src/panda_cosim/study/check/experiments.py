@@ -35,9 +35,9 @@ from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.stopping import StopRequest
 from ...task.criteria import SignalCriterion, Success
-from ...task.files import as_argument, check_new, read_text
+from ...task.files import as_argument, check_new
+from ...task.input_table import InputTable
 from ...task.scenario import SCENARIO_FILE, Scenario
-from ...task.table import MAX_BYTES, InputTable
 from ...task.writer import check_name, write_scenario
 from ..compare.tubes import distances
 from .diagnosis import rehearse
@@ -277,7 +277,7 @@ def _member(fmu: Fmu, file: Path, source: str) -> Path:
 def _series(fmu: Fmu, file: Path) -> Series:
     """Read a CSV; a cell of an array has all its elements, bytes are hexadecimal digits."""
     arrays, place = by_array(fmu.variables.values()), f"{fmu.label}: {file.name}"
-    table = InputTable.of_text(read_text(file, MAX_BYTES), place)
+    table = InputTable.read(file, place)
     series = {"time": np.array(table.times)}
     for name, cells in table.columns.items():
         scalars = arrays.get(name) or [fmu.variable(name)]

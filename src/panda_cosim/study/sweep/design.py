@@ -7,8 +7,6 @@ distribution, so their counts are not probabilities.
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import math
 import re
@@ -22,11 +20,11 @@ import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, located
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...run.prepare import CHUNK, prepare
 from ...run.start import start_values
-from ...task.files import read_text
+from ...task.files import parse_csv, read_text
 from ...task.scenario import Scenario
 from .definition import MAX_SAMPLES, Distribution, Sweep
 from .packed import Loaded
@@ -100,19 +98,16 @@ def _probabilities(sweep: Sweep) -> Array:
 
 def _read_list(path: Path) -> dict[str, Sequence[Any]]:
     """Read a CSV with the keys in its header; their order means nothing."""
-    reader = csv.reader(io.StringIO(read_text(path, _MAX_BYTES), newline=""))
-    cells = ([cell.strip() for cell in row] for row in reader if row)
-    header = next(cells)
-    if len(set(header)) != len(header) or not all(header):
-        raise InputError(f"{path}: line {reader.line_num}: names must differ and not be blank")
-    rows = []
-    for row in cells:
-        if len(row) != len(header) or not all(row):
-            raise InputError(f"{path}: line {reader.line_num}: must be {len(header)} values")
-        rows.append(list(map(literal, row)))
-    if not rows:
-        raise InputError(f"{path}: has no rows; must have at least one below the names")
-    return dict(sorted(zip(header, zip(*rows, strict=True), strict=True)))
+    text = read_text(path, _MAX_BYTES)
+    with located(path):
+        table = parse_csv(text)
+        for line, cells in table.rows.items():
+            if not all(map(str.strip, cells)):
+                raise InputError(f"line {line}: a cell is blank; must have {len(cells)} values")
+        if not table.rows:
+            raise InputError("has no rows; must have at least one below the names")
+    rows = ([literal(cell.strip()) for cell in cells] for cells in table.rows.values())
+    return dict(sorted(zip(table.names, zip(*rows, strict=True), strict=True)))
 
 
 def check_keys(keys: Iterable[str]) -> None:

@@ -12,7 +12,7 @@ from ...fmus.errors import InputError
 from ...run.folder import with_files
 from ...run.system.assembly import assemble
 from ...task.scenario import Scenario, load_scenario, shipped_scenarios
-from ...task.writer import settings_text, table_text
+from ...task.writer import settings_text
 from .definition import Sweep
 
 
@@ -80,7 +80,7 @@ def identity(packed: Loaded) -> str:
     """Return the SHA-256 of all that a packed scenario consists of, but its name."""
     content = hashlib.sha256(settings_text(packed.scenario).encode())
     if packed.scenario.table is not None:
-        content.update(table_text(packed.scenario.table).encode())
+        content.update(packed.scenario.table.text.encode())
     for name, data in sorted(packed.files.items()):
         content.update(f"{name} {len(data)} ".encode() + data)
     return content.hexdigest()

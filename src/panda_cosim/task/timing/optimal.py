@@ -8,6 +8,7 @@ then measured against the limits, and the law's bounds are corrected, a few time
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Final
 
@@ -35,6 +36,7 @@ from .demand import (
 from .path import Motion, motions
 from .reference import JointReference, joint_reference
 from .time_law import (
+    BOUNDED,
     NODES,
     Bounds,
     NoTimingError,
@@ -59,12 +61,16 @@ NOWHERE: Final = StartPose(HOME_XPOS, HOME_XQUAT, (0.0, 0.0, 0.0))  # all rows a
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """The hand's pose at each tick from the first row on."""
+    """The hand's pose at each tick from the first row on: dwells and motions in turn."""
 
     poses: Array  # position and orientation (n, 7)
     rows: NDArray[np.intp]  # the row passed last (n,)
-    stops: list[int]  # ticks at which motions start and end, the first and last one included
-    starts: list[int]  # tick at which each motion starts
+    stops: list[int]  # ticks at which dwells and motions start, and the last one
+
+    @property
+    def starts(self) -> list[int]:
+        """The tick at which each motion starts."""
+        return self.stops[1:-1:2]
 
 
 def retimed(
@@ -76,7 +82,7 @@ def retimed(
     is what the fingers carry [kg], and `share` what may be used of each limit [1].
     """
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load, gains.robot)
-    bounds = [Bounds(share, share, share, share, share, share)] * len(parts)
+    bounds = [Bounds(dict.fromkeys(BOUNDED, share))] * len(parts)
     laws = [_slow(part) for part in parts]
     slowest = SLOWEST * sum(part.length / SPEED + STARTING for part in parts)
     within: list[Timing] = []
@@ -98,10 +104,9 @@ def retimed(
             ends = [*course.starts[1:], len(course.poses)]  # each with the dwell that follows it
             for part, span in enumerate(map(slice, course.starts, ends)):
                 during = {name: shares[span] for name, shares in demanded.items()}
-                bounds[part] = _corrected(
-                    bounds[part], laws[part], during, reference.miss[span], share
-                )
-        joints = _joints(parts, laws, course, reference)
+                miss = reference.miss[span]
+                bounds[part] = _corrected(bounds[part], laws[part], during, miss, share)
+        joints = map(partial(_joints, reference), parts, laws, course.starts)
         each = zip(parts, joints, bounds, strict=True)
         try:
             laws = [time_law(*motion, dynamics) for motion in each]
@@ -160,42 +165,31 @@ def _slow(part: Motion) -> Array:
     """Law of the first round, which only finds the joint motion along the path."""
     ticks = int(np.ceil(part.length / SLOW / STEP_SIZE)) + 500
     u = np.linspace(0.0, 1.0, ticks + 1)
-    law: Array = part.length * u**3 * (10.0 + u * (6.0 * u - 15.0))
-    return law
+    return np.asarray(part.length * u**3 * (10.0 + u * (6.0 * u - 15.0)))
 
 
 def _course(trajectory: Trajectory, parts: list[Motion], laws: list[Array]) -> _Course:
     """Join the motions, with the dwells between them."""
     corners = np.hstack((trajectory.positions, trajectory.orientations))
-    passed: list[NDArray[np.intp]] = []
-    poses: list[Array] = []
-    stops, starts, now, row = [0], [], 0, 0
-    for part, law in [*zip(parts, laws, strict=True), (None, None)]:
-        until = int(part.rows[0]) if part else len(trajectory.times) - 1
-        passed.append(_dwell(trajectory, row, until))
-        poses.append(corners[passed[-1]])
-        now += len(passed[-1])
-        if part is None or law is None:
-            break
-        passed.append(part.passed(law[:-1]))
-        poses.append(part.poses(law[:-1]))
-        starts.append(now)
-        stops.append(now)
-        now += len(law) - 1
-        stops.append(now)
+    last = len(trajectory.times) - 1
+    rows, poses, row = list[NDArray[np.intp]](), list[Array](), 0
+    for part, law in zip(parts, laws, strict=True):
+        dwell = _dwell(trajectory, row, int(part.rows[0]))
+        rows += [dwell, part.passed(law[:-1])]
+        poses += [corners[dwell], part.poses(law[:-1])]
         row = int(part.rows[-1])
-    last = np.array([len(trajectory.times) - 1])
-    return _Course(
-        np.vstack((*poses, corners[last])), np.concatenate((*passed, last)), [*stops, now], starts
-    )
+    for dwell in (_dwell(trajectory, row, last), np.array([last])):
+        rows.append(dwell)
+        poses.append(corners[dwell])
+    stops = np.cumsum([0, *map(len, rows[:-1])]).tolist()
+    return _Course(np.vstack(poses), np.concatenate(rows), stops)
 
 
 def _dwell(trajectory: Trajectory, row: int, until: int) -> NDArray[np.intp]:
     """Return the row passed last at each tick of a dwell up to `until`."""
     length = trajectory.times[until] - trajectory.times[row]
     times = trajectory.times[row] + STEP_SIZE * np.arange(round(length / STEP_SIZE))
-    last: NDArray[np.intp] = np.searchsorted(trajectory.times, times + 0.5 * STEP_SIZE, "right") - 1
-    return last
+    return np.asarray(np.searchsorted(trajectory.times, times + 0.5 * STEP_SIZE, "right") - 1)
 
 
 def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
@@ -219,15 +213,8 @@ def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
     )
 
 
-def _joints(
-    parts: list[Motion], laws: list[Array], course: _Course, reference: JointReference
-) -> list[Array]:
-    """Return each motion's joint positions at `NODES` points (n, 7) [rad]."""
-    positions = []
-    for part, law, start in zip(parts, laws, course.starts, strict=True):
-        q = reference.position[start : start + len(law)]
-        at = np.interp(np.linspace(0.0, part.length, NODES), law, np.arange(len(law)))
-        positions.append(
-            np.column_stack([np.interp(at, np.arange(len(q)), joint) for joint in q.T])
-        )
-    return positions
+def _joints(reference: JointReference, part: Motion, law: Array, start: int) -> Array:
+    """Return a motion's joint positions at `NODES` points (n, 7) [rad]; it starts at a tick."""
+    q = reference.position[start : start + len(law)]
+    at = np.interp(np.linspace(0.0, part.length, NODES), law, np.arange(len(law)))
+    return np.column_stack([np.interp(at, np.arange(len(q)), joint) for joint in q.T])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import rotations
-from ..trajectory import Trajectory
+from ..trajectory import Trajectory, turns
 
 Array = NDArray[np.float64]
 
@@ -39,9 +39,7 @@ class Motion:
 
     def passed(self, places: Array) -> NDArray[np.intp]:
         """Return the row (m,) passed last at places (m,)."""
-        last = np.searchsorted(self.places, places + STILL, side="right") - 1
-        passed: NDArray[np.intp] = self.rows[last]
-        return passed
+        return self.rows[np.searchsorted(self.places, places + STILL, side="right") - 1]
 
     def poses(self, places: Array) -> Array:
         """Return position and orientation at places (m,) on the path, shape (m, 7)."""
@@ -56,13 +54,9 @@ class Motion:
         """Return the poses at distances (m,) [m] from rows along segments; negative: backwards."""
         length = np.diff(self.places)[segment]
         share = (way / length)[:, None]
-        turn = rotations.exp(share * _turns(self.orientations)[segment])
-        return np.hstack(
-            (
-                self.positions[row] + share * np.diff(self.positions, axis=0)[segment],
-                rotations.multiply(turn, self.orientations[row]),
-            )
-        )
+        turn = rotations.exp(share * turns(self.orientations)[segment])
+        position = self.positions[row] + share * np.diff(self.positions, axis=0)[segment]
+        return np.hstack((position, rotations.multiply(turn, self.orientations[row])))
 
     def _rounded(self, corner: int, places: Array) -> Array:
         """Return the poses on a rounded corner, a blend from one line to the next.
@@ -82,15 +76,7 @@ class Motion:
 
 
 def _fade(u: Array) -> Array:
-    faded: Array = u**3 * (2.0 - u)
-    return faded
-
-
-def _turns(orientations: Array) -> Array:
-    """Rotation vector from each row to the next, world axes (n - 1, 3) [rad]."""
-    return rotations.log(
-        rotations.multiply(orientations[1:], rotations.conjugate(orientations[:-1]))
-    )
+    return np.asarray(u**3 * (2.0 - u))
 
 
 def motions(trajectory: Trajectory, blends: Array) -> list[Motion]:
@@ -104,9 +90,8 @@ def motions(trajectory: Trajectory, blends: Array) -> list[Motion]:
 def segment_lengths(trajectory: Trajectory) -> Array:
     """Return the length of each segment between two rows (n - 1,) [m]; below `STILL`: a dwell."""
     shifts = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
-    turns = np.linalg.norm(_turns(trajectory.orientations), axis=1)
-    lengths: Array = np.maximum(shifts, TURN_LENGTH * turns)
-    return lengths
+    angles = np.linalg.norm(turns(trajectory.orientations)[:-1], axis=1)
+    return np.asarray(np.maximum(shifts, TURN_LENGTH * angles))
 
 
 def _spans(lengths: Array, blends: Array) -> Iterator[tuple[int, int]]:

@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 
 NODES: Final = 80  # of the joint path, between which it is interpolated
 GRID: Final = 300  # intervals of the time law
+BOUNDED: Final = (
+    "velocity", "acceleration", "torque", "hand speed", "hand acceleration", "hand turn",
+)  # fmt: skip
 FIRST_WINDOW: Final = 0.04  # [s]
 MOST: Final = 1.4  # largest bound, as a multiple of the wanted share
 TINY: Final = 1e-9
@@ -49,25 +52,20 @@ class Bounds:
     acceleration, so that shares above the wanted one can be right here.
     """
 
-    velocity: float
-    acceleration: float
-    torque: float
-    hand_speed: float
-    hand_acceleration: float
-    hand_turn: float
+    shares: Shares  # by the names in `BOUNDED`
     window: float = FIRST_WINDOW  # [s]
     # Largest speed at each grid point of the path (`GRID` + 1,) [m/s].
     ceiling: Array = field(default_factory=lambda: np.full(GRID + 1, FREE))
 
-    def corrected(self, shares: Shares, share: float) -> Bounds:
+    def corrected(self, measured: Shares, share: float) -> Bounds:
         """Return bounds that bring the measured shares closer to the wanted one."""
-        used = {name.replace(" ", "_"): max(value, TINY) for name, value in shares.items()}
-        rates = max(used.pop("jerk"), used.pop("torque_rate"))
-        changed = {
-            name: min(getattr(self, name) * _step(share / value), MOST * share)
+        used = {name: max(value, TINY) for name, value in measured.items()}
+        rates = max(used.pop("jerk"), used.pop("torque rate"))
+        shares = {
+            name: min(self.shares[name] * _step(share / value), MOST * share)
             for name, value in used.items()
         }
-        return replace(self, window=self.window * _step(rates / share), **changed)
+        return replace(self, shares=shares, window=self.window * _step(rates / share))
 
 
 def _step(ratio: float) -> float:
@@ -96,8 +94,7 @@ def _sampled(times: Array, places: Array, speeds: Array) -> Array:
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     rate = np.diff(speeds)[k] / np.diff(times)[k]
     since = t - times[k]
-    law: Array = places[k] + since * (speeds[k] + 0.5 * rate * since)
-    return law
+    return np.asarray(places[k] + since * (speeds[k] + 0.5 * rate * since))
 
 
 def _averaged(law: Array, window: float) -> Array:
@@ -155,12 +152,12 @@ def _constraints(
     """Limits as toppra takes them, over the seven joints and the six of `_hand`."""
     from toppra import constraint  # noqa: PLC0415 - an extra
 
-    robot = dynamics.robot
-    hand = bounds.hand_speed * robot.translation[0], bounds.hand_turn * robot.rotation[0]
+    robot, limit = dynamics.robot, bounds.shares
+    hand = limit["hand speed"] * robot.translation[0], limit["hand turn"] * robot.rotation[0]
 
     def speeds_at(place: float) -> Array:
         q, other_way = joints_at(place), -np.ones(7)
-        down, up = (bounds.velocity * robot.speed(q, way) for way in (other_way, -other_way))
+        down, up = (limit["velocity"] * robot.speed(q, way) for way in (other_way, -other_way))
         others = np.array([FREE, FREE, FREE, *hand, np.interp(place, grid, bounds.ceiling)])
         return np.column_stack((np.append(-down, -others), np.append(up, others)))
 
@@ -170,9 +167,9 @@ def _constraints(
     rows[28:, 14:] = DIRECTIONS
     most = np.concatenate(
         (
-            np.tile(bounds.acceleration * robot.acceleration, 2),
-            np.tile(bounds.torque * franka.TORQUE_MAX, 2),
-            np.full(len(DIRECTIONS), bounds.hand_acceleration * robot.translation[1]),
+            np.tile(limit["acceleration"] * robot.acceleration, 2),
+            np.tile(limit["torque"] * franka.TORQUE_MAX, 2),
+            np.full(len(DIRECTIONS), limit["hand acceleration"] * robot.translation[1]),
         )
     )
 
@@ -192,8 +189,7 @@ def without_spikes(rates: Array) -> Array:
     """Return the largest of rates (n, joints) at each tick, without what lasts a few ticks only."""
     from scipy.ndimage import median_filter  # noqa: PLC0415 - slow, and rarely needed
 
-    smooth: Array = median_filter(np.abs(rates), size=(SPIKE, 1)).max(axis=1)
-    return smooth
+    return np.asarray(median_filter(np.abs(rates), size=(SPIKE, 1)).max(axis=1))
 
 
 def is_spiky(rates: Array) -> bool:
@@ -217,5 +213,4 @@ def lowered(ceiling: Array, law: Array, rates: Array, miss: Array, aim: float) -
     allowed = minimum_filter1d(allowed, 2 * NEAR + 1)
     places = np.linspace(0.0, law[-1], len(ceiling))
     ticks = np.interp(places, law, np.arange(len(law))).round().astype(int)
-    lower: Array = np.minimum(ceiling, np.maximum(allowed[ticks], CRAWL))
-    return lower
+    return np.asarray(np.minimum(ceiling, np.maximum(allowed[ticks], CRAWL)))
