@@ -35,7 +35,7 @@ BAD_TABLES = {
         "time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
         "grip: missing; must have the columns time, frame, x, y, z, grip",
     ),
-    "column repeated": (GOOD.replace("qx", "qw"), "column qw occurs 2 times; must occur once"),
+    "column repeated": (GOOD.replace("qx", "qw"), "column 'qw' occurs 2 times; must occur once"),
     "one quaternion column missing": (
         "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
         "qz: missing; must have the columns time, frame, x, y, z, qw, qx, qy, qz, grip",
