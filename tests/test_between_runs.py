@@ -81,7 +81,7 @@ def test_what_differs_from_the_first_run_is_found_with_its_size_and_time(tmp_pat
     assert signal.largest == pytest.approx((DISTANCE,), abs=1e-12)
     assert signal.rms == pytest.approx((DISTANCE * math.sqrt(201 / 401),), abs=1e-12)
     (criterion,) = result.criteria
-    assert isinstance(criterion.judged[0], Criterion)
+    assert isinstance(criterion.values[0], Criterion)
     json.dumps(result.to_dict(), allow_nan=False)
     (signal,) = compare(tmp_path / "a", made(tmp_path / "c", 1e-3), tmp_path / "b").signals
     assert signal.largest == pytest.approx((1e-3, DISTANCE), abs=1e-12)

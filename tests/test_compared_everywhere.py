@@ -128,7 +128,7 @@ def test_a_reference_of_another_type_or_without_texts_is_no_match(tmp_path):
     text = record(tmp_path / "b", "t.y", "string", ["1.0", "2.0"])
     comparison = against(tmp_path, number, text)
     assert comparison.uncompared == ("t.y",)
-    assert "t.y has the type string, the reference double" in comparison.problems
+    assert "t.y has the type 'string', the reference 'double'" in comparison.problems
     assert compare(tmp_path / "a", tmp_path / "a").identical
 
 

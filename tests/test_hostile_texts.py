@@ -222,7 +222,7 @@ def test_a_terminal_gets_text(capsys):
 
 def test_junit_holds_any_text(tmp_path):
     text = TEXT + "\udcff"
-    write_cases("suite", [Case(text, 1.0, "error", text, text, text)], tmp_path / "junit.xml")
+    write_cases("suite", [Case(text, 1.0, ("error", text), text, text)], tmp_path / "junit.xml")
     (case,) = ElementTree.parse(tmp_path / "junit.xml").getroot().iter("testcase")
     assert case.get("name") == "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 

@@ -91,7 +91,7 @@ def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
         except SimulationError as error:
             announce_python(kind)
             seconds = time.monotonic() - began
-            _write_junit(output.junit, scenario.name, seconds, FAILED, str(error))
+            write_case(output.junit, "run", scenario.name, seconds, FAILED, str(error))
             kept = any(folder.glob("recording.*"))
             where = f"; the recording up to then is in {folder}" if kept else ""
             raise CosimError(f"{error}{where}") from error
@@ -115,8 +115,9 @@ def conclude(done: Run, output: Output, *, ours: bool, realtime: bool = False) -
     """Show a finished run, draw its pictures, and exit with its exit code; `ours`: all FMUs are."""
     for message in dict.fromkeys(done.warnings):
         warn(message)
-    seconds = done.summary.timing.get("wall_s") or 0.0
-    _write_junit(output.junit, done.summary.scenario, seconds, done.verdict, done.summary.detail)
+    summary = done.summary
+    seconds = summary.timing.get("wall_s") or 0.0
+    write_case(output.junit, "run", summary.scenario, seconds, summary.verdict, summary.detail)
     if done.signal:
         name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
@@ -204,13 +205,14 @@ def _end(done: Run, output: Output) -> None:
         raise typer.Exit(done.exit_code)
 
 
-def _write_junit(
-    path: Path | None, name: str, seconds: float, verdict: Verdict, detail: str
+def write_case(  # noqa: PLR0913 - what the file says
+    path: Path | None, command: str, name: str, seconds: float, verdict: Verdict, detail: str
 ) -> None:
+    """Write a command's verdict as JUnit XML, if a file is asked for."""
     if path is not None:
         from ..study.compare.junit import Case, write_cases  # noqa: PLC0415 - rarely asked for
 
-        write_cases("panda-cosim run", [Case.of(name, seconds, verdict, detail)], path)
+        write_cases(f"panda-cosim {command}", [Case(name, seconds, verdict.fault, detail)], path)
 
 
 def verdict_table(summary: Summary) -> Table:

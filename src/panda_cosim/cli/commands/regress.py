@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 
@@ -51,7 +50,7 @@ from ..options import (
 )
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
-STYLES, BAD = {"same": "green", "holds": "green", "no reference": "yellow"}, "bold red"
+STYLES = {"good": "green", "warn": "yellow", "bad": "bold red"}  # of the levels of a verdict
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -119,29 +118,33 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
     ```
     """
-    asked = _Request(
-        find_scenarios(scenarios or (), folder), kind, values_of(assignments),
-        tuple(dict.fromkeys(filter(None, mujoco.split(",")))), exact=exact, update=update,
-    )  # fmt: skip
+    engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     check_rules({
         "--update: cannot be combined with --set, --exact or --json; references are made of "
         "unchanged scenarios": update and (assignments or exact or json),
         "--yes: needs --update": yes and not update,
         "--overwrite: needs --report": overwrite and report is None,
+        "--mujoco: cannot be combined with --update, --exact or --kind": (
+            engines and (update or exact or kind != "auto")
+        ),
     })  # fmt: skip
-    suite = asked.suite(jobs or cores())
-    swept = _swept(asked, folder) if sweeps and asked.takes_sweeps else []
+    given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
+    runs = with_values((run for each in given for run in variants(each, engines)), values)
+    suite = Suite(list(runs), exact, jobs or cores(), kind)
+    # A reference, for instance, is made of a scenario alone.
+    is_whole = sweeps and not (update or engines or kind != "auto")
+    swept = _swept(given, values, folder) if is_whole else []
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
-        check_kept_runs(report / "runs", (each.name for each in (*asked.runs, *swept)))
+        check_kept_runs(report / "runs", (each.name for each in (*suite.scenarios, *swept)))
     announce_python(kind)
     with ExitStack() as stack:
-        runs = stack.enter_context(_folder_of_runs(report))
-        outcomes = [*_run(suite, runs), *(_sweep(each, runs, suite.jobs) for each in swept)]
-        rows = asked.by_engine(outcomes)
+        place = _folder_of_runs(report, stack)
+        outcomes = [*_run(suite, place), *(_sweep(each, place, suite.jobs) for each in swept)]
+        rows = engine_rows(given, len(engines), outcomes) if engines else []
         outcomes = [*chain.from_iterable(rows)] or outcomes
         if report is not None:
-            _write_reports(outcomes, report, asked.values, quiet=json)
+            _write_reports(outcomes, report, values, quiet=json)
             wrong = [outcome.run for outcome in outcomes if not outcome.ok]
             stack.callback(replace_kept_runs, report / "runs", wrong)  # once references are made
         if update:
@@ -150,56 +153,17 @@ def command(  # noqa: PLR0913 - one for each option
         show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
     else:
         _show_result(outcomes)
-        _show_engines(asked.engines, rows)
+        _show_engines(engines, rows)
     raise typer.Exit(exit_code(outcomes))
 
 
-@dataclass(frozen=True)
-class _Request:
-    """What is to be run: scenarios, with which values, FMUs and versions of MuJoCo."""
-
-    scenarios: Sequence[Scenario | Unusable]
-    kind: Kind
-    values: Values
-    engines: Sequence[str]
-    exact: bool
-    update: bool
-
-    def __post_init__(self) -> None:
-        if self.engines and (self.update or self.exact or self.kind != "auto"):
-            raise InputError("--mujoco: cannot be combined with --update, --exact or --kind")
-
-    @property
-    def runs(self) -> list[Scenario | Unusable]:
-        """The scenarios, and each with other engines."""
-        if not self.engines:
-            return [*self.scenarios]
-        return [run for each in self.scenarios for run in variants(each, self.engines)]
-
-    @property
-    def takes_sweeps(self) -> bool:
-        """Whether sweeps belong to it: a reference is made of a scenario alone, for instance."""
-        return not (self.update or self.engines or self.kind != "auto")
-
-    def suite(self, jobs: int) -> Suite:
-        """Return the runs with their values; raises InputError for those that none takes."""
-        return Suite(list(with_values(self.runs, self.values)), self.exact, jobs, self.kind)
-
-    def by_engine(self, outcomes: list[Outcome]) -> list[list[Outcome]]:
-        """Return a row a scenario, with an outcome each engine; nothing without engines."""
-        return engine_rows(self.scenarios, len(self.engines), outcomes) if self.engines else []
-
-
-@contextmanager
-def _folder_of_runs(report: Path | None) -> Iterator[Path]:
-    """Yield a folder for the runs, beside the report's, so that they can be moved there."""
+def _folder_of_runs(report: Path | None, stack: ExitStack) -> Path:
+    """Return a folder for the runs, beside the report's, so that they can be moved there."""
     parent = report or cache_folder()
-    with ExitStack() as stack:
-        try:
-            folder = stack.enter_context(temporary_folder(parent))
-        except OSError as error:
-            raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
-        yield folder
+    try:
+        return stack.enter_context(temporary_folder(parent))
+    except OSError as error:
+        raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
 
 
 def _write_reports(outcomes: list[Outcome], report: Path, values: Values, *, quiet: bool) -> None:
@@ -220,19 +184,21 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
         def on_outcome(outcome: Outcome) -> None:
             nonlocal done
             done += ticks[outcome.name]
-            advance.say(_line(outcome), STYLES.get(outcome.verdict, BAD))
+            advance.say(_line(outcome), STYLES[outcome.meaning.level])
             advance(done, total)
 
         advance(0, total)
         return run_suite(suite, folder, on_outcome)
 
 
-def _swept(asked: _Request, folder: Path | None) -> list[SuiteSweep]:
+def _swept(
+    scenarios: Iterable[Scenario | Unusable], values: Values, folder: Path | None
+) -> list[SuiteSweep]:
     """Return the sweeps of the scenarios, and name those in the folder that are of none."""
     for text in stray_sweeps(folder) if folder is not None else ():
         warn(text)
-    swept = find_sweeps(asked.scenarios)
-    if swept and asked.values:
+    swept = find_sweeps(scenarios)
+    if swept and values:
         raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
     return swept
 
@@ -241,7 +207,7 @@ def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
     """Run a sweep of the suite, with a progress bar of its own."""
     with progress(f"Running {swept.file}") as advance:
         outcome = swept.judge(folder / swept.name, jobs, lambda now: advance(now.done, now.total))
-        advance.say(_line(outcome), STYLES.get(outcome.verdict, BAD))
+        advance.say(_line(outcome), STYLES[outcome.meaning.level])
     return outcome
 
 
@@ -267,7 +233,7 @@ def _show_result(outcomes: list[Outcome]) -> None:
     wrong = [outcome for outcome in outcomes if not outcome.ok]
     if wrong:
         rows = [
-            (as_cell(o.name), f"[{STYLES.get(o.verdict, BAD)}]{o.verdict}", as_cell(o.reason))
+            (as_cell(o.name), f"[{STYLES[o.meaning.level]}]{o.verdict}", as_cell(o.reason))
             for o in wrong
         ]
         show(table(("Scenario", "Verdict", "Why*"), rows))

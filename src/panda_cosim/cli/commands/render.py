@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 from ...fmus.atomic import check_replaceable, replacing
@@ -17,17 +16,10 @@ from ...show.pictures.sheet import contact_sheet
 from ...show.pictures.video import check_video
 from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...show.view.run import Shown
-from ...study.compare.between_runs import (
-    SIGNAL_HEAD,
-    RunComparison,
-    compare,
-    extent_rows,
-    judged_text,
-    signal_cells,
-)
+from ...study.compare.between_runs import RunComparison, compare
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
-from ...study.compare.wording import numbers, signal_names
+from ...study.compare.wording import signal_names
 from ..console import as_cell, show, show_file, show_json, table, tell
 from ..options import CSV_FILE, JSON, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, argument, option
 from ..outcome import PLOTTING, TILING, draw_video
@@ -185,27 +177,17 @@ def compare_runs(
 
 def _show(comparison: RunComparison) -> None:
     equal = comparison.identical and not comparison.unmet
-    names, others = comparison.names, comparison.names[1:]
     show(comparison.verdict, "bold green" if equal else "bold")
-    _show_rows(("Recorded", *names), list(extent_rows(comparison)))
     _show_names("Only some runs have", comparison.missing)
     _show_names("Not compared, as their units or types differ:", comparison.other_units)
-    parameters = [(row.name, *numbers(row.values)) for row in comparison.parameters]
-    _show_rows(("Parameter*", *names), parameters, SHOWN)
-    criteria = [(row.name, *map(judged_text, row.judged)) for row in comparison.criteria]
-    _show_rows(("Criterion*", *names), criteria)
-    metrics = [(row.name, *numbers(row.values)) for row in comparison.metrics]
-    _show_rows(("Metric*", *names), metrics, SHOWN)
-    signals = [signal_cells(row) for row in comparison.signals]
-    _show_rows((*SIGNAL_HEAD, *others), signals, SHOWN)
-
-
-def _show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], most: int | None = None) -> None:
-    """Show a table, if it has rows, or its first ones."""
-    if rows:
-        show(table(head, (map(as_cell, cells) for cells in rows[:most]), right=head[1:]))
-    if most is not None and len(rows) > most:
-        show(f"and {len(rows) - most} more", "dim")
+    for title, each in comparison.tables.items():
+        first, *others = each.head
+        most = len(each.rows) if title == "Success criteria" else SHOWN
+        rows = [[as_cell(str(cell)) for cell in cells] for cells in each.rows[:most]]
+        if rows:
+            show(table((f"{first}*", *others), rows, right=others))
+        if len(each.rows) > most:
+            show(f"and {len(each.rows) - most} more", "dim")
 
 
 def _show_names(what: str, columns: tuple[str, ...]) -> None:

@@ -14,9 +14,8 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError
 from ...result.judging.criterion import line as criterion_line
 from ...result.judging.criterion import miss_text
-from ...result.judging.verdict import FAILED, MISSED, SUCCESS, Verdict
+from ...result.judging.verdict import FAILED, MISSED, SUCCESS
 from ...run.folder import default_folder
-from ...study.compare.junit import Case, write_cases
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...study.sweep.engine import SweepResult, check_sweep
@@ -27,6 +26,7 @@ from ...study.sweep.row import STATUSES, UNJUDGED
 from ...study.sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
 from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
+from ..outcome import write_case
 
 SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
 ROW = argument(
@@ -122,7 +122,7 @@ def command(  # noqa: PLR0913 - one for each option
             more = "" if out else f" with --out {quote(str(folder))}"
             tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
         if isinstance(error, CosimError):
-            _write_junit(junit, name, began, FAILED, str(error))
+            write_case(junit, "sweep", name, time.perf_counter() - began, FAILED, str(error))
         raise
     if json:
         show_json({"folder": done.folder, "counts": done.counts, "min_success": done.gate})
@@ -130,15 +130,10 @@ def command(  # noqa: PLR0913 - one for each option
         _show_counts(done, definition)
     if done.gate is not None:
         verdict = SUCCESS if done.gate.ok else MISSED
-        _write_junit(junit, name, began, verdict, miss_text(done.gate))
+        seconds = time.perf_counter() - began
+        write_case(junit, "sweep", name, seconds, verdict, miss_text(done.gate))
         if verdict.exit_code:
             raise typer.Exit(verdict.exit_code)
-
-
-def _write_junit(path: Path | None, name: str, began: float, verdict: Verdict, detail: str) -> None:
-    if path is not None:
-        case = Case.of(name, time.perf_counter() - began, verdict, detail)
-        write_cases("panda-cosim sweep", [case], path)
 
 
 def _show_counts(done: SweepResult, definition: Sweep) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -77,6 +77,7 @@ class Shown:
     masses: Sequence[float] | None = None
     summary: Summary = field(default_factory=Summary)
     notes: tuple[str, ...] = ()  # further remarks on its data
+    only: Collection[str] = ()  # signals and columns that are in the page; (): all
 
 
 def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict[str, Any]:
@@ -94,7 +95,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     title, about = describe_run(source)
     ran = [*metadata.get("code", {}).items(), ("stepped by", run.summary.stepped_by)]
     with ThreadPoolExecutor(1) as second:  # zlib compresses without Python's lock
-        recorded = _signals(source, thinning, columns["qpos"], second)
+        recorded = _signals(run, thinning, columns["qpos"], second)
         signals = [*_derived(source, thinning, against), *recorded]
     known = {n: unit for s in signals for n, unit in zip(s["columns"], s["units"], strict=True)}
     is_ours = model_file(source) is None
@@ -132,10 +133,13 @@ def _columns(source: RunData, signal: str) -> list[str]:
 
 
 def _signals(
-    source: RunData, thinning: Thinning, positions: Sequence[str], second: Executor
+    run: Shown, thinning: Thinning, positions: Sequence[str], second: Executor
 ) -> Iterator[dict[str, Any]]:
     """Yield all recorded signals, each with its columns in one block; these are begun at once."""
-    names = (name for name in source.columns if name != "time")
+    source, only = run.source, run.only
+    names = [name for name in source.columns if name != "time"]
+    if only:
+        names = [name for name in names if name in only or _signal_of(name) in only]
     groups = [list(group) for _, group in groupby(names, key=_signal_of)]
     curves = ([thinning.curve(source[n]) for n in columns] for columns in groups)
     steps = [[POSE_STEP if n in positions else None for n in columns] for columns in groups]

@@ -55,14 +55,13 @@ def signal_problems(recording: Recording, reference: Reference) -> list[str]:
         near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
         problems.append(f"signal {words} is missing{near.rstrip('?')}")
     problems += [f"signal {words} is new" for words in added.values()]
-    for name, unit in recording.units.items():
-        before = reference.units.get(name, unit)
-        if unit != before:
-            problems.append(f"{name} has the unit {unit!r}, the reference {before!r}")
-    for name, kind in recording.types.items():
-        before = reference.kinds.get(name, kind)
-        if kind != before:
-            problems.append(f"{name} has the type {kind}, the reference {before}")
+    units, types = (recording.units, reference.units), (recording.types, reference.kinds)
+    for what, (now, before) in (("unit", units), ("type", types)):
+        problems += [
+            f"{name} has the {what} {word!r}, the reference {before[name]!r}"
+            for name, word in now.items()
+            if before.get(name, word) != word
+        ]
     return problems
 
 
@@ -147,6 +146,17 @@ class Deviation:
     def ok(self) -> bool:
         """Whether it stays inside its tube."""
         return self.share <= 1.0
+
+    @property
+    def text(self) -> str:
+        """Size and time of the largest distance."""
+        size = f"{measure(self.distance, self.unit)} at {instant(self.time)} s"
+        return self.found or f"{size}, {multiple(self.share)} times its tolerance"
+
+    @property
+    def described(self) -> str:
+        """Where the column is furthest from its reference."""
+        return f"{self.name} {'is' if self.found else 'off by'} {self.text}"
 
 
 @dataclass(frozen=True)
@@ -233,7 +243,8 @@ def compare_with_reference(
     time, rows = time[matched], rows[matched]
     deviations, equal, uncompared = [], 0, []
     for name in (each for each in recording.types if each != "time"):
-        if (name in recording.texts, True) == (name in reference.texts, name in half):
+        same_kind = (name in recording.texts) == (name in reference.texts)
+        if len(rows) and name in half and same_kind:
             values = recording[name][matched]
             deviations.append(_deviation(name, time, rows, values, reference, half[name], ticks))
         elif reference.digests.get(name) == column_digest(recording[name]):
@@ -276,10 +287,7 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
     tolerance: float,
     ticks: int,
 ) -> Deviation:
-    unit, expected = reference.units[name], reference[name]
-    if not len(rows):
-        nowhere = "at none of the reference's instants"
-        return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0, found=nowhere)
+    expected = reference[name]
     distance = distances(values, rows, expected, reference.quanta.get(name, 0.0) / 2, ticks)
     worst = int(np.argmax(distance))
     outside = distance > tolerance
@@ -288,7 +296,7 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
     )
     return Deviation(
         name=name,
-        unit=unit,
+        unit=reference.units[name],
         tolerance=tolerance,
         share=float(distance[worst]) / tolerance,
         distance=float(distance[worst]),
@@ -311,22 +319,6 @@ def matching_rows(time: Array, reference: Reference) -> Rows:
 def _tube_problems(deviations: Sequence[Deviation]) -> list[str]:
     """Describe the worst column, and name the other signals."""
     failed = [d for d in deviations if not d.ok]
-    if not failed:
-        return []
-    worst, *others = failed
-    names = signal_names(d.name for d in others)
-    return [describe(worst) + (f"; {len(others)} more outside: {names}" if others else "")]
-
-
-def describe(deviation: Deviation) -> str:
-    """Describe where a column is furthest from its reference."""
-    verb = "is" if deviation.found else "off by"
-    return f"{deviation.name} {verb} {deviation_text(deviation)}"
-
-
-def deviation_text(deviation: Deviation) -> str:
-    """Return size and time of a deviation."""
-    return deviation.found or (
-        f"{measure(deviation.distance, deviation.unit)} at {instant(deviation.time)} s, "
-        f"{multiple(deviation.share)} times its tolerance"
-    )
+    others = signal_names(d.name for d in failed[1:])
+    more = f"; {len(failed) - 1} more outside: {others}" if others else ""
+    return [f"{worst.described}{more}" for worst in failed[:1]]

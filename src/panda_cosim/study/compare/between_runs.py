@@ -8,7 +8,7 @@ Between its own, a run's Reals are interpolated; all else keeps its value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,14 +20,14 @@ from ...result.judging.verdict import Summary, Verdict
 from ...result.recording import Recording
 from ...run.result import Run
 from . import differences
-from .differences import CriterionRow, Extent, Row, SignalRow
+from .differences import Extent, Row, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
 from .wording import DASH, multiple, numbers, percent, precise
 
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
 VIEWED: Final = 3  # curves of the most different signals beside the 3D view
-SIGNAL_HEAD: Final = ("Signal", "x tolerance", "of its range")
+SIGNALS: Final = "Signals that differ, the most default tolerances first"
 DIGITS: Final = 9  # of instants [s], so that rounding of k * dt makes no second one
 
 
@@ -60,7 +60,7 @@ class RunComparison:
     rows: int
     columns: int
     parameters: tuple[Row, ...]
-    criteria: tuple[CriterionRow, ...]
+    criteria: tuple[Row, ...]
     metrics: tuple[Row, ...]
     signals: tuple[SignalRow, ...]
     missing: tuple[str, ...]
@@ -80,14 +80,47 @@ class RunComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
-        parts = ("extents", "parameters", "criteria", "metrics", "signals")
+        parts = ("extents", "parameters", "metrics", "signals")
         plain = ("begin", "end", "rows", "columns", "missing", "other_units")
+        criteria = [{"name": row.name, "judged": asdict(row)["values"]} for row in self.criteria]
         return {
             "runs": self.names,
             "verdicts": [verdict.word for verdict in self.verdicts],
             "identical": self.identical,
             **{name: getattr(self, name) for name in plain},
+            "criteria": criteria,
             **{part: [asdict(row) for row in getattr(self, part)] for part in parts},
+        }
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """What each run recorded, and what differs, by heading."""
+        extents = self.extents
+        recorded = [
+            ("span", *(f"{precise(e.begin)} to {precise(e.end)} s" for e in extents)),
+            ("rows", *(str(e.rows) for e in extents)),
+            ("ended", *("complete" if e.complete else f"early: {e.reason}" for e in extents)),
+            ("verdict", *(verdict.word for verdict in self.verdicts)),
+        ]
+        criteria = [
+            (row.name, bound_text(next(filter(None, row.values))), *map(_judged, row.values))
+            for row in self.criteria
+        ]
+        signals = [
+            (row.name, multiple(row.multiple), percent(row.share), *row.texts)
+            for row in self.signals
+        ]
+        parameters, metrics = (
+            [(row.name, *numbers(row.values)) for row in rows]
+            for rows in (self.parameters, self.metrics)
+        )
+        names = self.names
+        return {
+            "Recorded": Table(("Recorded", *names), recorded),
+            "Parameters that differ": Table(("Parameter", *names), parameters),
+            "Success criteria": Table(("Criterion", "Required", *names), criteria),
+            SIGNALS: Table(("Signal", "x tolerance", "of its range", *names[1:]), signals),
+            "Metrics that differ": Table(("Metric", *names), metrics),
         }
 
     @property
@@ -132,6 +165,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     compared, other_units, missing = _columns(recordings)
     if not compared:
         raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
+    judged = [{each.name: each for each in summary.criteria} for summary in summaries]
     metrics = differences.differing([dict(summary.numbers()) for summary in summaries])
     return RunComparison(
         names=names,
@@ -142,7 +176,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         rows=len(instants),
         columns=len(compared),
         parameters=tuple(differences.differing([differences.parameters_of(r) for r in recordings])),
-        criteria=differences.criteria_of(summaries),
+        criteria=tuple(differences.side_by_side(judged)),
         metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
         signals=differences.signals_apart(compared, recordings, instants, own),
         missing=missing,
@@ -169,18 +203,7 @@ def _opened(run: Run | str | Path) -> tuple[Path, Recording, Summary]:
     return Path(run), recording, Summary.of(recording)
 
 
-def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
-    """Return the rows of a table: span, number of rows and end of each run."""
-    extents = comparison.extents
-    return [
-        ("span", *(f"{precise(e.begin)} to {precise(e.end)} s" for e in extents)),
-        ("rows", *(str(e.rows) for e in extents)),
-        ("ended", *("complete" if e.complete else f"early: {e.reason}" for e in extents)),
-        ("verdict", *(verdict.word for verdict in comparison.verdicts)),
-    ]
-
-
-def judged_text(criterion: Criterion | None) -> str:
+def _judged(criterion: Criterion | None) -> str:
     """Format the measured value and its margin."""
     if criterion is None:
         return DASH
@@ -195,58 +218,39 @@ def _page(comparison: RunComparison) -> Page:
     """Return the page: one section, in which all runs are held against the first."""
     first, *others = comparison.names
     state = "bad" if comparison.unmet else "good" if comparison.identical else ""
+    recorded, *parts = (
+        _signals_part(comparison, table)
+        if title == SIGNALS
+        else Part(title, [table], "" if table.rows else "None.")
+        for title, table in comparison.tables.items()
+    )
     view, runs = _view(comparison)
-    rows = [
-        (row.name, bound_text(next(filter(None, row.judged))), *map(judged_text, row.judged))
-        for row in comparison.criteria
-    ]
-    criteria = Table(("Criterion", "Required", *comparison.names), rows)
-    parts = [
-        Part("Recorded", [Table(("Recorded", *comparison.names), extent_rows(comparison))]),
-        *view,
-        _values("Parameter", comparison, comparison.parameters),
-        *([Part("Success criteria", [criteria])] if criteria.rows else []),
-        *_signals_part(comparison),
-        _values("Metric", comparison, comparison.metrics),
-    ]
+    name = f"{', '.join(others)} against {first}"
     deviations = f" Deviations are from {first}." if comparison.signals else ""
     return Page(
         title=f"{', '.join(comparison.names[:-1])} and {comparison.names[-1]}",
         state=state,
         about=comparison.verdict + deviations,
         key=[("reference", first), *((f"r{i % 5 + 1}", name) for i, name in enumerate(others))],
-        sections=[Section(f"{', '.join(others)} against {first}", state, parts)],
+        sections=[Section(name, state, [recorded, *view, *parts])],
         runs=runs,
     )
 
 
-def _values(what: str, comparison: RunComparison, rows: Sequence[Row]) -> Part:
-    cells = [(row.name, *numbers(row.values)) for row in rows]
-    note = "" if cells else "None."
-    return Part(f"{what}s that differ", [Table((what, *comparison.names), cells)], note)
-
-
-def _signals_part(comparison: RunComparison) -> list[Part]:
-    """Return the curves, and what could not be compared; nothing if all is equal."""
-    rows = [signal_cells(row) for row in comparison.signals]
-    units, missing = comparison.other_units, comparison.missing
-    head = (*SIGNAL_HEAD, *comparison.names[1:])
-    tables = [
-        Table(head, rows, f"{len(rows)} signals that differ"),
-        _names(units, "columns in other units or types, not compared"),
-        _names(missing, "columns that only some runs have"),
-    ]
-    if not any(table.rows for table in tables):
-        return []
+def _signals_part(comparison: RunComparison, table: Table) -> Part:
+    """Return the curves, and what could not be compared."""
+    tables = [replace(table, folded=f"{len(table.rows)} signals that differ")]
+    for columns, words in (
+        (comparison.other_units, "columns in other units or types, not compared"),
+        (comparison.missing, "columns that only some runs have"),
+    ):
+        rows = [(name,) for name in columns]
+        tables.append(Table(("Signal",), rows, f"{len(rows)} {words}"))
     numbers = [row for row in comparison.signals if row.name in comparison.recordings[0].units]
     shown = varied(numbers, lambda row: row.name, ALIKE)[:FIGURES]
     note = "A range below a thousandth of the signal's largest value counts as that."
     figures = [_figure(row, comparison) for row in shown]
-    return [Part("Signals, the most default tolerances first", tables, note, figures)]
-
-
-def _names(columns: Sequence[str], words: str) -> Table:
-    return Table(("Signal",), [(name,) for name in columns], f"{len(columns)} {words}")
+    return Part(SIGNALS, tables, note if table.rows else "None.", figures)
 
 
 def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
@@ -268,11 +272,6 @@ def _curve(time: Array, run: Recording, name: str) -> Array:
     return np.asarray(np.where(within, values, np.nan))
 
 
-def signal_cells(row: SignalRow) -> tuple[str, ...]:
-    """Return the cells of a column's row in a table; `SIGNAL_HEAD` is above them."""
-    return row.name, multiple(row.multiple), percent(row.share), *row.texts
-
-
 def _view(comparison: RunComparison) -> tuple[list[Part], str]:
     """Show the run that differs most in 3D, with the first one as a ghost; with their data."""
     from ...show.view.page import show_source  # noqa: PLC0415 - slow to import
@@ -280,15 +279,13 @@ def _view(comparison: RunComparison) -> tuple[list[Part], str]:
 
     if not comparison.signals:
         return [], ""
-    runs = list(zip(comparison.recordings, comparison.names, strict=True))
     worst, views = comparison.signals[0], Views()
     other = int(np.argmax(worst.largest))
-    try:
-        run, ghost = (
-            show_source(recording, name, summary=Summary.of(recording))
-            for recording, name in (runs[other + 1], runs[0])
-        )
-        columns = [row.name for row in comparison.signals[:VIEWED]]
-        return [views.add(run, ghost, columns, worst.times[other])], views.elements
-    except InputError as error:  # no model, or no positions
-        return [Part("In 3D", note=f"No 3D: {error}")], ""
+    runs = [(comparison.recordings[i], comparison.names[i]) for i in (other + 1, 0)]
+    columns = [row.name for row in comparison.signals[:VIEWED]]
+    part = views.add(
+        (show_source(each, name, summary=Summary.of(each)) for each, name in runs),
+        columns,
+        worst.times[other],
+    )
+    return [part], views.elements

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, excerpt
-from ...result.judging.criterion import Criterion
-from ...result.judging.verdict import Summary
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, signal_of
 from .tubes import TIME_SLACK, distances, widths
@@ -46,16 +44,8 @@ class Extent:
 
 
 @dataclass(frozen=True)
-class CriterionRow:
-    """One criterion in all runs."""
-
-    name: str
-    judged: tuple[Criterion | None, ...]  # in each run; None: that run does not have it
-
-
-@dataclass(frozen=True)
 class Row:
-    """One parameter or metric."""
+    """One parameter, metric or judged criterion."""
 
     name: str  # such as `controller.kp[1]` or `tracking.rms_mm`
     values: tuple[Any, ...]  # in each run; None: it has none
@@ -118,13 +108,6 @@ def _relative_change(before: Any, now: Any) -> float:
     if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in (before, now)):
         return 1.0
     return float(abs(now - before) / max(abs(before), abs(now), SMALL))
-
-
-def criteria_of(summaries: Sequence[Summary]) -> tuple[CriterionRow, ...]:
-    """Return all criteria of the runs."""
-    judged = [{c.name: c for c in summary.criteria} for summary in summaries]
-    names = dict.fromkeys(name for run in judged for name in run)
-    return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
 
 
 def joint_instants(names: Sequence[str], times: Sequence[Array]) -> tuple[Array, list[Array]]:

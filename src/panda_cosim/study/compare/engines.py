@@ -24,9 +24,9 @@ GROWTH: Final = 1000.0
 FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
 
 
-def variants(scenario: Scenario | Unusable, engines: Iterable[str]) -> list[Scenario | Unusable]:
-    """Return a scenario as it is, with noise, and with each engine."""
-    if isinstance(scenario, Unusable):
+def variants(scenario: Scenario | Unusable, engines: Sequence[str]) -> list[Scenario | Unusable]:
+    """Return a scenario as it is and, if there are engines, with noise and with each of them."""
+    if isinstance(scenario, Unusable) or not engines:
         return [scenario]
     name = scenario.name
     noisy = replace(scenario, name=f"{name}-noise", input_scale=NOISE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal
 from xml.etree import ElementTree as ET
 
 from ...fmus.atomic import MARK, replacing
@@ -13,7 +13,6 @@ from ...result.judging.criterion import line
 from .wording import instant, measure, multiple
 
 if TYPE_CHECKING:
-    from ...result.judging.verdict import Verdict
     from .regress import Outcome  # `run` writes JUnit, too, without the suite
 
 
@@ -23,31 +22,19 @@ class Case:
 
     name: str
     seconds: float  # wall time
-    problem: Literal["failure", "error"] | None = None  # ran, but not as expected; did not run
-    kind: str = ""
-    message: str = ""  # the problem in one line
+    # Whether it did not run as expected, or did not run, and what kind of it; None: it is good.
+    fault: tuple[Literal["failure", "error"], str] | None = None
+    message: str = ""  # the fault in one line
     details: str = ""
-
-    @classmethod
-    def of(cls, name: str, seconds: float, verdict: Verdict, detail: str) -> Self:
-        """Return the case of what came to a verdict; the detail is its message."""
-        fault = (*verdict.fault, detail) if verdict.fault else ()
-        return cls(name, seconds, *fault)
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
     """Write one test case per scenario: a difference is a failure, anything else wrong an error."""
-    write_cases("panda-cosim regress", [_case_of(outcome) for outcome in outcomes], path)
-
-
-def _case_of(outcome: Outcome) -> Case:
-    name, seconds = outcome.name, outcome.seconds
-    if outcome.ok:
-        return Case(name, seconds)
-    problem: Literal["failure", "error"] = (
-        "failure" if outcome.verdict in ("differs", "missed") else "error"
-    )
-    return Case(name, seconds, problem, outcome.verdict, outcome.reason, details(outcome))
+    cases = []
+    for each in outcomes:
+        fault = each.meaning.fault and (each.meaning.fault, each.verdict)
+        cases.append(Case(each.name, each.seconds, fault, each.reason, details(each)))
+    write_cases("panda-cosim regress", cases, path)
 
 
 def details(outcome: Outcome) -> str:
@@ -66,6 +53,7 @@ def details(outcome: Outcome) -> str:
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
     """Write a suite of test cases."""
+    kinds = [case.fault[0] for case in cases if case.fault]
     root = ET.Element("testsuites")
     root.append(ET.Comment(MARK))
     suite = ET.SubElement(
@@ -73,18 +61,18 @@ def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
         "testsuite",
         name=suite_name,
         tests=str(len(cases)),
-        failures=str(sum(case.problem == "failure" for case in cases)),
-        errors=str(sum(case.problem == "error" for case in cases)),
+        failures=str(kinds.count("failure")),
+        errors=str(kinds.count("error")),
         skipped="0",
         time=f"{sum(case.seconds for case in cases):.3f}",
     )
     for case in cases:
         name, seconds = _valid(case.name), f"{case.seconds:.3f}"
         element = ET.SubElement(suite, "testcase", classname="scenarios", name=name, time=seconds)
-        if case.problem is not None:
-            kind, message = _valid(case.kind), _valid(case.message)
-            problem = ET.SubElement(element, case.problem, type=kind, message=message)
-            problem.text = _valid(case.details)
+        if case.fault is not None:
+            tag, kind = case.fault
+            shown = {"type": _valid(kind), "message": _valid(case.message)}
+            ET.SubElement(element, tag, shown).text = _valid(case.details)
     ET.indent(root)
     with replacing(path) as temporary:
         ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)

@@ -22,7 +22,7 @@ from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ...task.tolerances import Tolerances
 from ..work import Workers
-from .against_reference import Comparison, compare_with_reference, describe
+from .against_reference import Comparison, compare_with_reference
 from .reference import Reference, how_to_make, reference_path
 
 if TYPE_CHECKING:
@@ -32,6 +32,26 @@ if TYPE_CHECKING:
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 
+
+@dataclass(frozen=True)
+class Meaning:
+    """What readers make of a verdict of a suite."""
+
+    level: Literal["good", "warn", "bad"]  # its colour; only a good one passes
+    exit_code: int = 0  # of `regress`
+    fault: Literal["failure", "error"] | None = None  # in JUnit
+
+
+# The worst first. What ran and differs comes before what could not be judged, so that errors hide
+# no difference.
+MEANINGS: Final[Mapping[Verdict, Meaning]] = {
+    "differs": Meaning("bad", CosimError.exit_code, "failure"),
+    "missed": Meaning("bad", CosimError.exit_code, "failure"),
+    "failed": Meaning("bad", CosimError.exit_code, "error"),
+    "no reference": Meaning("warn", InputError.exit_code, "error"),
+    "same": Meaning("good"),
+    "holds": Meaning("good"),
+}
 # Wall time of a scenario beyond its duration [s]; a hanging one must not hang the others.
 TIMEOUT: Final = 600.0
 
@@ -68,7 +88,12 @@ class Outcome:
     @property
     def ok(self) -> bool:
         """Whether the run matches its reference, or its verdict is as expected without one."""
-        return self.verdict in ("same", "holds")
+        return self.meaning.level == "good"
+
+    @property
+    def meaning(self) -> Meaning:
+        """What readers make of the verdict."""
+        return MEANINGS[self.verdict]
 
     @property
     def name(self) -> str:
@@ -120,43 +145,44 @@ def start(
 
 
 def _outcome(scenario: Scenario, *, run: Path, options: Options, exact: bool) -> Outcome:
-    """Run a scenario in this process, and compare it."""
+    """Run a scenario in this process; compare it or, without a reference, judge its criteria."""
     began = time.perf_counter()
     try:
         done = run_scenario(scenario, run, options)
     except CosimError as error:
         return _failed(scenario, run, began, str(error))
-    seconds = time.perf_counter() - began
-    if done.verdict.suite == "failed":  # it did not end, or the scenario asks for what is not there
-        return _failed(scenario, run, began, done.summary.detail)
-    verdict, problem, comparison = _judged(scenario, run, done.summary, exact)
-    return Outcome(scenario, verdict, run, seconds, comparison, problem, done.summary.criteria)
+    summary, path = done.summary, reference_path(scenario)
+    judged = Outcome(
+        scenario,
+        done.verdict.suite,  # "failed" also if the scenario asks for what is not there
+        run,
+        time.perf_counter() - began,
+        error="" if summary.as_expected else summary.detail,
+        criteria=summary.criteria,
+    )
+    if judged.verdict == "failed":
+        return judged
+    if path.is_file():
+        try:
+            recording, reference = Recording.open(run), Reference.read(path)
+            comparison = compare_with_reference(
+                recording, summary, reference, scenario.regression, exact=exact
+            )
+        except CosimError as refused:
+            return replace(judged, verdict="no reference", error=str(refused))
+        verdict: Verdict = "same" if comparison.ok else "differs"
+        return replace(judged, verdict=verdict, comparison=comparison, error="")
+    if summary.verdict is NO_CRITERIA:
+        advice = f"{how_to_make(path)} makes it, or give the scenario a section [success]"
+        missing = f"{path}: does not exist; {advice}"
+        return replace(judged, verdict="no reference", error=missing)
+    return judged
 
 
 def _failed(scenario: Scenario, run: Path, began: float, error: str) -> Outcome:
     seconds = time.perf_counter() - began
     criteria = Summary.open(run).criteria
     return Outcome(scenario, "failed", run, seconds, None, error, criteria)
-
-
-def _judged(
-    scenario: Scenario, run: Path, summary: Summary, exact: bool
-) -> tuple[Verdict, str, Comparison | None]:
-    """Compare a run with its reference or, without one, judge it by its criteria."""
-    path = reference_path(scenario)
-    if path.is_file():
-        try:
-            reference, tolerances = Reference.read(path), scenario.regression
-            comparison = compare_with_reference(
-                Recording.open(run), summary, reference, tolerances, exact=exact
-            )
-        except CosimError as refused:
-            return "no reference", str(refused), None
-        return "same" if comparison.ok else "differs", "", comparison
-    if summary.verdict is NO_CRITERIA:
-        advice = f"{how_to_make(path)} makes it, or give the scenario a section [success]"
-        return "no reference", f"{path}: does not exist; {advice}", None
-    return summary.verdict.suite, "" if summary.as_expected else summary.detail, None
 
 
 @dataclass(frozen=True)
@@ -218,10 +244,8 @@ def headline(outcomes: Sequence[Outcome]) -> str:
 
 def exit_code(outcomes: Iterable[Outcome]) -> int:
     """Return 0 if all pass, 1 if one does not, 2 if one has neither reference nor criteria."""
-    verdicts = {outcome.verdict for outcome in outcomes}
-    if verdicts & {"differs", "failed", "missed"}:
-        return CosimError.exit_code
-    return InputError.exit_code if "no reference" in verdicts else 0
+    codes = {outcome.meaning.exit_code for outcome in outcomes}
+    return 1 if 1 in codes else max(codes, default=0)
 
 
 def find_scenarios(
@@ -304,7 +328,7 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
     lines = list(outcome.comparison.problems) if outcome.comparison else []
     if outcome.comparison and not lines:
         worst = outcome.comparison.worst
-        near = f"; furthest: {describe(worst)}" if worst is not None and worst.share > 0 else ""
+        near = f"; furthest: {worst.described}" if worst is not None and worst.share > 0 else ""
         lines = [f"stays within all tolerances{near}"]
     if old.quanta != new.quanta:
         lines.append("is rounded anew, as its tolerances have changed")

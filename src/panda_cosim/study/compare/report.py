@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -20,14 +20,15 @@ from ...fmus.errors import InputError
 from ...result.judging.criterion import cells
 from ...result.recording import Recording
 from ...show.view.page import shown_run
+from ...show.view.run import Shown
 from ...task.scenario import Scenario
 from ...task.tolerances import flattened
 from ...task.values import Values
-from .against_reference import Comparison, Deviation, deviation_text, matching_rows
+from .against_reference import Comparison, Deviation, matching_rows
 from .differences import side_by_side
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
-from .regress import Outcome, headline
+from .regress import MEANINGS, Outcome, headline
 from .tubes import tube
 from .views import Views, limited, shown_reference
 from .wording import DASH, instant, measure, numbers
@@ -36,8 +37,6 @@ CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not
 ALIKE: Final = 3  # curves per signal
 LISTED: Final = 12  # signals in the open table
-# What ran and differs comes before what could not be judged, so that errors hide no difference.
-ORDER: Final = {"differs": 0, "missed": 0, "failed": 1, "no reference": 2, "same": 3, "holds": 3}
 KEY: Final = (("reference", "reference"), ("tube", "tube around it"), ("r1", "this run"))
 CRITERIA: Final = ("Criterion", "Measured", "Required", "Margin", "Verdict")
 SIGNALS: Final = (
@@ -67,7 +66,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> Non
 def _rank(outcome: Outcome) -> tuple[int, float, str]:
     """Sort key of the verdicts: the worst first."""
     worst = outcome.comparison.worst if outcome.comparison else None
-    return ORDER[outcome.verdict], -(worst.share if worst else 0.0), outcome.name
+    return list(MEANINGS).index(outcome.verdict), -(worst.share if worst else 0.0), outcome.name
 
 
 def _about(outcomes: Sequence[Outcome]) -> str:
@@ -85,12 +84,11 @@ def _section(outcome: Outcome, views: Views) -> Section:
     criteria = Table(CRITERIA, [cells(criterion) for criterion in outcome.criteria])
     compared = _compared(outcome, comparison, views) if comparison else []
     worst = comparison.worst if comparison else None
-    unknown = outcome.verdict == "no reference"
     return Section(
         name=outcome.name,
-        state="good" if outcome.ok else "warn" if unknown else "bad",
+        state=outcome.meaning.level,
         parts=[*([Part("Success criteria", [criteria])] if criteria.rows else []), *compared],
-        word="not compared" if unknown else outcome.verdict,
+        word="not compared" if outcome.verdict == "no reference" else outcome.verdict,
         purpose=outcome.scenario.purpose,
         problems=comparison.problems if comparison else [outcome.error] if outcome.error else [],
         reason="; ".join(filter(None, (outcome.difference, outcome.reason))),
@@ -130,13 +128,13 @@ def _deviation(d: Deviation) -> tuple[str | float, ...]:
 def _view(outcome: Outcome, shown: Sequence[Deviation], views: Views) -> Part:
     """Show the run in 3D at the instant of the worst deviation."""
     columns = [deviation.name for deviation in shown]
-    try:
-        run = shown_run(outcome.run, name=outcome.name)
+
+    def runs() -> Iterator[Shown]:
+        yield limited(shown_run(outcome.run, name=outcome.name), columns)
         ghost = shown_reference(outcome.reference_path, f"reference of {outcome.name}")
-        at = shown[0].time if shown else 0.0
-        return views.add(limited(run, columns), limited(ghost, columns), columns, at)
-    except InputError as error:
-        return Part("In 3D", note=f"No 3D: {error}")
+        yield limited(ghost, columns)
+
+    return views.add(runs(), columns, shown[0].time if shown else 0.0)
 
 
 def _figure(
@@ -158,7 +156,7 @@ def _figure(
         POINTS_INSIDE if deviation.ok else POINTS,
     )
     meaning = recording.descriptions.get(deviation.name, "")
-    return Figure(deviation.name, deviation_text(deviation), meaning, lines)
+    return Figure(deviation.name, deviation.text, meaning, lines)
 
 
 def _changes(title: str, what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:

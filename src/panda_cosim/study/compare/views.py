@@ -12,7 +12,6 @@ from ...show.view.facts import CURVES
 from ...show.view.page import Contents, contents, data_elements, show_source
 from ...show.view.run import ROLES, RunData, Shown
 from ...task.scenario import shipped_scenarios
-from ...task.tolerances import signal_of
 from .page import Part
 from .reference import REFERENCE_FILE, Reference, how_to_make
 
@@ -56,9 +55,13 @@ class Views:
         self._documents: list[Mapping[str, Any]] = []
         self._models: dict[str, Mapping[str, Any]] = {}
 
-    def add(self, run: Shown, ghost: Shown, columns: Sequence[str], at: float) -> Part:
+    def add(self, runs: Iterable[Shown], columns: Sequence[str], at: float) -> Part:
         """Add a run and its ghost, whose names are unique; the columns' curves come first."""
-        data = contents([run, ghost])
+        try:
+            run, ghost = runs
+            data = contents([run, ghost])
+        except InputError as error:  # no model, or no positions
+            return Part("In 3D", note=f"No 3D: {error}")
         own, other = data.documents
         known = {name for signal in own["signals"] for name in signal["columns"]}
         worst = [{"title": name, "columns": [name]} for name in columns if name in known]
@@ -73,21 +76,6 @@ class Views:
         return data_elements(Contents("", [], self._documents, self._models))
 
 
-class _Selected:
-    """A run with only some of its columns."""
-
-    def __init__(self, source: RunData, names: frozenset[str]) -> None:
-        self._source = source
-        self.time, self.metadata = source.time, source.metadata
-        self.units, self.descriptions = source.units, source.descriptions
-        self.columns = [c for c in source.columns if c in names or signal_of(c) in names]
-
-    def __getitem__(self, name: str) -> Any:
-        """Return a signal, or a column."""
-        return self._source[name]
-
-
 def limited(run: Shown, columns: Iterable[str]) -> Shown:
     """Leave out most signals, so that a page of many runs stays small."""
-    source = _Selected(run.source, frozenset((*KEPT, *columns)))
-    return replace(run, source=source, notes=(*run.notes, LIMITED))
+    return replace(run, only=frozenset((*KEPT, *columns)), notes=(*run.notes, LIMITED))
