@@ -50,6 +50,18 @@ def running(command: Sequence[Any], **options: Any) -> Iterator[subprocess.Popen
                 process.kill()
 
 
+def ran(
+    command: Sequence[Any], code: int | None = 0, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a command and take what it says; it has to end with an exit code, None for any."""
+    options = {"capture_output": True, "text": True, "timeout": 300.0} | options
+    done = subprocess.run(list(map(str, command)), check=False, **options)
+    assert code in (None, done.returncode), (
+        f"{command}: {done.returncode}{done.stdout}{done.stderr}"
+    )
+    return done
+
+
 def line_of(process: subprocess.Popen[Any], seconds: float = PATIENCE) -> Any:
     """Return the next line of a process's output; it is killed if none comes in time."""
     output: IO[Any] | None = process.stdout

@@ -37,10 +37,20 @@ _context.set_forkserver_preload([
 
 
 def command(
-    *arguments: object, cwd: Path | None = None, timeout: float = 300.0, **environment: str
+    *arguments: object,
+    code: int | None = None,
+    cwd: Path | None = None,
+    timeout: float = 300.0,
+    **environment: str,
 ) -> subprocess.CompletedProcess[str]:
-    """Run `panda-cosim` with these arguments and variables; it is killed after `timeout` [s]."""
-    return _forked(_command, ["panda-cosim", *map(str, arguments)], cwd, timeout, environment)
+    """Run `panda-cosim` with these arguments and variables; it is killed after `timeout` [s].
+
+    If an exit code is given, it has to end with that.
+    """
+    words = ["panda-cosim", *map(str, arguments)]
+    done = _forked(_command, words, cwd, timeout, environment)
+    assert code in (None, done.returncode), f"{words}: {done.returncode}{done.stdout}{done.stderr}"
+    return done
 
 
 def call(

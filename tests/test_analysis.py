@@ -409,8 +409,7 @@ def test_the_command_writes_what_python_control_takes(slide, tmp_path):
     import control  # noqa: PLC0415 - as above
 
     out = tmp_path / "out"
-    done = command("analyze", slide, "--at", "0.05", "--out", out, "--json")
-    assert done.returncode == 0, done.stderr
+    done = command("analyze", slide, "--at", "0.05", "--out", out, "--json", code=0)
     result = json.loads(done.stdout)
     assert [v["coupling"] for v in result["variants"]] == ["gauss-seidel", "jacobi"]
     assert {p.name for p in out.iterdir()} == {"analysis.json", "analysis.npz", "loops.png"}
@@ -423,6 +422,5 @@ def test_the_command_writes_what_python_control_takes(slide, tmp_path):
     # A step of 1 N: the spring of 400 N/m yields by 2.5 mm, and takes the force up.
     still = system(1.0).real.ravel()
     assert still == pytest.approx([0.0, 1.0 / 400.0], abs=1e-5)
-    again = command("analyze", slide, "--out", out)  # replaces its own files
-    assert again.returncode == 0, again.stderr
+    again = command("analyze", slide, "--out", out, code=0)  # replaces its own files
     assert "period 1 ms, gauss-seidel: stable" in again.stdout

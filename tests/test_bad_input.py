@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from bounded import limited
+from bounded import limited, ran
 from fault_support import write_scenario
 from fmu_support import initialize
 from panda_cosim.cli.app import app
@@ -294,13 +293,8 @@ def test_a_file_is_whole_or_not_at_all(tmp_path):
 
 def test_an_export_to_a_full_disk_leaves_nothing(tmp_path, recording):
     program, out = Path(sys.executable).with_name("panda-cosim"), tmp_path / "a.csv"
-    done = subprocess.run(
-        [*limited(FSIZE=20_000), program, "export", recording, out],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
+    done = ran(
+        [*limited(FSIZE=20_000), program, "export", recording, out], code=InputError.exit_code
     )
-    assert done.returncode == InputError.exit_code
     assert done.stderr.startswith(f"Error: {out}: cannot be written: ")
     assert list(tmp_path.iterdir()) == []

@@ -108,8 +108,7 @@ def test_a_run_that_ended_early_is_not_the_same_as_one_that_did_not(tmp_path):
     a, b = made(tmp_path / "a"), tmp_path / "b"
     record(b, columns(), reason="stopped by SIGTERM")
     assert not compare(a, b).identical
-    done = command("compare", a, b)
-    assert done.returncode == 0, done.stderr
+    done = command("compare", a, b, code=0)
     assert "All recorded signals are equal" not in done.stdout
     assert "None of the compared columns differs, but the runs are not the same" in done.stdout
     assert "early: stopped by SIGTERM" in done.stdout
@@ -189,15 +188,13 @@ def test_columns_that_one_run_lacks_are_named(tmp_path):
 
 def test_the_command_prints_tables_json_and_a_page(tmp_path):
     a, b = made(tmp_path / "a"), made(tmp_path / "b", DISTANCE, mass=0.2)
-    brief = command("compare", a, b, "--out", tmp_path / "page")
-    assert brief.returncode == 0, brief.stderr
+    brief = command("compare", a, b, "--out", tmp_path / "page", code=0)
     for text in ("plant.block_mass", "tracking.rms_mm", "0.002 rad at 0.200 s", "compare.html"):
         assert text in brief.stdout
     assert "data-curve=" in (tmp_path / "page" / "compare.html").read_text(encoding="utf-8")
     told = command("compare", a, b, "--json")
     assert json.loads(told.stdout)["runs"] == ["a", "b"]
-    alone = command("compare", a)
-    assert alone.returncode == 2
+    alone = command("compare", a, code=2)
     assert "must be at least two" in alone.stderr
 
 

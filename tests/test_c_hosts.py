@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bounded import ran
 from couple_support import TABLES, compile_host, read_rows, unpack_task, write_plan
 from fmu_instance import Unpacked, mujoco_library, unpacked, unpacked_fmu
 from fmu_support import compiler, in_process
@@ -68,10 +69,7 @@ def source(fmu: Unpacked, library: Path | None = None) -> str:
 
 def run(host: Path, plan: Path, **environment: str) -> tuple[list[str], str]:
     """Run the host in an environment; returns the lines that it says, and what it logs."""
-    done = subprocess.run(
-        [host, plan, plan.with_name("recording")],
-        env=environment, capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
+    done = ran([host, plan, plan.with_name("recording")], env=environment, code=None)
     if "unexpected memory mapping" in done.stderr:
         pytest.skip("the thread sanitizer does not run on this kernel")
     assert done.returncode == 0, done.stderr[-3000:]
@@ -90,9 +88,7 @@ def root(request, tmp_path_factory, host):
     columns = write_plan(task, folder / "plan", lambda path: f"/{path.relative_to(folder)}")
     (folder / "columns").write_text("\n".join(columns))
     for program in (folder / "host", task.library("plant").with_name("libmujoco.so")):
-        listed = subprocess.run(
-            ["ldd", program], capture_output=True, text=True, check=True, timeout=300
-        ).stdout
+        listed = ran(["ldd", program]).stdout
         for library in re.findall(r"/\S+\.so[.\d]*", listed):
             place = folder / library.lstrip("/")
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -108,11 +104,7 @@ def run_in(root: Path) -> str:
     ).returncode  # fmt: skip
     if not may_enter:
         pytest.skip("another root needs unshare, or root's rights")
-    done = subprocess.run(
-        [*enter, "/host", "/plan", "/recording"],
-        env={}, capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = ran([*enter, "/host", "/plan", "/recording"], env={})
     return done.stdout
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from bounded import ran
 from forked import command as forked
 from panda_cosim import Recording, shipped_scenarios
 from panda_cosim.cli.app import app, load
@@ -78,8 +79,7 @@ def finished(tmp_path_factory):
     """A run's folder, for commands that start from one."""
     folder = tmp_path_factory.mktemp("finished")
     small = make_scenario(folder / "small")
-    done = forked("run", small, "--no-video", "--out", folder / "run")
-    assert done.returncode == 0, done.stderr
+    done = forked("run", small, "--no-video", "--out", folder / "run", code=0)
     assert "Success: 1 of 1 criteria hold" in done.stdout
     return folder / "run"
 
@@ -170,7 +170,7 @@ def test_a_run_without_pictures_loads_only_what_it_uses_and_is_assembled_once(
     build(["plant", "controller"])  # for which more is imported
     arguments = ("run", "pick_and_place", "--no-video", option, "--out", tmp_path / "run")
     command = [sys.executable, "-c", COUNTED, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    done = ran(command)
     assert done.stdout.count("ASSEMBLED") == 1
     modules = done.stdout.splitlines()[-1].split()[1:]
     assert sum(name.partition(".")[0] == "panda_cosim" for name in modules) <= MOST_MODULES
@@ -206,9 +206,8 @@ def test_a_run_leaves_recording_summary_and_scenario(finished):
 
 def test_settings_and_coupling_reach_the_run(scenario, tmp_path):
     options = ("--no-video", "--set", "plant.block_pos[1]=0.45", "--coupling", "jacobi")
-    done = forked("run", scenario, "--out", tmp_path / "run", *options)
+    forked("run", scenario, "--out", tmp_path / "run", *options, code=0)
 
-    assert done.returncode == 0, done.stderr
     recording = Recording.open(tmp_path / "run")
     assert recording["plant.qpos[10]"][0] == 0.45
     assert recording.metadata["coupling"] == "jacobi"
@@ -217,9 +216,8 @@ def test_settings_and_coupling_reach_the_run(scenario, tmp_path):
 def test_a_missed_success_condition_is_named_also_to_ci(tmp_path):
     strict, file = make_scenario(tmp_path / "strict", tracking_max=0.0), tmp_path / "junit.xml"
     options = ("--no-video", "--junit", file, "--out", tmp_path / "run")
-    done = forked("run", strict, *options)
+    done = forked("run", strict, *options, code=3)
 
-    assert done.returncode == 3, done.stderr
     assert "Success criteria missed: tracking_max" in done.stdout
     suite = ElementTree.parse(file).getroot()[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("1", "1", "0")
@@ -244,9 +242,8 @@ def test_a_failed_simulation_tells_when_also_to_ci(scenario, tmp_path, monkeypat
 
 
 def test_a_run_is_printed_as_json(scenario, tmp_path):
-    done = forked("run", scenario, "--no-video", "--json", "--out", tmp_path / "r")
+    done = forked("run", scenario, "--no-video", "--json", "--out", tmp_path / "r", code=0)
 
-    assert done.returncode == 0, done.stderr
     printed = json.loads(done.stdout)
     assert printed["folder"] == str(tmp_path / "r")
     assert printed["files"] == ["recording.parquet", "summary.json", "view.html"]
@@ -290,8 +287,7 @@ def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(tmp_path, m
 def test_the_shell_completes(typed, offered):
     words = f"panda-cosim {typed}"
     place = str(words.count(" "))
-    done = forked(_PANDA_COSIM_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=place)
-    assert done.returncode == 0
+    done = forked(_PANDA_COSIM_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=place, code=0)
     assert set(done.stdout.split()) == offered
 
 
@@ -320,17 +316,15 @@ def test_a_signal_keeps_what_was_recorded(number, exit_code, tmp_path):
 
 def test_real_time_pacing_is_reported(scenario, tmp_path):
     options = ("--no-video", "--realtime", "--out", tmp_path / "run")
-    done = forked("run", scenario, *options)
+    done = forked("run", scenario, *options, code=0)
 
-    assert done.returncode == 0
     assert "of 200 steps were late" in done.stdout
     assert json.loads((tmp_path / "run/summary.json").read_text())["timing"]["wall_s"] > 0.1
 
 
 def test_without_opengl_the_rest_of_the_job_is_done(scenario, tmp_path):
-    done = forked("run", scenario, "--out", tmp_path / "run", MUJOCO_GL="disable")
+    done = forked("run", scenario, "--out", tmp_path / "run", MUJOCO_GL="disable", code=0)
 
-    assert done.returncode == 0
     assert "MUJOCO_GL=disable" in done.stderr
     assert "panda-cosim render" in done.stderr
     assert (tmp_path / "run" / "plot.png").is_file()
@@ -371,9 +365,8 @@ def test_an_export_is_exact(finished, tmp_path):
 @pytest.mark.fmu
 def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path):
     given = ("--set", "controller.period=0.002", "--set", "mismatch.delay=0.002")
-    result = forked("analyze", "push", *given, "--out", tmp_path / "new", COLUMNS="80")
+    result = forked("analyze", "push", *given, "--out", tmp_path / "new", COLUMNS="80", code=0)
 
-    assert result.returncode == 0, result.stderr
     assert result.stdout.index("period 2 ms, gauss-seidel") < result.stdout.index("period 1 ms")
     assert "period 2 ms, jacobi: stable" in result.stdout
     words = result.stdout.split()
@@ -385,11 +378,8 @@ def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path):
 def test_a_reader_that_goes_away_is_no_error():
     program = " ".join(PROGRAM)
     command = f"set -o pipefail; {program} info | head -1; {program} list | true"
-    done = subprocess.run(
-        ["bash", "-c", command], capture_output=True, text=True, check=False, timeout=300
-    )
+    done = ran(["bash", "-c", command])
 
-    assert done.returncode == 0
     assert done.stderr == ""
 
 

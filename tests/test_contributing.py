@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bounded import ran
 from fmu_support import compiler, copy_libraries
 from forked import command
 from panda_cosim import Recording
@@ -72,10 +72,7 @@ def python(changed: Path, *arguments: object, code: int = 0) -> str:
         "PANDA_COSIM_CACHE": str(changed.parent / "cache"),
     }
     command = [sys.executable, "-P", *map(str, arguments)]
-    done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, check=False, timeout=300
-    )
-    assert done.returncode == code, done.stdout + done.stderr
+    done = ran(command, env=environment, code=code)
     return done.stdout
 
 
@@ -237,15 +234,12 @@ def test_a_changed_result_is_bisected(tmp_path):
     part = '[fmus]\ncontroller = "../repository/law/my_law.py:ResolvedRate"\n'
     (scenario / "scenario.toml").write_text(SCENARIO + part)
     (scenario / "trajectory.csv").write_text(TABLE)
-    recorded = command("regress", scenario, "--update")
-    assert recorded.returncode == 0, recorded.stderr
+    command("regress", scenario, "--update", code=0)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 
     def shell(words: str) -> str:
         environment = os.environ | {"PATH": path}
-        done = subprocess.run(words, shell=True, cwd=repository, capture_output=True, text=True,
-                              env=environment, check=False, timeout=300)  # fmt: skip
-        assert done.returncode == 0, done.stdout + done.stderr
+        done = ran(["sh", "-c", words], cwd=repository, env=environment)
         return done.stdout
 
     shell("git init -q; git config user.name a; git config user.email a@b")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
 
 import pytest
 
+from bounded import ran
 from panda_cosim.cli.commands import doctor
 from panda_cosim.cli.commands.doctor import Finding, examine
 
@@ -73,7 +73,7 @@ main()
 
 def test_it_starts_and_reports_where_numpy_cannot_be_imported():
     command = [sys.executable, "-c", WITHOUT_NUMPY, "doctor", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    done = ran(command, code=None)
     needed = [f["what"] for f in json.loads(done.stdout)["findings"] if f["state"] == "needed"]
     assert "numpy" in needed
     assert "scenarios cannot be run here" in done.stderr

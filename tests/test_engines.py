@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 import zipfile
 from pathlib import Path
@@ -15,6 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from bounded import ran
 from forked import command as cli
 from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.controller.ik import scaled_least_squares
@@ -100,9 +100,7 @@ def arm(tmp_path):
 def python(*arguments: object, path: Path | None = None) -> str:
     environment = {**os.environ, **({"PYTHONPATH": str(path)} if path else {})}
     command = [sys.executable, "-c", *map(str, arguments)]
-    done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, check=True, timeout=300
-    )
+    done = ran(command, env=environment)
     return done.stdout.strip()
 
 
@@ -122,14 +120,12 @@ def test_check_and_info_download_no_engine_and_say_so(arm, tmp_path, monkeypatch
         shutil.copytree(load_scenario(name).folder or "", folder)
     text = (folder / "scenario.toml").read_text()
     (folder / "scenario.toml").write_text(f'mujoco = "3.10.0"\n{text}')
-    done = cli("check", folder)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = cli("check", folder, code=0)
     said = f"mujoco: 3.10.0 is not installed, but would be by a run; checked with {HERE}"
     assert said in " ".join(done.stdout.split())
     assert cli("info", folder).returncode == 0
     assert not (tmp_path / "cache" / "engines").exists()
-    done = cli("run", folder, "--no-video", "--out", tmp_path / "run")
-    assert done.returncode == 1
+    done = cli("run", folder, "--no-video", "--out", tmp_path / "run", code=1)
     assert "MuJoCo 3.10.0 cannot be installed" in done.stderr
 
 
@@ -223,8 +219,7 @@ def test_a_solver_that_gives_no_number_makes_the_joints_brake(monkeypatch):
 
 @pytest.mark.parametrize("version", ["3.9.0", "3.10", "new", "2.3.7", "../x"])
 def test_a_version_that_cannot_be_used_is_refused(version, tmp_path):
-    done = cli("run", "push", "--mujoco", version, "--out", tmp_path / "r")
-    assert done.returncode == 2
+    done = cli("run", "push", "--mujoco", version, "--out", tmp_path / "r", code=2)
     assert "mujoco: value" in done.stderr
     assert "must be a version from 3.10.0 on" in done.stderr
     assert not (tmp_path / "r").exists()
@@ -243,8 +238,7 @@ def test_a_key_that_no_fmu_can_follow_is_refused(arm):
 
 def test_without_a_package_source_one_line_says_so(tmp_path):
     command = ("run", "push", "--mujoco", "3.99.0", "--out", tmp_path / "r")
-    done = cli(*command, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
-    assert done.returncode == 1
+    done = cli(*command, PIP_NO_INDEX="1", PIP_FIND_LINKS="", code=1)
     (line,) = (line for line in done.stderr.splitlines() if "cannot be installed" in line)
     assert "MuJoCo 3.99.0" in line
     assert not (tmp_path / "r" / "recording.parquet").exists()
@@ -268,8 +262,7 @@ def test_a_folder_with_a_model_is_a_suite_over_engines(engine, arm, tmp_path):
     suite = ["regress", "--scenarios", arm.parent, "-j", "1"]
     assert cli(*suite, "--update", "--yes").returncode == 0
     report = ["--report", tmp_path / "report"]
-    done = cli(*suite, "--mujoco", f"{HERE},{ENGINE}", "--json", *report)
-    assert done.returncode == 0, done.stderr
+    done = cli(*suite, "--mujoco", f"{HERE},{ENGINE}", "--json", *report, code=0)
     own, here, other = json.loads(done.stdout)["scenarios"]
     assert [each["name"] for each in (own, here, other)] == ["arm", f"arm-{HERE}", f"arm-{ENGINE}"]
     assert (own["difference"], here["difference"]) == ("", "equal")
@@ -296,15 +289,13 @@ def test_the_suite_of_the_page_on_engines_runs(tmp_path):
     assets = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
     shutil.copy(assets / "hopper.xml", tmp_path / "model.xml")
     assert cli("regress", tmp_path, "--update").returncode == 0
-    done = cli("regress", tmp_path, "--mujoco", HERE)
-    assert done.returncode == 0, done.stderr
+    done = cli("regress", tmp_path, "--mujoco", HERE, code=0)
     assert re.search(r"own +" + HERE, done.stdout)
     assert re.search(r"same +equal", done.stdout)
 
 
 def test_engines_do_not_go_with_update():
-    done = cli("regress", "push", "--mujoco", ENGINE, "--update")
-    assert done.returncode == 2
+    done = cli("regress", "push", "--mujoco", ENGINE, "--update", code=2)
     assert "--mujoco: cannot be combined" in done.stderr
 
 

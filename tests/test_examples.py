@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from nbclient import NotebookClient
 
+from bounded import ran
 from panda_cosim.result.recording import Recording
 from panda_cosim.task.scenario import load_scenario
 
@@ -31,11 +31,7 @@ def activated(monkeypatch):
 
 def walk(name: str, folder: Path) -> str:
     """Run a script in a new folder, as its first lines say; returns what it printed."""
-    done = subprocess.run(
-        ["sh", EXAMPLES / f"{name}.sh", folder],
-        capture_output=True, text=True, timeout=LIMIT, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = ran(["sh", EXAMPLES / f"{name}.sh", folder], timeout=LIMIT)
     return done.stdout
 
 

@@ -30,8 +30,7 @@ ROUNDING = 1e-9  # [1] of FMPy, which interpolates inputs in its own way
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp("built")
-    done = command("build", "--scenario", "push", "--compatibility", "--out", folder)
-    assert done.returncode == 0, done.stderr
+    command("build", "--scenario", "push", "--compatibility", "--out", folder, code=0)
     return folder
 
 
@@ -39,8 +38,7 @@ def built(tmp_path_factory):
 def box(tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
     shutil.copy(MJCF, folder / "other.xml")
-    done = command("mjcf2fmu", MJCF, folder / "other.xml", "--step", 0.0005, "--out", folder)
-    assert done.returncode == 0, done.stderr
+    command("mjcf2fmu", MJCF, folder / "other.xml", "--step", 0.0005, "--out", folder, code=0)
     assert (folder / "other.fmu").is_file()
     return folder / "box.fmu"
 
@@ -89,8 +87,7 @@ def test_the_plants_references_are_the_run_and_what_fmpy_makes_of_the_stimulus(b
 @pytest.mark.parametrize("name", ["PandaPlant", "PandaController", "PandaTrajectory"])
 def test_check_finds_the_references_and_a_change(built, tmp_path, name):
     path = built / f"{name}.fmu"
-    done = command("check", path)
-    assert done.returncode == 0, done.stderr
+    done = command("check", path, code=0)
     assert "largest difference 0 " in done.stdout
     last = list(table(path, "references.csv"))[-1]
 
@@ -101,8 +98,7 @@ def test_check_finds_the_references_and_a_change(built, tmp_path, name):
             [*lines[:-1], f"{before},{float(value) + 0.25 * max(1, abs(float(value)))}"]
         )
 
-    done = command("check", changed(path, tmp_path / "x.fmu", references=shift))
-    assert done.returncode == 3
+    done = command("check", changed(path, tmp_path / "x.fmu", references=shift), code=3)
     end = table(path, "references.csv")["time"][-1]
     assert f"({last} at t = {end:g} s)" in done.stdout
     assert done.stdout.startswith("wrong ")
@@ -122,10 +118,9 @@ def test_the_files_of_the_cross_check_are_written(built):
 
 
 def test_arrays_are_compared_whole(tmp_path):
-    done = command(
-        "build", "--scenario", "push", "--fmi", "3", "--compatibility", "--out", tmp_path
+    command(
+        "build", "--scenario", "push", "--fmi", "3", "--compatibility", "--out", tmp_path, code=0
     )
-    assert done.returncode == 0, done.stderr
     head, row, *_ = csv.reader((tmp_path / "PandaPlant" / "PandaPlant_ref.csv").open())
     sizes = dict(zip(head, (len(cell.split()) for cell in row), strict=True))
     assert len(sizes) == 11
@@ -155,8 +150,7 @@ def test_experiments_of_others_are_run_with_their_parameters(box, tmp_path, is_n
     exp = FALL.format(name="floats", times="" if is_new else TIMES, transient=transient)
     rows = "time,qpos[3],angle\n0,1,0\n0.1,1.0,0\n5,7,1\n"  # the last is after the end
     path = with_files(box, tmp_path / "x.fmu", exp=exp, csv=rows, p=SSV)
-    done = command("check", path, "--json")
-    assert done.returncode == 0, done.stderr
+    done = command("check", path, "--json", code=0)
     (found,) = json.loads(done.stdout)["experiments"]
     assert (found["experiment"], found["values"], found["largest_difference"]) == ("floats", 4, 0.0)
     assert found["left_out"] == 2
@@ -170,8 +164,7 @@ def test_an_experiment_becomes_a_scenario_judged_by_its_references(box, tmp_path
     exp = FALL.format(name="floats", times=TIMES, transient="")
     rows = f"time,qpos[3],angle\n0,1,0\n0.1,{height},0\n5,7,1\n"
     path = with_files(box, tmp_path / "x.fmu", exp=exp, csv=rows, p=SSV)
-    done = command("new", tmp_path / "mine", "--from", path)
-    assert done.returncode == 0, done.stderr
+    done = command("new", tmp_path / "mine", "--from", path, code=0)
     assert "Criteria: 2 of 6 reference values" in done.stdout
     options = ("--no-video", "--no-view", "--out", tmp_path / "run")
     assert command("run", tmp_path / "mine", *options).returncode == code
@@ -206,8 +199,7 @@ def test_stimuli_are_what_the_master_fed(tmp_path):
             milli = b'<Unit name="mN"><BaseUnit kg="1" m="1" s="-2" factor="0.001"/></Unit>'
             new.writestr(name, text.replace(b"<UnitDefinitions>", b"<UnitDefinitions>" + milli))
     (tmp_path / "scenario.toml").write_text(COUPLED)
-    done = command("build", "--scenario", tmp_path, "--out", tmp_path / "built")
-    assert done.returncode == 0, done.stderr
+    command("build", "--scenario", tmp_path, "--out", tmp_path / "built", code=0)
     options = ("--no-video", "--no-view", "--out", tmp_path / "run")
     assert command("run", tmp_path, *options).returncode == 0
     recording, path = Recording.open(tmp_path / "run"), tmp_path / "built" / "b.fmu"
@@ -238,8 +230,7 @@ def test_stimuli_are_what_the_master_fed(tmp_path):
      ({"reference": lambda text: text.replace('"1e-06"', '"none"')}, 2, "tolerance 'none'")],
 )  # fmt: skip
 def test_where_nothing_can_be_compared_check_is_not_content(box, tmp_path, changes, code, words):
-    done = command("check", changed(box, tmp_path / "x.fmu", **changes))
-    assert done.returncode == code
+    done = command("check", changed(box, tmp_path / "x.fmu", **changes), code=code)
     assert words in done.stderr
     assert "good" not in done.stdout
 
@@ -251,6 +242,5 @@ def test_where_nothing_can_be_compared_check_is_not_content(box, tmp_path, chang
      ("fmi3/Dahlquist", 101), ("fmi3/Feedthrough", 336), ("fmi3/StateSpace", 33)],
 )  # fmt: skip
 def test_results_in_the_reference_fmus_are_found(name, values):
-    done = command("check", REFERENCE_FMUS / f"{name}.fmu")
-    assert done.returncode == 0, done.stderr
+    done = command("check", REFERENCE_FMUS / f"{name}.fmu", code=0)
     assert f" {values} values, largest difference " in done.stdout

@@ -291,6 +291,5 @@ def test_both_kinds_give_the_same_recording(tmp_path):
 
 
 def test_the_program_refuses_an_unknown_platform():
-    done = command("build", "--platform", "win46")
-    assert done.returncode == 2
+    done = command("build", "--platform", "win46", code=2)
     assert "did you mean 'win64'?" in done.stderr.replace("\n", " ")

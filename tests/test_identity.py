@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from bounded import ran
 from panda_cosim.fmus.build import libraries
 from panda_cosim.study.sweep import store
 
@@ -66,10 +66,11 @@ def found(tmp_path_factory):
     ignored = shutil.ignore_patterns("__pycache__", "node_modules", "*.parquet", "lib")
     shutil.copytree(ROOT / "src" / "panda_cosim", package, ignore=ignored)  # links as folders
     files = [p.relative_to(package).as_posix() for p in package.rglob("*") if p.is_file()]
-    done = subprocess.run(
-        [sys.executable, "-c", TOUCH, package], input=json.dumps(files), text=True, check=True,
-        capture_output=True, env=os.environ | {"PYTHONPATH": str(package.parent)}, timeout=300,
-    )  # fmt: skip
+    done = ran(
+        [sys.executable, "-c", TOUCH, package],
+        input=json.dumps(files),
+        env=os.environ | {"PYTHONPATH": str(package.parent)},
+    )
     changed, imported = json.loads(done.stdout)
     return changed, imported
 

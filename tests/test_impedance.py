@@ -176,6 +176,5 @@ def test_mismatch_needs_a_plant_that_extends_ours(tmp_path):
     (tmp_path / "trajectory.csv").write_text(
         "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0,0\n"
     )
-    done = command("check", tmp_path)
-    assert done.returncode == 2
+    done = command("check", tmp_path, code=2)
     assert "mismatch: only valid with the project's plant, or one that extends it" in done.stdout

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from bounded import ran
+
 ROOT = Path(__file__).parent.parent
 BIN = Path(sys.executable).parent
 HEAVY = {
@@ -20,14 +22,11 @@ HEAVY = {
 
 def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
     """Check the contracts on a copy of the project."""
-    return subprocess.run(
+    return ran(
         [BIN / "lint-imports", "--no-cache", "--config", ROOT / "pyproject.toml"],
         cwd=root,
         env=os.environ | {"PYTHONPATH": str(root / "src")},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
+        code=None,
     )
 
 
@@ -77,18 +76,14 @@ def test_code_that_turns_data_into_code_is_refused(source, rule):
         "--no-cache",
         "-",
     ]
-    done = subprocess.run(
-        command, cwd=ROOT, input=source, capture_output=True, text=True, check=False, timeout=300
-    )
+    done = ran(command, cwd=ROOT, input=source, code=None)
     assert rule in done.stdout
 
 
 def modules_after(code: str) -> set[str]:
     """Top-level modules that are loaded after some code has run in a new process."""
     program = f"{code}\nimport sys; print('LOADED', *{{m.partition('.')[0] for m in sys.modules}})"
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
-    )
+    done = ran([sys.executable, "-c", program])
     return set(done.stdout.split("LOADED ")[-1].split())
 
 

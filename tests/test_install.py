@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from bounded import ran
 from fmu_support import copy_libraries
 from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.fmus.build.libraries import BACKENDS
@@ -27,15 +28,7 @@ TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | environment
-    return subprocess.run(
-        list(map(str, command)),
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    return ran(list(map(str, command)), cwd=cwd, env=environment, code=None)
 
 
 def write_scenario(folder: Path) -> Path:

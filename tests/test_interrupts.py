@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from bounded import ran
 from fault_support import processes_with
 from panda_cosim.fmus.atomic import TEMPORARY
 
@@ -62,8 +63,7 @@ except cli.INTERRUPTS as error:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_whose_exception_nobody_sees_ends_the_command(number):
     command = [sys.executable, "-c", UNSEEN, str(int(number))]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=50)
-    assert done.returncode == 128 + number, done.stderr
+    done = ran(command, code=128 + number)
     assert done.stderr == ""
 
 

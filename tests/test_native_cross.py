@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mach_o
+from bounded import ran
 from couple_support import compile_host, read_rows, unpack_task, write_plan
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.build.libraries import mujoco_library
@@ -77,15 +77,11 @@ def recorded(
     target = native.PLATFORMS[platform].target
     compile_host(program, sys.executable, "-m", "ziglang", "cc", "-target", target)
     columns = write_plan(task, folder / "plan", lambda path: foreign(platform, path))
-    done = subprocess.run(
+    ran(
         [*before, program, *(foreign(platform, folder / name) for name in ("plan", "recording"))],
-        capture_output=True,
-        text=True,
-        check=False,
         env=os.environ | {"WINEPREFIX": str(prefix), "WINEDEBUG": "-all"},
         timeout=600,
     )
-    assert done.returncode == 0, done.stderr[-2000:]
     return read_rows(folder / "recording", columns)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from bounded import ran
 from panda_cosim.fmus.build.libraries import this_platform
 from panda_cosim.fmus.sources.targets import Kind, Target, build
 
@@ -49,7 +50,7 @@ def fmus(tmp_path_factory):
 
 def run(python: str | Path, fmu: Path, *more: str) -> subprocess.CompletedProcess[str]:
     command = [python, HOST, fmu, fmu.name, str(STEPS), *more]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    return ran(command, code=None)
 
 
 @pytest.fixture(scope="module")

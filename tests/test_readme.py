@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +12,7 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from bounded import ran
 from panda_cosim import Scenario
 from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.task.criteria import Success
@@ -77,11 +77,7 @@ def test_every_link_leads_somewhere(name):
 def test_the_example_of_a_model_runs_anywhere(tmp_path):
     example = next(block for block in blocks("sh") if "pendulum.xml" in block)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        ["sh", "-e"], input=example, cwd=tmp_path, env=os.environ | {"PATH": path}, text=True,
-        capture_output=True, timeout=200, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = ran(["sh", "-e"], input=example, cwd=tmp_path, env=os.environ | {"PATH": path})
     assert "Angle of joint hinge" in done.stdout
 
 

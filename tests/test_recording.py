@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bounded import line_of
+from bounded import line_of, ran
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.result.recording import Column, MemoryRecorder, Recorder, Recording, storage
 from panda_cosim.result.recording import recorder as recorder_module
@@ -384,7 +384,7 @@ def test_a_recording_is_read_without_pandas(tmp_path):
         "from panda_cosim import Recording; print(Recording.open(sys.argv[1])['time'][2])"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    done = ran(command)
     assert done.stdout == "0.002\n"
 
 

@@ -90,8 +90,7 @@ def write_short(folder: Path) -> Path:
 def approved(tmp_path_factory):
     """Return the short scenario with a reference, to be copied."""
     folder = write_short(tmp_path_factory.mktemp("approved") / "short")
-    new = cli("regress", "--scenarios", folder, "--update")
-    assert new.returncode == 0, new.stderr
+    new = cli("regress", "--scenarios", folder, "--update", code=0)
     assert "short: is new" in new.stdout
     return folder
 
@@ -116,13 +115,11 @@ main()
 
 
 def test_a_scenario_without_a_reference_is_judged_by_its_criteria(mine):
-    judged = cli("regress", "--scenarios", mine)
-    assert judged.returncode == 0, judged.stderr
+    judged = cli("regress", "--scenarios", mine, code=0)
     assert "Without a reference, judged by their criteria alone: short" in judged.stdout
     path = mine / "short" / "scenario.toml"
     path.write_text(SETTINGS.replace("tracking_max", "# tracking_max"))
-    missing = cli("regress", "--scenarios", mine)
-    assert missing.returncode == 2, missing.stderr
+    missing = cli("regress", "--scenarios", mine, code=2)
     advice = f"does not exist; `panda-cosim regress {mine / 'short'} --update` makes it"
     assert advice in " ".join(missing.stdout.split())
 
@@ -135,8 +132,7 @@ def test_a_report_keeps_the_runs_that_differ_and_replaces_only_what_regress_made
     precious.parent.mkdir(parents=True)
     precious.write_text("not to be made again")
     arguments = ("regress", "--scenarios", approved, "--report", tmp_path)
-    other = cli(*arguments, "--set", "controller.gravity_feedforward=0.9")
-    assert other.returncode == 1, other.stderr
+    other = cli(*arguments, "--set", "controller.gravity_feedforward=0.9", code=1)
     assert "controller.dq" in other.stdout
     case = ET.parse(tmp_path / "junit.xml").getroot()[0]
     assert (case.get("tests"), case.get("failures"), case.get("errors")) == ("1", "1", "0")
@@ -145,8 +141,7 @@ def test_a_report_keeps_the_runs_that_differ_and_replaces_only_what_regress_made
     assert (kept / "recording.parquet").is_file()
     (kept / "notes.txt").write_text("mine")
 
-    same = cli(*arguments, "--exact")
-    assert same.returncode == 0, same.stdout
+    same = cli(*arguments, "--exact", code=0)
     assert "1 of 1 scenarios match their references" in same.stdout
     assert "short" in same.stderr  # the progress
     assert [path.name for path in kept.iterdir()] == ["notes.txt"]
@@ -198,14 +193,12 @@ def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced
     settings = coarse / "scenario.toml"
     settings.write_text(settings.read_text() + "[regression]\nscale = 0.1\n")
     regress = ("regress", "--jobs", 1, "--scenarios", tmp_path)
-    refused = cli(*regress)
-    assert refused.returncode == 2
+    refused = cli(*regress, code=2)
     words = " ".join(refused.stdout.split())
     assert "reference.parquet: is not a reference" in words
     assert "too coarse for a tolerance of 1e-07 m; must be recorded again" in words
     assert "1 of 3 scenarios" in words
-    updated = cli(*regress, "damaged", "coarse", "--update", "--yes")
-    assert updated.returncode == 0, updated.stderr
+    updated = cli(*regress, "damaged", "coarse", "--update", "--yes", code=0)
     assert "coarse: is rounded anew, as its tolerances have changed" in updated.stdout
     results = json.loads(cli(*regress, "--json").stdout)["scenarios"]
     assert [(each["verdict"], each["worst"]["share"]) for each in results] == [("same", 0.0)] * 3
@@ -215,8 +208,7 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine, tmp_path):
     other = tmp_path / "runs" / "short"
     other.mkdir(parents=True)
     (other / "recording.parquet").write_text("of somebody else")
-    refused = cli("regress", "--scenarios", mine, "--report", tmp_path)
-    assert refused.returncode == InputError.exit_code
+    refused = cli("regress", "--scenarios", mine, "--report", tmp_path, code=InputError.exit_code)
     assert "runs/short: was not made by regress" in refused.stderr
     assert "Running" not in refused.stderr
     assert (other / "recording.parquet").read_text() == "of somebody else"
@@ -234,8 +226,7 @@ SLIPS = [
 
 @pytest.mark.parametrize(("arguments", "expected"), SLIPS)
 def test_a_slip_is_reported_in_one_line(arguments, expected):
-    slip = cli(*arguments)
-    assert slip.returncode == InputError.exit_code
+    slip = cli(*arguments, code=InputError.exit_code)
     assert expected in slip.stderr
     assert slip.stderr.count("\n") == 1
     assert "Traceback" not in slip.stderr
@@ -272,13 +263,11 @@ def swept(mine):
 
 def test_a_suite_judges_the_sweeps_in_it(swept, tmp_path):
     regress = ("regress", "--jobs", 1, "--scenarios", swept)
-    good = cli(*regress)
-    assert good.returncode == 0, good.stdout + good.stderr
+    good = cli(*regress, code=0)
     assert "2 of 2 scenarios and sweeps pass" in good.stdout
     sweep = swept / "short" / "sweep.toml"
     sweep.write_text(SWEEP.replace("0.75", "0.76"))
-    bad = cli(*regress, "--report", tmp_path / "report")
-    assert bad.returncode == 1, bad.stderr
+    bad = cli(*regress, "--report", tmp_path / "report", code=1)
     assert "success rate 75 %, required 76 %" in bad.stdout
     assert (tmp_path / "report" / "runs" / "short (sweep)" / "report.html").is_file()
     assert "success rate 75 %" in (tmp_path / "report" / "junit.xml").read_text()
@@ -288,8 +277,7 @@ def test_a_suite_judges_the_sweeps_in_it(swept, tmp_path):
         ((), 1, "sweep.toml: min_success is missing; must be above 0 in a suite"),
         (("--set", "controller.kp=7"), 2, "add --no-sweeps"),
     ):
-        refused = cli(*regress, *more)
-        assert refused.returncode == code
+        refused = cli(*regress, *more, code=code)
         assert words in " ".join((refused.stdout + refused.stderr).split())
 
 
@@ -317,8 +305,7 @@ def test_nested_scenarios_are_found_and_a_stray_sweep_is_named(approved, tmp_pat
         shutil.copytree(approved, tmp_path / "mine" / place)
     (tmp_path / "mine" / "runs" / "first" / "recording.parquet").touch()
     (tmp_path / "mine" / "group" / "sweep.toml").write_text("[vary]\n")
-    done = cli("regress", "--scenarios", tmp_path / "mine", "--json")
-    assert done.returncode == 0, done.stderr
+    done = cli("regress", "--scenarios", tmp_path / "mine", "--json", code=0)
     results = json.loads(done.stdout)["scenarios"]
     assert [each["name"] for each in results] == ["other", "group/same", "same"]
     assert all(each["compared"] == 162 and each["uncompared"] == [] for each in results)
@@ -333,8 +320,7 @@ def test_a_new_scenario_notices_what_its_template_used_to_hide(tmp_path):
     regress = ("regress", "--scenarios", tmp_path)
     assert cli(*regress, "--update", "--yes").returncode == 0
     for change in ("plant.block_friction=0.5", "plant.payload=0.05", "controller.kp=7.5"):
-        done = cli(*regress, "--set", change)
-        assert done.returncode == 1, f"{change}: {done.stdout}{done.stderr}"
+        cli(*regress, "--set", change, code=1)
 
 
 def test_pytest_collects_the_sweep_of_a_scenario(swept):

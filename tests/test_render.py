@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from bounded import line_of
+from bounded import line_of, ran
 from fake_recording import FakeRecording
 from fault_support import write_scenario
 from forked import command
@@ -85,7 +85,7 @@ def about_x(angle: float) -> FloatArray:
 def ffmpeg_says(path: Path) -> str:
     """Return ffmpeg's description of a video, decoded from end to end."""
     command = [find_ffmpeg(), "-i", str(path), "-f", "null", "-"]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stderr
+    return ran(command).stderr
 
 
 # --- motion between the rows
@@ -198,10 +198,7 @@ print(np.abs(np.diff(floor, 2, axis=1)).mean())
 def test_a_camera_from_the_side_sees_no_moire_on_the_floor(backend):
     """With shadowclip 0.7, neighbouring pixels of the floor differ by 3 of 255, else by 0.2."""
     environment = {**os.environ, "MUJOCO_GL": backend}
-    done = subprocess.run(
-        [sys.executable, "-c", FROM_THE_SIDE],
-        env=environment, capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
+    done = ran([sys.executable, "-c", FROM_THE_SIDE], env=environment)
     assert float(done.stdout) < 0.5
 
 
@@ -315,8 +312,7 @@ def test_a_bad_option_is_refused_with_its_bounds(tmp_path, options, message):
 def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path):
     values = {"time": np.arange(3.0), **{f"plant.qpos[{i}]": np.zeros(3) for i in range(1, 16)}}
     record(tmp_path / "run", values)
-    refused = command("render", "run", cwd=tmp_path)
-    assert refused.returncode == InputError.exit_code
+    refused = command("render", "run", cwd=tmp_path, code=InputError.exit_code)
     assert "plant.qpos" in refused.stderr
     assert refused.stderr.count("\n") == 1
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["recording.parquet"]
@@ -367,15 +363,9 @@ def test_what_needs_no_picture_needs_no_opengl(tmp_path):
     scenario = write_scenario(tmp_path / "scenario", 0.01)
     run = [sys.executable, "-m", "panda_cosim", "run", scenario, "--no-video"]
     environment = {k: v for k, v in os.environ.items() if "DISPLAY" not in k}
-    done = subprocess.run(
-        [*map(str, run), "--out", str(tmp_path / "run")],
-        env=environment | {"MUJOCO_GL": "vulkan"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
+    done = ran(
+        [*map(str, run), "--out", str(tmp_path / "run")], env=environment | {"MUJOCO_GL": "vulkan"}
     )
-    assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr
 
 

@@ -54,8 +54,7 @@ def test_a_file_that_no_command_made_stays(tmp_path, case):
     file.parent.mkdir(exist_ok=True)
     file.write_text("<!DOCTYPE html>\nmine, about panda-cosim")
     before = sorted(tmp_path.rglob("*"))
-    done = command(*arguments, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
+    done = command(*arguments, cwd=tmp_path, code=2)
     error = done.stderr.splitlines()[-1]
     assert f"{file}: already exists; must be " in error
     assert file.read_text() == "<!DOCTYPE html>\nmine, about panda-cosim"
@@ -66,12 +65,10 @@ def test_what_was_made_is_replaced_and_so_is_a_file_that_is_given_up(tmp_path):
     run, out = tmp_path / "run", tmp_path / "out"
     record(run, columns())
     for _ in range(2):
-        done = command("plot", run, "--out", out / "x.png", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        command("plot", run, "--out", out / "x.png", cwd=tmp_path, code=0)
     assert [path.name for path in out.iterdir()] == ["x.png"]
     (out / "x.png").write_text("mine")
-    done = command("plot", run, "--out", out / "x.png", "--overwrite", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    command("plot", run, "--out", out / "x.png", "--overwrite", cwd=tmp_path, code=0)
     assert (out / "x.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -80,8 +77,7 @@ def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path):
     for name in ("view", "plot"):
         place = tmp_path / f"{name}.png"  # a name that plot takes for a file's
         place.write_bytes(content)
-        done = command(name, tmp_path, "--out", place, "--overwrite", cwd=tmp_path)
-        assert done.returncode == 2
+        done = command(name, tmp_path, "--out", place, "--overwrite", cwd=tmp_path, code=2)
         assert "holds a recording; must be another file" in done.stderr
         assert place.read_bytes() == content
 

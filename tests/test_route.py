@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from bounded import ran
 from fmu_support import in_process
 from forked import command
 from panda_cosim import Recording, Scenario, load_scenario, run_scenario
@@ -33,8 +33,7 @@ POSTURE_TOLERANCE = 1e-3  # rad between the arm and its plan
 @pytest.fixture(scope="module")
 def routed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("route") / "behind"
-    result = command("route", "pick_and_place", "--out", folder, "--set", BEHIND)
-    assert result.returncode == 0, result.stderr
+    command("route", "pick_and_place", "--out", folder, "--set", BEHIND, code=0)
     return folder
 
 
@@ -57,13 +56,7 @@ def test_a_block_behind_the_arm_is_set_down_within_all_limits(routed, tmp_path):
 
 def test_the_same_input_gives_the_same_bytes(routed, tmp_path):
     program = [sys.executable, "-m", "panda_cosim", "route", "pick_and_place", "--set", BEHIND]
-    done = subprocess.run(
-        [*program, "--out", str(tmp_path / "again")],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+    done = ran([*program, "--out", str(tmp_path / "again")])
     assert "leaked" not in done.stderr  # OMPL's remains at the end of a process
     for file in ("scenario.toml", "trajectory.csv"):
         assert (tmp_path / "again" / file).read_bytes() == (routed / file).read_bytes()
@@ -82,14 +75,12 @@ OUT_OF_REACH = [
 @pytest.mark.parametrize(("setting", "reason"), OUT_OF_REACH)
 def test_what_is_out_of_reach_is_refused_with_what_works(tmp_path, setting, reason):
     words = ("route", "pick_and_place", "--out", tmp_path / "a", "--set")
-    far = command(*words, setting)
-    assert far.returncode == 2
+    far = command(*words, setting, code=2)
     assert not (tmp_path / "a").exists()
     assert reason in far.stderr
     nearest = re.search(rf"{setting.partition('=')[0]}=[-\d.,]+", far.stderr)
     assert nearest
-    near = command(*words, nearest.group())
-    assert near.returncode == 0, near.stderr
+    command(*words, nearest.group(), code=0)
 
 
 def behind_wall(**values: float) -> Scenario:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import forked
-from bounded import killed_after, line_of, running
+from bounded import killed_after, line_of, ran, running
 from fault_support import (
     build_faulty,
     processes_with,
@@ -188,15 +188,11 @@ def test_a_run_leaves_nothing_but_its_folder(tmp_path, scenario, faulty):
     """Nor does it read or print anything."""
     (tmp_path / "tmp").mkdir()
     (tmp_path / "here").mkdir()
-    done = subprocess.run(
+    done = ran(
         run_command(scenario, tmp_path / "run", isolate=True, fmus={"plant": str(faulty)}),
         env=os.environ | {"TMPDIR": str(tmp_path / "tmp"), "FAULT": "read@20"},
         cwd=tmp_path / "here",
         input="x" * 1000,
-        text=True,
-        capture_output=True,
-        check=True,
-        timeout=60,
     )
     assert all(line.split()[0].isdigit() for line in done.stdout.splitlines())
     assert list((tmp_path / "tmp").iterdir()) == []

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bounded import ran
 from fault_support import STARTING_LAW, write_scenario
 from fmu_support import copy_libraries
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -57,15 +58,7 @@ def spoil(folder: Path, names: set[str]) -> None:
 def unprotected(command: list[object], folder: Path, **variables: str) -> None:
     """Run a command in a folder, without the variable that protects from its modules."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-    done = subprocess.run(
-        list(map(str, command)),
-        env=environment | variables,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    done = ran(list(map(str, command)), env=environment | variables, cwd=folder, code=None)
     marks = folder.with_name("marks")
     assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
     assert done.returncode == 0, done.stderr

@@ -80,8 +80,7 @@ def test_a_sweep_goes_by_the_scenario_as_it_was_swept_and_by_the_same_code(tmp_p
     assert len(said) == 1
     assert f"scenario {folder}: has changed since the sweep began" in said[0]
     shutil.rmtree(folder)
-    done = command("sweep", "promote", out, "1", tmp_path / "mine")
-    assert done.returncode == 0, done.stderr
+    done = command("sweep", "promote", out, "1", tmp_path / "mine", code=0)
     assert "cannot be used any more since the sweep began, which uses" in done.stderr
     assert load_scenario(tmp_path / "mine").push[0].force == (0.0, 20.0, 0.0)
 
@@ -98,8 +97,7 @@ def test_a_scenario_stays_the_same_as_it_is_kept(name, tmp_path):
 def test_a_key_without_effect_is_told_on_the_command_line(tmp_path):
     folder = short_scenario(tmp_path / "short")
     arguments = ("--vary", "mismatch.seed=1,2", "--vary", "plant.block_mass=0.1,0.2")
-    done = command("sweep", folder, *arguments, "--jobs", 1, "--out", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    done = command("sweep", folder, *arguments, "--jobs", 1, "--out", tmp_path / "out", code=0)
     told = "vary: mismatch.seed changes no start value, no input and no criterion"
     assert done.stderr.count(told) == 1
     assert "plant.block_mass changes" not in done.stderr

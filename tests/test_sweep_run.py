@@ -134,8 +134,7 @@ def test_a_sweep_is_judged_by_its_success_rate(whole, tmp_path):
         (proved + 1e-6, ("--confidence", 0.95), 3),
     ):
         junit = tmp_path / f"{required}{code}.xml"
-        done = command(*sweep_, "--min-success", required, *more, "--junit", junit)
-        assert done.returncode == code, done.stdout + done.stderr
+        done = command(*sweep_, "--min-success", required, *more, "--junit", junit, code=code)
         assert f"{'missed' if code else 'ok    '}  success rate" in done.stdout
         (suite,) = ET.parse(junit).getroot()
         assert (suite.get("tests"), suite.get("failures")) == ("1", "1" if code else "0")
@@ -276,13 +275,11 @@ def test_a_row_becomes_a_scenario_that_regress_takes(whole, tmp_path):
     assert "status success; must be missed" in refused.stderr
     assert "A regression test" in command(*promote, good["index"], mine / "good").stdout
     regress = ("regress", "--jobs", 1, "--scenarios", mine)
-    done = command(*regress, "--exact")
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = command(*regress, "--exact", code=0)
     assert "2 of 2 scenarios match their references" in done.stdout
     assert "A red test" in command(*promote, missed["index"], mine / "red").stdout
     assert load_scenario(mine / "red").expect == "success"
-    done = command(*regress)
-    assert done.returncode == 1, done.stdout + done.stderr
+    done = command(*regress, code=1)
     assert re.search(f"red +missed +{missed['missed']}", done.stdout)
     with pytest.raises(InputError, match=r"has no row 4711; must be one of its .* rows, from 0 to"):
         promote_row(whole / "out", 4711, tmp_path / "other")

@@ -21,8 +21,7 @@ def folder(tmp_path_factory):
     (folder / "short").mkdir()
     (folder / "short" / "scenario.toml").write_text(TOML)
     (folder / "short" / "trajectory.csv").write_text(TABLE)
-    built = program("build", "--out", folder / "files", "--scenario", folder / "short")
-    assert built.returncode == 0, built.stderr
+    program("build", "--out", folder / "files", "--scenario", folder / "short", code=0)
     made = {path.name for path in (folder / "files").iterdir()}
     assert made == {"PandaPlant.fmu", "PandaController.fmu", "PandaTrajectory.fmu", "Panda.ssp"}
     return folder
@@ -34,8 +33,7 @@ def test_a_system_runs_as_its_scenario_bit_for_bit(folder, coupling):
     runs = {"system": (folder / "files" / "Panda.ssp",), "scenario": (folder / "short",)}
     for name, arguments in runs.items():
         out = folder / f"{name}-{coupling}"
-        done = program("run", *arguments, "--out", out, "--no-video", "--coupling", coupling)
-        assert done.returncode == 0, done.stderr
+        program("run", *arguments, "--out", out, "--no-video", "--coupling", coupling, code=0)
     system = Recording.open(folder / f"system-{coupling}")
     scenario = Recording.open(folder / f"scenario-{coupling}")
     assert system.complete
@@ -123,8 +121,7 @@ def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(tmp_path, kind, fmi
     assert all(name.endswith(("_cmd", "_force", "_input")) for name in others)  # from outside
     assert len(shared) > 10
     assert [name for name in shared if (scenario[name] != system[name]).any()] == []
-    check = program("check", files / "Panda.ssp")
-    assert check.returncode == 0
+    check = program("check", files / "Panda.ssp", code=0)
     assert "it can run" in check.stdout
 
 
@@ -163,7 +160,8 @@ def test_run_and_check_refuse_a_system_in_the_same_words(folder, tmp_path):
 )
 def test_bad_input_is_refused_in_one_line(folder, arguments, expected):
     files = folder / "files"
-    done = program("run", *(a.format(ssp=files / "Panda.ssp", files=files) for a in arguments))
-    assert done.returncode == 2
+    done = program(
+        "run", *(a.format(ssp=files / "Panda.ssp", files=files) for a in arguments), code=2
+    )
     assert expected in done.stderr
     assert "Traceback" not in done.stderr

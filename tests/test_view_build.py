@@ -6,11 +6,12 @@ import base64
 import hashlib
 import json
 import shutil
-import subprocess
 import zlib
 from pathlib import Path
 
 import pytest
+
+from bounded import ran
 
 VIEW = Path(__file__).parent.parent / "src" / "panda_cosim" / "show" / "view"
 BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
@@ -24,9 +25,7 @@ def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("build") / "source"
     shutil.copytree(VIEW / "source", folder, ignore=shutil.ignore_patterns("node_modules"))
     command = ["npm", "ci", "--prefer-offline"]
-    done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, check=False, timeout=300
-    )
+    done = ran(command, cwd=folder, code=None)
     unreachable = ("ENOTFOUND", "EAI_AGAIN", "ECONNREFUSED", "ETIMEDOUT", "ENETUNREACH")
     if done.returncode and any(word in done.stderr for word in unreachable):
         pytest.skip("npm reaches no registry from here")
@@ -36,10 +35,7 @@ def source(tmp_path_factory):
 
 def node(folder: Path, *command: str) -> None:
     """Run a command in the source's folder."""
-    done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, check=False, timeout=300
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    ran(command, cwd=folder)
 
 
 def content(file: Path) -> dict[str, bytes]:
