@@ -29,8 +29,8 @@ COMPARED = {  # by these tests, in `tests`
     ),
     "controller": (
         "test_controller_in_c.py",
-        "test_controller_fmu.py",
         "test_twins.py::test_fmus_of_either_kind_have_the_same_bits[controller]",
+        "test_twins.py::test_fmus_of_either_kind_have_the_same_bits[slow controller]",
     ),
     "trajectory": (
         "test_fmu_trajectory.py",

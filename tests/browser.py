@@ -40,8 +40,8 @@ class Page:
     """One page in the browser.
 
     Attributes:
-        errors: What the page complained of: exceptions, and errors on the console.
-        requests: Addresses that it asked for.
+        errors: What the page has complained of since it was opened.
+        requests: Addresses that it has asked for since then.
     """
 
     def __init__(self, to_browser: int, from_browser: int) -> None:
@@ -124,6 +124,8 @@ class Page:
         self.call("Emulation.setEmulatedMedia", features=[feature])
         # Away first: to another place in the same file there is no loading.
         self.call("Page.navigate", url="about:blank")
+        self.errors.clear()
+        self.requests.clear()
         self.call("Page.navigate", url=address)
         self.wait("document.readyState === 'complete'")
 

@@ -93,3 +93,6 @@ def initialize(slave: Any, values: Mapping[str, Any]) -> None:
 def compiler() -> str | None:
     """Path of a C compiler, or None."""
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from bounded import limited, ran
 from fault_support import write_scenario
 from fmu_support import initialize
 from panda_cosim.cli.app import app
@@ -23,7 +21,6 @@ from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.sources.targets import Target, build
 from panda_cosim.result.recording import Column, Recorder
 
-pytestmark = pytest.mark.fmu
 Change = Callable[[dict[str, bytes]], None]
 XML = "modelDescription.xml"
 LIBRARY = "binaries/linux64/PandaPlant.so"
@@ -211,12 +208,6 @@ def test_a_bad_key_is_refused(tmp_path, text, has_table, words):
     assert words in line
 
 
-def test_a_duration_of_a_bad_type_is_told_the_bounds_that_hold(tmp_path):
-    folder = written(tmp_path / "mine", "")
-    (folder / "scenario.toml").write_text('duration = "x"\n')
-    assert "must be a number from 0.001 to 3600 s" in refused(tmp_path, "run", folder)
-
-
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_gains_without_effect_are_refused(tmp_path, command):
     result = CliRunner().invoke(app, [command, "draw_circle", "--set", "gains=tutorial"])
@@ -289,12 +280,3 @@ def test_a_file_is_whole_or_not_at_all(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         stop_half_way()
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a", "old")]
-
-
-def test_an_export_to_a_full_disk_leaves_nothing(tmp_path, recording):
-    program, out = Path(sys.executable).with_name("panda-cosim"), tmp_path / "a.csv"
-    done = ran(
-        [*limited(FSIZE=20_000), program, "export", recording, out], code=InputError.exit_code
-    )
-    assert done.stderr.startswith(f"Error: {out}: cannot be written: ")
-    assert list(tmp_path.iterdir()) == []

@@ -59,7 +59,6 @@ def test_the_plot_shows_runs_without_some_of_the_ratios(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.fmu
 def test_each_figure_is_measured():
     measured = runpy.run_path(str(CI / "growth.py"))["figures"](2e-5, 60.0)
     assert measured.keys() == HISTORY["FIGURES"].keys()

@@ -104,17 +104,6 @@ def test_a_run_and_its_beginning_are_compared_there_and_are_not_identical(
         assert result.unmet is killed
 
 
-def test_a_run_that_ended_early_is_not_the_same_as_one_that_did_not(tmp_path):
-    a, b = made(tmp_path / "a"), tmp_path / "b"
-    record(b, columns(), reason="stopped by SIGTERM")
-    assert not compare(a, b).identical
-    done = command("compare", a, b, code=0)
-    assert "All recorded signals are equal" not in done.stdout
-    assert "None of the compared columns differs, but the runs are not the same" in done.stdout
-    assert "early: stopped by SIGTERM" in done.stdout
-    assert '<header class="bad">' in compare(a, b).to_html()
-
-
 def test_runs_with_nothing_in_common_are_refused(tmp_path):
     a = made(tmp_path / "a")
     later, others = columns(), columns()
@@ -226,7 +215,6 @@ def test_a_recording_is_a_dataset_of_xarray(recording):
     assert "plant.qpos" in recording.to_xarray()
 
 
-@pytest.mark.fmu
 def test_a_notebook_shows_a_run_and_its_plot(tmp_path):
     (tmp_path / "short").mkdir()
     (tmp_path / "short" / "scenario.toml").write_text(SHORT)

@@ -14,7 +14,7 @@ import pytest
 from bounded import ran
 from couple_support import TABLES, compile_host, read_rows, unpack_task, write_plan
 from fmu_instance import Unpacked, mujoco_library, unpacked, unpacked_fmu
-from fmu_support import compiler, in_process
+from fmu_support import compiler, in_process, needs_compiler
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library, slave_fmu
 from panda_cosim.result.recording import Recording
@@ -27,8 +27,7 @@ PLANT = list(TABLES).index("plant")
 DECAY = Path(__file__).parent / "slaves" / "decay.py"
 RACES = ("-g", "-fsanitize=thread")
 pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+    needs_compiler,
     pytest.mark.skipif(native.this_platform() != "linux64", reason="the host is for Linux x86-64"),
 ]
 needs_library = pytest.mark.skipif(

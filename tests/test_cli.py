@@ -24,7 +24,7 @@ from panda_cosim import Recording, shipped_scenarios
 from panda_cosim.cli.app import app, load
 from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.cli.console import progress
-from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.sources.targets import build
 
@@ -204,15 +204,6 @@ def test_a_run_leaves_recording_summary_and_scenario(finished):
     assert Recording.open(finished).rows == 201
 
 
-def test_settings_and_coupling_reach_the_run(scenario, tmp_path):
-    options = ("--no-video", "--set", "plant.block_pos[1]=0.45", "--coupling", "jacobi")
-    forked("run", scenario, "--out", tmp_path / "run", *options, code=0)
-
-    recording = Recording.open(tmp_path / "run")
-    assert recording["plant.qpos[10]"][0] == 0.45
-    assert recording.metadata["coupling"] == "jacobi"
-
-
 def test_a_missed_success_condition_is_named_also_to_ci(tmp_path):
     strict, file = make_scenario(tmp_path / "strict", tracking_max=0.0), tmp_path / "junit.xml"
     options = ("--no-video", "--junit", file, "--out", tmp_path / "run")
@@ -225,20 +216,6 @@ def test_a_missed_success_condition_is_named_also_to_ci(tmp_path):
     assert case.get("name") == "strict"
     assert float(str(case.get("time"))) > 0.0
     assert re.fullmatch(r"tracking_max \S+ mm, allowed 0 mm", str(case[0].get("message")))
-
-
-def test_a_failed_simulation_tells_when_also_to_ci(scenario, tmp_path, monkeypatch):
-    def fail(*_: object, **__: object) -> None:
-        raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
-
-    monkeypatch.setattr("panda_cosim.run.execution.Execution.advance", fail)
-    file = tmp_path / "junit.xml"
-    result = call("run", scenario, "--out", tmp_path / "run", "--junit", file)
-    assert result.exit_code == SimulationError.exit_code
-    assert "at t = 0.250 s, in FMU 'plant', variable qpos[3]: is NaN" in result.stderr
-    (case,) = ElementTree.parse(file).getroot()[0]
-    assert case[0].tag == "error"
-    assert "at t = 0.250 s, in FMU 'plant'" in str(case[0].get("message"))
 
 
 def test_a_run_is_printed_as_json(scenario, tmp_path):
@@ -360,19 +337,6 @@ def test_an_export_is_exact(finished, tmp_path):
     for name in ("all.parquet", "all.xlsx", "all"):
         assert "must end in .csv" in call("export", finished, tmp_path / name).stderr
     assert call("export", finished, file, "--overwrite").exit_code == 0
-
-
-@pytest.mark.fmu
-def test_an_analysis_takes_scenario_gains_and_mismatch(tmp_path):
-    given = ("--set", "controller.period=0.002", "--set", "mismatch.delay=0.002")
-    result = forked("analyze", "push", *given, "--out", tmp_path / "new", COLUMNS="80", code=0)
-
-    assert result.stdout.index("period 2 ms, gauss-seidel") < result.stdout.index("period 1 ms")
-    assert "period 2 ms, jacobi: stable" in result.stdout
-    words = result.stdout.split()
-    assert {"joint", "gain", "phase", "[dB]", "[deg]", "[Hz]", "[ms]", "settling"} <= set(words)
-    assert result.stdout.index("common to all loops") < result.stdout.index("disk margin")
-    assert max(map(len, result.stdout.replace(str(tmp_path), "").splitlines())) <= 80
 
 
 def test_a_reader_that_goes_away_is_no_error():

@@ -167,7 +167,6 @@ def test_a_window_at_steps_of_a_nanosecond_holds_its_rows_only(tmp_path):
         criterion.check_window(0.0, 4e-9)
 
 
-@pytest.mark.fmu
 def test_check_names_an_event_for_which_nothing_is_recorded(tmp_path):
     odd_fmu(tmp_path / "own.fmu", [("y", "Real", "output", 100)])
     text = (
@@ -179,7 +178,6 @@ def test_check_names_an_event_for_which_nothing_is_recorded(tmp_path):
         assert ("never happens: plant." in done.stdout) == (code == 2)
 
 
-@pytest.mark.fmu
 def test_a_run_says_that_a_push_comes_too_late(tmp_path):
     assert command("new", tmp_path / "late", "--from", "push").returncode == 0
     quiet = ("--no-video", "--no-view", "--no-plot", "--out", tmp_path / "run")
@@ -188,7 +186,6 @@ def test_a_run_says_that_a_push_comes_too_late(tmp_path):
     assert "[[push]] at 9.6 s begins after the end" in command("run", path.parent, *quiet).stderr
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize(
     ("name", "kind", "values"),
     [("plant", "Real", (293.0, 294.0)), ("controller", "Integer", (3, 4)),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bounded import ran
-from fmu_support import compiler, copy_libraries
+from fmu_support import copy_libraries, needs_compiler
 from forked import command
 from panda_cosim import Recording
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -89,7 +89,6 @@ print(*build(["plant", "controller"]).values(), build_fmu(model_part(Path(sys.ar
 BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
 
 
-@pytest.mark.fmu
 def test_an_output_of_the_plant_is_added_in_two_places_and_a_line_of_the_description_in_one(
     changed, tmp_path
 ):
@@ -157,7 +156,6 @@ EDITS = {
 }
 
 
-@pytest.mark.fmu
 def test_a_changed_line_of_python_acts_and_is_named(tmp_path):
     root = copy_of_project(tmp_path)
     scenario = tmp_path / "scenario"
@@ -198,8 +196,7 @@ def test_a_changed_line_of_python_acts_and_is_named(tmp_path):
     assert f"{file}: changed" in told
 
 
-@pytest.mark.fmu
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+@needs_compiler
 def test_a_stamp_is_only_renewed_if_c_and_python_are_equal(tmp_path):
     root = copy_of_project(tmp_path)
     stamp, law = root / "fmus" / "twins.json", root / "controller" / "pid.py"
@@ -224,7 +221,6 @@ def test_every_path_exists():
     assert not [path for path in paths if not (ROOT / path).exists()]
 
 
-@pytest.mark.fmu
 @pytest.mark.long
 def test_a_changed_result_is_bisected(tmp_path):
     """The commits of a repository change a law; the scenario and its reference stand outside."""

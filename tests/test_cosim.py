@@ -7,8 +7,6 @@ import pytest
 import cosim_jobs
 from fmu_support import in_process
 
-pytestmark = pytest.mark.fmu
-
 
 @pytest.mark.parametrize(
     ("scenario", "coupling", "steps"),

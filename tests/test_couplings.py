@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmu_support import compiler
+from fmu_support import needs_compiler
 from forked import command
 from odd_fmu import odd_fmu, odd_ssp
 from panda_cosim import Recording, load_scenario
@@ -20,7 +20,6 @@ from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import check_folder, rehearse
 from toy_fmu import UNITS, toy_fmu
 
-needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 RELATIVE: float = 1e-9  # error of a conversion there and back
 NUMBERS = st.floats(1e-3, 1e3)
 DEFINED = st.builds(
@@ -79,7 +78,6 @@ TON, SHORT_TON, METRE = 'kg="1" factor="1000"', 'kg="1" factor="907.18474"', 'm=
 
 
 @needs_compiler
-@pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize(
@@ -106,7 +104,6 @@ def test_values_are_converted_or_the_user_is_told(tmp_path, fmi, one, other, fac
 
 
 @needs_compiler
-@pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_what_cannot_be_converted_is_refused_unless_it_is_asked_for(tmp_path, fmi):
@@ -156,7 +153,6 @@ ENUMERATED = (
 
 
 @needs_compiler
-@pytest.mark.fmu
 @pytest.mark.own_process
 def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path):
     """The integer counts from its parameter on: -1, 0, 1."""
@@ -177,7 +173,6 @@ def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path
 
 
 @needs_compiler
-@pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("start", [-2.6, -2.5, -2.4, 0.0])
 def test_numbers_become_integers_and_booleans_by_one_rule(tmp_path, start):
@@ -197,7 +192,6 @@ def test_numbers_become_integers_and_booleans_by_one_rule(tmp_path, start):
 
 
 @needs_compiler
-@pytest.mark.fmu
 def test_an_unknown_unit_in_a_parameter_set_is_told_and_refuses_nothing(tmp_path):
     toy = toy_fmu(tmp_path / "toy.fmu", 2)
     values = '<ssv:Parameter name="u[1,1]"><ssv:Real value="0.5" unit="[N]"/></ssv:Parameter>'

@@ -17,7 +17,6 @@ import pytest
 from bounded import ran
 from forked import command as cli
 from panda_cosim import Recording, Scenario, load_scenario
-from panda_cosim.controller.ik import scaled_least_squares
 from panda_cosim.fmus.atomic import cache_folder
 from panda_cosim.fmus.build.libraries import made_with
 from panda_cosim.fmus.errors import CosimError, InputError
@@ -178,15 +177,6 @@ def test_a_run_of_a_model_with_another_engine_is_drawn_by_the_installed_one(engi
     assert np.array_equal(qpos(tmp_path / "again"), qpos(out))
 
 
-def test_built_fmus_hold_the_engine(engine, tmp_path):
-    assert cli("build", "--out", tmp_path, "--mujoco", ENGINE).returncode == 0
-    library = (engine / "mujoco" / f"libmujoco.so.{ENGINE}").read_bytes()
-    for name in ("PandaPlant", "PandaController"):
-        with zipfile.ZipFile(tmp_path / f"{name}.fmu") as fmu:
-            (member,) = (each for each in fmu.namelist() if each.endswith("libmujoco.so"))
-            assert fmu.read(member) == library
-
-
 # What failed with older versions.
 
 
@@ -201,17 +191,6 @@ def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(engine, arm, tmp_
         scenario = load_scenario(arm).changed({"mujoco": version, "duration": 0.01})
         run = run_scenario(scenario, tmp_path / version)
         assert np.array_equal(qpos(run.folder)[0], [0.1, 0.2, 1.0, 2.0, 0.3, 1, 0, 0, 0])
-
-
-def test_a_solver_that_gives_no_number_makes_the_joints_brake(monkeypatch):
-    def solve(qd: np.ndarray, *_: object) -> int:
-        qd[:] = np.nan  # as MuJoCo 3 does, as if it had been solved
-        return 7
-
-    monkeypatch.setattr(mujoco, "mju_boxQP", solve)
-    box = np.stack((np.full(7, -0.2), np.full(7, 0.1)))
-    qd = scaled_least_squares(np.eye(6, 7), np.ones(6), np.ones(7), 0.1, 0.0, box)
-    assert np.array_equal(qd, np.zeros(7))
 
 
 # Bad input.
@@ -234,14 +213,6 @@ def test_a_key_that_no_fmu_can_follow_is_refused(arm):
     (arm / "scenario.toml").write_text("duration = 1.0\nmujoco = '3.11.0'\nsystem = 'a.ssp'\n")
     with pytest.raises(InputError, match="must be left out with system"):
         load_scenario(arm)
-
-
-def test_without_a_package_source_one_line_says_so(tmp_path):
-    command = ("run", "push", "--mujoco", "3.99.0", "--out", tmp_path / "r")
-    done = cli(*command, PIP_NO_INDEX="1", PIP_FIND_LINKS="", code=1)
-    (line,) = (line for line in done.stderr.splitlines() if "cannot be installed" in line)
-    assert "MuJoCo 3.99.0" in line
-    assert not (tmp_path / "r" / "recording.parquet").exists()
 
 
 # Sweeps and suites.

@@ -9,15 +9,12 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmu_support import REFERENCE_FMUS, compiler, needs_reference_fmus
+from fmu_support import REFERENCE_FMUS, needs_compiler, needs_reference_fmus
 from forked import command
 from panda_cosim import Recording
 from toy_fmu import library, toy_fmu
 
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="there is no C compiler"),
-]
+pytestmark = needs_compiler
 SOURCE = Path(__file__).parent / "c_fmu" / "events.c"
 STEP, TICKS = 0.1, 10  # s
 WAYS = [(), ("--master", "fmpy"), ("--isolate",)]

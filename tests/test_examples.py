@@ -18,7 +18,7 @@ from bounded import ran
 from panda_cosim.result.recording import Recording
 from panda_cosim.task.scenario import load_scenario
 
-pytestmark = [pytest.mark.fmu, pytest.mark.long]
+pytestmark = pytest.mark.long
 EXAMPLES = Path(__file__).parent.parent / "scenarios" / "examples"
 LIMIT = 500.0  # [s]
 

@@ -15,13 +15,12 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmu_support import REFERENCE_FMUS, compiler, needs_reference_fmus
+from fmu_support import REFERENCE_FMUS, needs_compiler, needs_reference_fmus
 from forked import command
 from panda_cosim.result.recording import Recording
 from panda_cosim.run.execution import run_scenario
 from toy_fmu import toy_fmu
 
-pytestmark = pytest.mark.fmu
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MJCF = Path(__file__).parent / "mjcf" / "box.xml"
 ROUNDING = 1e-9  # [1] of FMPy, which interpolates inputs in its own way
@@ -189,7 +188,7 @@ k = 0.5
 """
 
 
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+@needs_compiler
 def test_stimuli_are_what_the_master_fed(tmp_path):
     """The second FMU takes mN, in steps of 2 ms."""
     toy = toy_fmu(tmp_path / "a.fmu", 2)

@@ -18,8 +18,6 @@ from panda_cosim.study.compare.against_reference import Comparison, compare_with
 from panda_cosim.study.compare.reference import Reference, reference_path
 from panda_cosim.task.trajectory import Trajectory
 
-pytestmark = pytest.mark.fmu
-
 MARGIN = 3.0  # how far outside its tube the worst signal of a fault is, in tolerances
 LATE = 0.050  # s
 

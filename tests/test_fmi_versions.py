@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmu_support import compiler, initialize
+from fmu_support import initialize, needs_compiler
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import Connection
@@ -20,9 +20,8 @@ from panda_cosim.fmus.master.system import System, open_slave, open_system
 from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [
-    pytest.mark.fmu,
     pytest.mark.own_process,
-    pytest.mark.skipif(compiler() is None, reason="there is no C compiler"),
+    needs_compiler,
 ]
 U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
 

@@ -22,7 +22,7 @@ from fmu_support import in_fork
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import Kind, Target, build_trajectory, own_code, own_fmu
 
-pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
+pytestmark = pytest.mark.own_process
 VERSIONS = {"params": (2, 3), "ids": ("fmi2", "fmi3")}
 MIXED: list[tuple[Kind, str, int]] = [
     ("native", "plant", 3), ("native", "controller", 2), ("native", "trajectory", 3),
@@ -287,6 +287,20 @@ def test_what_must_not_be_set_is_refused_by_its_name(controller):
     assert (it.get("kp")[0], it.get("use_reference"), it.log) == (20.0, [0], [])
     it("Terminate")
     assert it.set("grip_cmd", 0.0) == ERROR
+
+
+def test_a_period_that_is_no_multiple_of_the_step_is_refused(controller):
+    it = Instance(controller)
+    assert it.set("period", 0.0015) == it.enter() == OK
+    assert it("ExitInitializationMode") == ERROR
+    assert "period" in it.messages()
+
+
+def test_a_broken_model_of_the_arm_is_named(controller, tmp_path):
+    place = controller.copy(tmp_path / "fmu")
+    (place.folder / "resources" / "panda.mjb").write_bytes(b"no model")
+    with pytest.raises(RefusedError, match=r"panda\.mjb"):
+        Instance(place)
 
 
 def test_calls_out_of_order_are_refused(fmu):

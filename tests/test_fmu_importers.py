@@ -25,7 +25,7 @@ from panda_cosim.task.scenario import load_scenario
 
 TICKS, TICK = 300, 0.001
 TOLERANCE = 1e-12  # [1] largest relative difference
-pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
+pytestmark = pytest.mark.own_process
 
 
 @pytest.fixture(scope="module")

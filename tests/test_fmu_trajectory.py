@@ -20,7 +20,7 @@ from panda_cosim.task.writer import write_input_csv
 
 Array = NDArray[np.float64]
 LENGTH = 300  # [tick] that are played
-pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
+pytestmark = pytest.mark.own_process
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 from bounded import ran
 from fmu_instance import MODELS, Unpacked, unpacked
-from fmu_support import compiler
+from fmu_support import compiler, needs_compiler
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library
 from panda_cosim.fmus.sources.targets import Kind
@@ -26,8 +26,7 @@ WAYS = {
 COMMA = 'LC_NUMERIC\ndecimal_point ","\nthousands_sep ""\ngrouping -1\nEND LC_NUMERIC\n'
 GROWTH = 1000  # KB at most, in the second half: Python collects its garbage now and then
 pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+    needs_compiler,
     pytest.mark.skipif(native.this_platform() != "linux64", reason="the host is for Linux"),
 ]
 

@@ -8,6 +8,7 @@ import json
 import re
 import shlex
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,23 +32,32 @@ from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.errors import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.interface.tables import SENSORS
 from panda_cosim.result.judging.criterion import Criterion
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.verdict import SUMMARY_FILE, Summary
+from panda_cosim.result.recording import Recording
 from panda_cosim.run.result import Run
 from panda_cosim.show.view.model import describe
 from panda_cosim.show.view.page import Inline, live_page
 from panda_cosim.study.compare.between_runs import RunComparison, compare
+from panda_cosim.study.compare.compare import compare_with_reference
 from panda_cosim.study.compare.junit import Case, write_cases
+from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.compare.regress import Outcome
+from panda_cosim.study.compare.report import write_report as write_suite
 from panda_cosim.study.live.server import LiveServer
 from panda_cosim.study.sweep.report import write_report
 from panda_cosim.study.sweep.row import command as row_command
 from panda_cosim.study.sweep.store import Store
-from regress_support import columns, record
+from panda_cosim.task.scenario import Scenario
+from panda_cosim.task.table import TableRow, TrajectoryTable
+from panda_cosim.task.tolerances import Tolerances
+from regress_support import CONTENT, SUMMARY, columns, record
 from view_support import MODEL
 
 TEXT = "".join((
     *HOSTILE[:-1], "[bold]x[/red]", "\x1b]0;title\x07\x9b31m", "a\0b\rc", "{{7*7}}`id`$(id);#\n id",
     "\u2066\u05e9\u05dc\u05d5\u05dd\u2067", HOSTILE[-1],
 ))  # fmt: skip
+TABLE = TrajectoryTable(tuple(TableRow(t, "home", (0.0, 0.0, 0.0), 0.08) for t in (0.0, 1.0)))
 CODE_RAN = """[...document.querySelectorAll("[data-code]")].every(
     ({ dataset: { code } }) => window[`Panda${code[0].toUpperCase()}${code.slice(1)}`])"""
 STOLEN = "<script>window.stolen = 1</script><img src=x onerror='window.stolen = 1'>"
@@ -55,8 +65,6 @@ STOLEN = "<script>window.stolen = 1</script><img src=x onerror='window.stolen = 
 
 def shown(page: Page, path: Path, scripts: int) -> None:
     """Open a page; nothing in it runs that is not its own, and it asks nobody."""
-    page.errors.clear()
-    page.requests.clear()
     page.open(path)
     page.wait(CODE_RAN)
     assert page.value("document.querySelectorAll('script').length") == scripts
@@ -132,11 +140,37 @@ def documented(text: str) -> bytes:
     return documentation(NativeFmu(interface, "python", text), Layout(), (text,))
 
 
-# How each page is made, and where in it the text stands; view and report have tests of their own.
+def reported(folder: Path, text: str) -> bytes:
+    """Return a report in which every text that users can choose is the same one."""
+    units = {"controller.dq[2]": text}
+    tolerances = Tolerances(values={"controller.dq": 3e-7})
+    scenario = Scenario("x", TABLE, 0.4, folder=folder, regression=tolerances)
+    object.__setattr__(scenario, "purpose", text)  # a scenario file refuses some of these
+    before = record(folder / "before", columns(), units=units)
+    reference = Reference.of(before, SUMMARY, tolerances)
+    reference.write(folder / "reference.parquet", before)
+    values = columns()
+    values["controller.dq[2]"][150:250] += 1e-4
+    metadata = {"versions": {text: text}, "parameters": {text: {text: text}}}
+    record(folder / "now", values, units=units, metadata=metadata)
+    (folder / "now" / SUMMARY_FILE).write_text(json.dumps({**CONTENT, "limits": {text: 1.0}}))
+    compared = compare_with_reference(
+        Recording.open(folder / "now"), SUMMARY, reference, tolerances
+    )
+    differs = Outcome(scenario, "differs", folder / "now", 1.0, compared)
+    named = copy(scenario)
+    object.__setattr__(named, "name", text)  # as a folder may be called
+    failed = Outcome(named, "failed", folder / "none", 1.0, error=text)
+    write_suite([differs, failed], folder / "report.html", {text: 1.0})
+    return (folder / "report.html").read_bytes()
+
+
+# How each page is made, and where in it the text stands; the view has a test of its own.
 PAGES: dict[str, tuple[Callable[[Path, str], bytes], str]] = {
     "sweep": (lambda folder, text: write_report(sweep_folder(folder, text)).read_bytes(), "h1"),
     "comparison": (lambda folder, text: compared(folder, text).to_html().encode(), "main"),
     "documentation": (lambda _, text: documented(text), "body"),
+    "report": (reported, ".purpose"),
 }
 
 
@@ -150,6 +184,10 @@ def test_texts_in_a_page_stay_text(page, tmp_path, kind):
     if kind == "sweep":
         copied = page.value("document.querySelector('#worst [data-copy]').dataset.copy")
         assert copied.isprintable()  # pasted into a shell, it does not run at once
+    if kind == "report":
+        page.value("document.querySelector('#verdicts tr:last-child a').click()")
+        place = "document.getElementById(decodeURIComponent(location.hash.slice(1)))"
+        assert page.value(f"{place}.querySelector('h2').textContent") == legible(TEXT, TEXT_LENGTH)
 
 
 @pytest.mark.parametrize("kind", PAGES)
@@ -197,7 +235,6 @@ def test_a_frame_keeps_scripts_from_the_notebook(page, tmp_path):
 def test_a_notebook_shows_a_runs_texts(page, tmp_path):
     criteria = (Criterion(TEXT, 1.0, 2.0, TEXT, ok=True), Criterion(TEXT, None, 1.0, "", ok=False))
     summary = Summary(criteria=criteria, scenario=TEXT, reason=TEXT, complete=False)
-    page.errors.clear()
     in_notebook(page, tmp_path, Run(tmp_path, summary)._repr_html_())
     tags = "[...new Set([...document.body.querySelectorAll('*')].map((e) => e.tagName))].sort()"
     assert page.value(tags) == ["B", "P", "TABLE", "TBODY", "TD", "TH", "TR"]
@@ -267,8 +304,6 @@ def test_texts_in_the_live_page_stay_text(page):
         ask=lambda _command, refuse: refuse(ODD),
     )
     server = LiveServer(simulation, live_page(ODD, described()))  # type: ignore[arg-type]
-    page.errors.clear()
-    page.requests.clear()
     with server.serving():
         page.visit(server.address, 820, 560)
         page.wait(READY)

@@ -17,7 +17,6 @@ from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import OF_IMPEDANCE, OF_SERVOS, Gains, preset
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.run.execution import run_scenario
-from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.task.scenario import Push, load_scenario
 
@@ -131,16 +130,6 @@ def test_a_hand_that_is_pushed_comes_back_to_its_path(tmp_path, axis, force):
     torque = record["controller.motor_torque"]
     assert (np.abs(torque) <= SHARE * TORQUE_MAX + 1e-9).all()
     assert (np.abs(np.diff(torque, axis=0)) <= SHARE * 1e-3 * TORQUE_RATE_MAX + 1e-9).all()
-
-
-@pytest.mark.own_process
-def test_both_kinds_of_fmus_run_it_to_the_same_bits(tmp_path):
-    short = replace(MOVING, duration=0.3)
-    runs = [
-        run_scenario(short, tmp_path / kind, Options(kind=kind)) for kind in ("native", "python")
-    ]
-    one, other = (run.recording["plant.qpos"] for run in runs)
-    assert np.array_equal(one, other)
 
 
 @pytest.mark.long

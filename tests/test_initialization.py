@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fmu_support import compiler
+from fmu_support import needs_compiler
 from panda_cosim import load_scenario
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
@@ -24,9 +24,8 @@ from panda_cosim.study.check.diagnosis import rehearse
 from toy_fmu import library
 
 pytestmark = [
-    pytest.mark.fmu,
     pytest.mark.own_process,
-    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+    needs_compiler,
 ]
 SOURCE = Path(__file__).parent / "c_fmu" / "start.c"
 NAMES = ("u", "y", "x0", "g", "c", "tolerance")

@@ -70,7 +70,6 @@ def own(tmp_path_factory):
     return folder
 
 
-@pytest.mark.fmu
 def test_a_script_beside_modules_of_the_same_names_runs(own):
     done = run(sys.executable, "script.py", cwd=own)
     assert done.stdout == "done\n", done.stderr
@@ -207,12 +206,10 @@ def run_commands(installed: Path, commands: list[str], cache: Path | None) -> No
         assert "Traceback" not in done.stderr
 
 
-@pytest.mark.fmu
 def test_a_wheel_without_the_source_runs_a_scenario(installed):
     run_commands(installed, LINES[:3], cache=None)
 
 
-@pytest.mark.fmu
 @pytest.mark.long
 def test_a_wheel_without_the_source_runs_every_command(installed):
     run_commands(installed, LINES, cache=installed / "cache")

@@ -12,10 +12,7 @@ from bounded import ran
 from fault_support import processes_with
 from panda_cosim.fmus.atomic import TEMPORARY
 
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc"),
-]
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 
 
 COMPILER = """#!/bin/sh

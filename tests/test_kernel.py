@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fmu_support import compiler, in_process
+from fmu_support import in_process, needs_compiler
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.kernel import load_stepper
@@ -27,10 +27,7 @@ from panda_cosim.run.stopping import StopRequest
 from panda_cosim.task.scenario import load_scenario, shipped_scenarios
 from toy_fmu import INDICES, toy_fmu
 
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="there is no C compiler"),
-]
+pytestmark = needs_compiler
 TICK = 0.001  # [s]
 ELEMENTS = st.sampled_from(INDICES)
 STEPPERS: dict[str, Callable[[], Any]] = {"in C": load_stepper, "in Python": lambda: None}

@@ -8,7 +8,7 @@ from fmu_instance import ERROR, OK, Instance, unpacked_fmu
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.law import law_fmu, law_interface, read_law
 
-pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
+pytestmark = pytest.mark.own_process
 
 LAW = '''
 import threading

@@ -125,8 +125,6 @@ def replayed(folder: Path, out: Path) -> Recording:
 
 
 def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page, tmp_path):
-    page.errors.clear()
-    page.requests.clear()
     with live(tmp_path / "run", "--speed", "0.1", "--paused") as server:
         page.visit(server.address, 720, 400)  # software draws, and large pictures take it long
         page.wait(READY)

@@ -25,7 +25,6 @@ from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable
 from panda_cosim.task.trajectory import Trajectory
 
-pytestmark = pytest.mark.fmu
 Array = NDArray[np.float64]
 
 QUARTER_TURN = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])  # about z

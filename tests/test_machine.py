@@ -23,7 +23,6 @@ COMMAND = [Path(sys.executable).parent / "panda-cosim"]
 QUIET = ("--no-video", "--no-view", "--no-plot")
 
 
-@pytest.mark.fmu
 def test_a_poor_machine_is_enough_for_a_run(tmp_path):
     """20 open files, 2 GB of addresses, no home, no folder for temporary files, no output."""
     scenario = write_scenario(tmp_path / "scenario", 0.02)
@@ -41,7 +40,29 @@ def test_a_poor_machine_is_enough_for_a_run(tmp_path):
     assert Recording.open(tmp_path / "run").complete
 
 
-@pytest.mark.fmu
+ENVIRONMENTS: dict[str, dict[str, str]] = {
+    "plain": {},
+    "another user": {"PYTHONHASHSEED": "12345", "TZ": "Pacific/Chatham", "HOME": "/nonexistent",
+                     "PYTHONUNBUFFERED": "1", "PYTHONOPTIMIZE": "1"},
+    "four threads, plain C locale": {"OMP_NUM_THREADS": "4", "OPENBLAS_NUM_THREADS": "4",
+                                     "MKL_NUM_THREADS": "4", "LC_ALL": "C", "PYTHONUTF8": "0"},
+}  # fmt: skip
+
+
+def test_neither_the_environment_nor_runs_at_the_same_time_change_a_bit(tmp_path):
+    """The hand moves and is pushed, by numbers that need all their digits."""
+    push = "[[push]]\nstart = 0.1\nduration = 0.05\nforce = [7.7, -3.3, 1.1]\n"
+    scenario = write_scenario(tmp_path / "short", 0.3, push)
+    cache = {"PANDA_COSIM_CACHE": str(cache_folder())}
+    started = [
+        subprocess.Popen([*COMMAND, "run", scenario, "--out", tmp_path / name, *QUIET],
+                         env=os.environ | cache | variables, stdout=subprocess.DEVNULL)
+        for name, variables in ENVIRONMENTS.items()
+    ]  # fmt: skip
+    assert [process.wait(120) for process in started] == [0] * len(started)
+    assert len({Recording.open(tmp_path / name).sha256() for name in ENVIRONMENTS}) == 1
+
+
 @pytest.mark.parametrize("duration", [0.02, 3.0])
 def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path, duration):
     scenario = write_scenario(tmp_path / "scenario", duration)
@@ -54,7 +75,6 @@ def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path, duration):
     assert not list((tmp_path / "run").glob("recording.*"))
 
 
-@pytest.mark.fmu
 def test_a_build_that_does_not_come_to_its_end_leaves_all_the_old_files(tmp_path):
     """Whole, with their reference experiments; nor does one that is killed meanwhile."""
     build_all(load_scenario("pick_and_place"), tmp_path)

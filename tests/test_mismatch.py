@@ -139,7 +139,6 @@ def record_late(folder: str) -> None:
         run_scenario(PUSH.changed(keys), f"{folder}/{known}")
 
 
-@pytest.mark.fmu
 def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path):
     """The hand is ahead by its speed times the delay, unless the controller knows the delay."""
     in_process(record_late, str(tmp_path))
@@ -152,7 +151,6 @@ def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path):
     assert np.abs(unknown["controller.vel_cmd"]).max() > 0.1  # m/s
 
 
-@pytest.mark.fmu
 def test_runs_with_sensors(tmp_path):
     in_process(record, str(tmp_path))
     plain, zero, one, again = (

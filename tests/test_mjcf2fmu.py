@@ -57,7 +57,6 @@ def test_variables_have_the_units_that_mujoco_defines(box):
     assert "start_qpos[8]" in variables
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
 def test_parameters_and_keyframe_are_the_start(box, tmp_path):
     def instance(fmi: int, values: dict[str, list[float]], **options: Any) -> Instance:
@@ -226,7 +225,6 @@ def test_fmi_3_has_a_terminal_with_all_signals(box, tmp_path):
     assert [m.get("variableName") for m in root.iter("TerminalMemberVariable")] == signals
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
 def test_elements_are_named_after_joints_and_actuators(box, tmp_path):
     file = write(box, tmp_path / "box.fmu", ModelOptions(step=0.0005))
@@ -259,7 +257,6 @@ def test_units_of_actuators_follow_their_joints(tmp_path):
     assert forces == ["N.m", "N", "N.m", "N", "N.m", "N", "N.m", "N.m"]
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_keyframe_and_gains_are_parameters(box, tmp_path, fmi):

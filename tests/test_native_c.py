@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fmu_instance import BACKENDS, MODELS, Unpacked, mujoco_library, unpacked
-from fmu_support import compiler
+from fmu_support import compiler, needs_compiler
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library
 from panda_cosim.fmus.sources.targets import Kind
@@ -24,10 +24,7 @@ SANITIZED = (
 )
 PLAIN = ("-g", "-O1")
 SHORT, ACCEPTANCE = 1500, 100_000  # calls
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
-]
+pytestmark = needs_compiler
 
 
 def compiled(folder: Path, *arguments: str | Path) -> None:

@@ -27,10 +27,7 @@ SET_OUT = 0.2  # [s] when the arm moves
 GRIPPED = 2.2  # [s] when the fingers hold the block
 TOLERANCE = 1e-4  # [m, rad] between platforms, all the way
 ARM_ROOT = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(find_spec("ziglang") is None, reason="ziglang is not installed"),
-]
+pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="ziglang is not installed")
 
 
 def wine() -> str | None:

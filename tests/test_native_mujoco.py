@@ -22,7 +22,7 @@ from panda_cosim.fmus.sources.model_fmu import ModelOptions, load, model_fmu
 from panda_cosim.plant.parameters import RANGES
 from panda_cosim.plant.plant import OUTPUTS, Plant, PlantParameters
 
-pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
+pytestmark = pytest.mark.own_process
 NAMES = OUTPUTS.names or ()
 CASES: tuple[dict[str, Any], ...] = (
     {},
@@ -200,17 +200,3 @@ def places() -> Any:
 def test_both_plants_agree_on_where_the_block_can_start(scene, x, y, yaw):
     native, python = starts(unpacked("native", "plant", 2), scene, x, y, yaw)
     assert native == python
-
-
-@pytest.mark.parametrize(
-    ("place", "height", "inside"),
-    [((0.4, -0.2), 0.05, ""), ((0.6, 0.35), 0.25, ""), ((0.0, 0.0), None, "inside 'link0'"),
-     ((0.44, 0.3), None, "inside 'table'")],
-)  # fmt: skip
-def test_the_block_stands_on_floor_or_table_alone(fmu, place, height, inside):
-    native, python = starts(fmu, SCENES[0], *place, 0.0)
-    assert native == python
-    if height is None:
-        assert inside in native
-    else:
-        assert native[:3] == [*place, height]

@@ -18,10 +18,9 @@ from panda_cosim.fmus.sources.targets import Kind, Target, build
 HOST = Path(__file__).with_name("bare_host.py")
 STEPS = 50
 OLDER_MUJOCO = "3.3.7"
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(this_platform() != "linux64", reason="the host opens Linux libraries"),
-]
+pytestmark = pytest.mark.skipif(
+    this_platform() != "linux64", reason="the host opens Linux libraries"
+)
 
 
 @pytest.fixture(scope="module")

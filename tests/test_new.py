@@ -23,13 +23,11 @@ def folder(tmp_path):
     return made
 
 
-@pytest.mark.fmu
 def test_a_new_scenario_runs_at_the_first_try(folder, tmp_path):
     run = run_scenario(folder, tmp_path / "run")
     assert run.summary.success, run.summary.criteria
 
 
-@pytest.mark.fmu
 def test_a_new_scenario_with_parts_of_its_own_runs_and_is_swept(tmp_path):
     runner = CliRunner()
     new = runner.invoke(app, ["new", str(tmp_path / "own"), "--law", "--plant", "--sweep"])

@@ -8,16 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from fmu_support import compiler
+from fmu_support import needs_compiler
 from forked import command
 from odd_fmu import Variable, odd_fmu, odd_ssp
 from panda_cosim import Recording, Scenario, Session
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
-]
+pytestmark = needs_compiler
 CONTROL = [
     ("p", "Real", "parameter", 0),
     ("n", "Integer", "parameter", 0),

@@ -131,7 +131,6 @@ def rows(folder: Path, content: str) -> tuple[tuple[str, ...], bytes]:
     return recording.columns, values.tobytes()
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_all_permutations_of_lines_give_the_same_bits(folder, coupling):
@@ -144,7 +143,6 @@ def test_all_permutations_of_lines_give_the_same_bits(folder, coupling):
         assert rows(folder, text(LINES, connect, more)) == expected
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
 def test_the_order_can_be_stated(folder):
     stated = 'order = ["c", "plant", "a"]'
@@ -159,7 +157,6 @@ def test_the_order_can_be_stated(folder):
             prepare(load_scenario(folder))
 
 
-@pytest.mark.fmu
 def test_it_is_shown(folder, tmp_path):
     (folder / "scenario.toml").write_text(text(LINES, CONNECT))
     said = "FMUs are stepped in the order a, c, plant; a step late: plant.y[1,1] -> a.u[1,2]"
@@ -207,7 +204,6 @@ def ssp(folder: Path, path: Path, names: Sequence[str], ends: Sequence[tuple[str
     return path
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_all_permutations_of_elements_give_the_same_bits(folder, tmp_path, coupling):
@@ -222,7 +218,6 @@ def test_all_permutations_of_elements_give_the_same_bits(folder, tmp_path, coupl
     assert len(found) == 1
 
 
-@pytest.mark.fmu
 def test_a_model_is_known_by_its_description_and_goes_last(tmp_path):
     """Whatever its name; written as an .ssp file, the system states its order."""
     scenario = tmp_path / "mine"

@@ -107,7 +107,6 @@ def test_outputs_feed_inputs_of_their_name_size_and_unit_alone(n, m, unit, other
     assert not connector.connections
 
 
-@pytest.mark.fmu
 def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder, tmp_path):
     done = job(folder, tmp_path / "run", {"controller.gain": 12.0})
     assert done["summary"]["success"], done["summary"]["criteria"]
@@ -119,7 +118,6 @@ def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder, tmp_path):
     assert in_process(same_bits, str(tmp_path / "run"), str(again))
 
 
-@pytest.mark.fmu
 def test_a_law_by_option_is_compared_with_the_shipped_one(folder, tmp_path):
     law = f"{folder / 'my_law.py'}:ResolvedRate"
     done = job(shipped_scenarios()["pick_and_place"], tmp_path / "a", {"fmus.controller": law})
@@ -191,7 +189,6 @@ def test_a_bad_law_is_one_line(folder, old, new, message):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.fmu
 def test_a_law_that_fails_ends_the_run_with_its_place(folder, tmp_path):
     path = folder / "my_law.py"
     path.write_text(path.read_text().replace("error = ", "1 / (time < 0.1)\n        error = ", 1))
@@ -204,7 +201,6 @@ def test_a_law_that_fails_ends_the_run_with_its_place(folder, tmp_path):
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["complete"] is False
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize(
     ("line", "error"),
     [
@@ -227,7 +223,6 @@ def test_a_law_that_cannot_start_says_why_in_one_line(tmp_path, line, error):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.fmu
 def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path):
     arm = write_arm(tmp_path / "arm")
     done = job(arm, tmp_path / "run", {"controller.kp": 80.0})
@@ -238,7 +233,6 @@ def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path):
     assert in_process(same_bits, str(tmp_path / "run"), str(tmp_path / "again"))
 
 
-@pytest.mark.fmu
 def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_path):
     arm, run = write_arm(tmp_path / "arm"), tmp_path / "run"
     assert any("PythonFMU slave" in d.text for d in check_folder(arm))
@@ -269,7 +263,6 @@ def damaged_model(path: Path) -> bytes:
     return path.read_bytes()
 
 
-@pytest.mark.fmu
 def test_a_damaged_model_is_one_line_at_every_door(tmp_path):
     good, run = tmp_path / "good", tmp_path / "run"
     good.mkdir()
@@ -295,7 +288,6 @@ def test_a_damaged_model_is_one_line_at_every_door(tmp_path):
     assert not (tmp_path / "no").exists()
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path, fmi):
     folder = tmp_path / "toys"
@@ -327,7 +319,6 @@ def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path, fmi):
     assert {c["name"]: c["reason"] for c in criteria if c["name"] in reasons} == reasons
 
 
-@pytest.mark.fmu
 def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(tmp_path):
     folder, ssp = tmp_path / "toy", tmp_path / "toy" / "toy.ssp"
     folder.mkdir()

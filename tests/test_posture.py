@@ -62,7 +62,6 @@ def record(folder: str) -> None:
     run_scenario(load_scenario(Path(folder) / "scenario"), f"{folder}/run")
 
 
-@pytest.mark.fmu
 def test_the_arm_takes_the_postures_between_the_rows_too(tmp_path):
     in_process(record, str(tmp_path))
     recording = Recording.open(tmp_path / "run")

@@ -27,11 +27,11 @@ from panda_cosim.fmus.master.fmu_file import Fmu, described_interface
 from panda_cosim.fmus.sources.targets import OWN, Target, build, build_fmu, own_code, own_fmu
 from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
-from panda_cosim.run.prepare import Prepared, prepare
+from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import start_values
 from panda_cosim.task.scenario import load_scenario
 
-pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
+pytestmark = pytest.mark.own_process
 STEP = 0.001  # [s]
 PACKED = Target("pythonfmu")
 STEPS = b"self._plant.step(count)"  # what a step of the plant's slave does
@@ -93,51 +93,6 @@ def with_step(step: bytes) -> Path:
 
 
 # The same bits.
-
-
-def in_fmpy(prepared: Prepared, columns: Sequence[str]) -> np.ndarray:
-    """Rows of a scenario that FMPy alone steps, with Gauss-Seidel."""
-    assembly, inputs, units = prepared.assembly, prepared.inputs(), {}
-    for name, path in assembly.system.fmus.items():
-        given = []
-        for scalar in assembly.interfaces[name].scalars():
-            if scalar.name in prepared.values[name]:
-                kind = {"Enumeration": "Integer"}.get(scalar.variable.kind, scalar.variable.kind)
-                value = scalar.converted(prepared.values[name][scalar.name])
-                given.append((kind, scalar.value_reference, value))
-        units[name] = Unit(path, given)
-    ends = [column.partition(".")[::2] for column in columns]
-    rows = np.empty((prepared.scenario.ticks + 1, len(columns)))
-    for tick, row in enumerate(inputs[0 : len(rows)]):
-        for name, unit in units.items():
-            where = [k for k, (instance, _) in enumerate(ends) if instance == name]
-            if (
-                name == "plant"
-            ):  # a row has its outputs at the start of a step, all others' at the end
-                rows[tick, where] = unit.get([ends[k][1] for k in where])
-                if tick == len(rows) - 1:
-                    break
-            values = {n: x for (i, n), x in zip(assembly.external, row, strict=True) if i == name}
-            wired = [c for c in assembly.connections if c.target[0] == name]
-            for source in {c.source[0] for c in wired}:
-                own = [c for c in wired if c.source[0] == source]
-                read = units[source].get([c.source[1] for c in own])
-                values |= {c.target[1]: x for c, x in zip(own, read, strict=True)}
-            unit.set(list(values), list(values.values()))
-            unit.slave.doStep(tick * STEP, STEP)
-            if name != "plant":
-                rows[tick, where] = unit.get([ends[k][1] for k in where])
-    return rows
-
-
-@pytest.mark.parametrize("name", ["pick_and_place", "tutorial", "push"])
-def test_plain_fmpy_gives_the_bits_of_native_fmus(name, tmp_path):
-    recording = run_scenario(name, tmp_path / "run").recording
-    columns = [f"plant.qpos[{i}]" for i in range(1, 17)]
-    columns += [f"controller.ctrl[{i}]" for i in range(1, 9)]
-    rows = in_fmpy(prepare(load_scenario(name), Options(kind="pythonfmu")), columns)
-    for i, column in enumerate(columns):
-        assert rows[:, i].tobytes() == recording[column].tobytes(), column
 
 
 @pytest.mark.parametrize("name", ["elastic", "sensor_noise", "jacobi"])

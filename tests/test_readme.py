@@ -73,7 +73,6 @@ def test_every_link_leads_somewhere(name):
             assert anchor in headings(page), f"{target}#{anchor}"
 
 
-@pytest.mark.fmu
 def test_the_example_of_a_model_runs_anywhere(tmp_path):
     example = next(block for block in blocks("sh") if "pendulum.xml" in block)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -81,7 +80,6 @@ def test_the_example_of_a_model_runs_anywhere(tmp_path):
     assert "Angle of joint hinge" in done.stdout
 
 
-@pytest.mark.fmu
 @pytest.mark.long
 def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
     pytest.importorskip("pandas")

@@ -34,7 +34,7 @@ WIDER = {  # input by the output that feeds it
     "Float64_discrete": "Float32_discrete",
 }  # fmt: skip
 
-pytestmark = [pytest.mark.fmu, needs_reference_fmus]
+pytestmark = needs_reference_fmus
 
 
 def write(folder: Path, fmus: Mapping[str, str], more: str = "") -> Path:

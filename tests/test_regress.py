@@ -23,7 +23,7 @@ from panda_cosim.study.compare.regress import find_scenarios, start
 from panda_cosim.study.work import Workers
 from panda_cosim.task.scenario import Scenario
 
-pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
+pytestmark = pytest.mark.usefixtures("forked_workers")
 
 LARGEST = 500_000  # bytes of a reference; noise compresses badly
 

@@ -162,7 +162,6 @@ def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path):
 
 
 @needs_gl
-@pytest.mark.fmu
 def test_a_run_names_each_file_once_it_is_there_and_the_video_last(tmp_path):
     write_scenario(tmp_path / "short")
     done = subprocess.run(
@@ -357,7 +356,6 @@ def test_mujoco_gl_is_honoured_and_only_what_is_missing_is_named(
 
 
 @linux
-@pytest.mark.fmu
 def test_what_needs_no_picture_needs_no_opengl(tmp_path):
     """MuJoCo's import would fail, or ask for a screen: the command line lets it load no backend."""
     scenario = write_scenario(tmp_path / "scenario", 0.01)

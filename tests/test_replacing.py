@@ -45,7 +45,6 @@ def written_by_commands(folder: Path) -> dict[str, tuple[tuple[object, ...], Pat
     }
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize("case", written_by_commands(Path()))
 def test_a_file_that_no_command_made_stays(tmp_path, case):
     record(tmp_path / "run", columns(2))

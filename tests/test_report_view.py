@@ -62,8 +62,6 @@ def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
     found = compare_runs(*(outcome.run for outcome in outcomes))
     path = tmp_path / "compare.html"
     path.write_text(found.to_html(), encoding="utf-8")
-    page.errors.clear()
-    page.requests.clear()
     page.open(path, 760, 420)
     page.wait(SHOWN)
     assert page.value("PandaView.viewer.runs.map(({ name }) => name)") == ["wrong", "good"]
@@ -77,8 +75,6 @@ SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
 
 
 def test_a_report_opens_at_the_worst_tick_and_shows_one_scenario_at_a_time(page, report, outcomes):
-    page.errors.clear()
-    page.requests.clear()
     page.open(report, 760, 420)
     page.wait(SHOWN)
     comparison = outcomes[1].comparison

@@ -41,7 +41,6 @@ def record(folder: str, out: str) -> bool | None:
     return run_scenario(load_scenario(Path(folder)), out).summary.success
 
 
-@pytest.mark.fmu
 def test_a_block_behind_the_arm_is_set_down_within_all_limits(routed, tmp_path):
     assert in_process(record, str(routed), str(tmp_path / "run"))
     recording = Recording.open(tmp_path / "run")
@@ -94,7 +93,6 @@ def passes(out: str) -> tuple[bool | None, list[str]]:
     return run.summary.success, [row.name for row in kept.table.rows if row.name]
 
 
-@pytest.mark.fmu
 def test_a_wall_in_a_scene_of_its_own_is_not_touched(tmp_path):
     """The wall stands free: `max_shift` of the scenario would notice a touch of 1 N."""
     success, names = in_process(passes, str(tmp_path / "run"))

@@ -29,7 +29,6 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.recording import Recording
 from panda_cosim.run.options import Options
 
-pytestmark = pytest.mark.fmu
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
 SCHEDULING = 0.5  # [s] that a busy machine may keep a process from running
 

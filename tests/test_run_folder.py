@@ -44,7 +44,6 @@ CHANGES: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize("values", CHANGES)
 def test_running_the_copy_gives_the_same_bits(tmp_path, values):
     made = tmp_path / "lift"
@@ -149,7 +148,6 @@ def test_an_invalid_option_is_refused(options, message):
         Options(**options)
 
 
-@pytest.mark.fmu
 def test_a_time_limit_ends_a_run_between_two_steps(tmp_path):
     scenario = dataclasses.replace(load_scenario("push"), duration=600.0)
     run = run_scenario(scenario, tmp_path / "run", Options(time_limit=0.3))
@@ -160,7 +158,6 @@ def test_a_time_limit_ends_a_run_between_two_steps(tmp_path):
     assert run.recording.rows == run.summary.timing["steps"] + 1
 
 
-@pytest.mark.fmu
 def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path):
     scenario = dataclasses.replace(load_scenario("push"), duration=600.0)
     stop, seen = threading.Event(), threading.Event()

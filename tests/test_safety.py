@@ -74,7 +74,6 @@ def law_scenario(folder: Path) -> Path:
 PROGRAM = Path(sysconfig.get_path("scripts")) / "panda-cosim"
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize("isolate", [False, True])
 def test_code_in_the_working_directory_does_not_run(tmp_path, isolate):
     """Neither in the command, nor where FMUs are built, nor in any other Python that is started."""
@@ -106,7 +105,6 @@ slave_fmu(slave, None)
 """
 
 
-@pytest.mark.fmu
 def test_nor_does_it_where_a_users_script_starts_processes(tmp_path):
     """`PYTHONSAFEPATH` is set for the project's own children then, and for theirs."""
     spoil(tmp_path / "here", {"json", "numpy", "pythonfmu", "importlib", "socket"})

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fmu_instance import OK, Instance, unpacked
 from panda_cosim.controller.sensor_errors import SensorErrors
 from panda_cosim.controller.sensors import TRUTH, Sensors
 from panda_cosim.plant.plant import Plant
@@ -119,19 +118,3 @@ def test_a_restored_state_goes_on_with_the_same_bits(tick):
             each.truth_values[:] = row
             each.update()
         assert sensors.reading_values.tobytes() == other.reading_values.tobytes()
-
-
-@pytest.mark.fmu
-@pytest.mark.own_process
-def test_the_fmu_replays_bit_for_bit_also_elsewhere():
-    fmu = unpacked("native", "sensors", 2)
-    noise = [0.0, 1e-4, *[0.0] * 5]
-    values = {"delay": [0.003], "dropout": [0.2], "joint_noise": noise, "seed": [5.0]}
-    it, other = Instance(fmu).start(values), Instance(fmu).start()
-    rows = it.play(0, 10)
-    data = it.serialize(it.save())
-    rows += it.play(10, 40)
-    for each in (it, other):
-        status, state = each.deserialize(data)
-        assert status == each.load(state) == OK
-        assert each.play(10, 40) == rows[10:]

@@ -32,7 +32,6 @@ from panda_cosim.run.journal import Journal
 from parts_jobs import session_of_other_parts
 from toy_fmu import toy_fmu
 
-pytestmark = pytest.mark.fmu
 HEAD = {"scenario": "pick_and_place", "kind": "native", "fmus": {}}
 SCENARIO = replace(load_scenario("pick_and_place"), duration=1.4)
 

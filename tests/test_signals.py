@@ -8,18 +8,13 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from fmu_support import compiler
+from fmu_support import needs_compiler
 from forked import command
 from panda_cosim import Recording
 from toy_fmu import UNITS, library, toy_fmu
 
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="there is no C compiler"),
-]
-Array = NDArray[np.float64]
+pytestmark = needs_compiler
 STEP, TICKS = 0.1, 20  # s
 TIMES = STEP * np.arange(TICKS + 1)
 
@@ -99,30 +94,6 @@ def test_differences_of_temperatures_have_no_offset(tmp_path):
     )
     wanted = recording["a.y[2,1]"][:-1] + TIMES[1:]
     np.testing.assert_allclose(recording["b.y[1,2]"][1:], wanted, rtol=1e-15)
-
-
-def test_check_shows_what_is_converted(tmp_path):
-    measuring(tmp_path / "a.fmu", 2, "degC", CELSIUS)
-    measuring(tmp_path / "b.fmu", 3, "K", '<BaseUnit K="1"/>')
-    (tmp_path / "scenario.toml").write_text(
-        'duration = 1.0\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n"b.u" = "a.y"\n'
-    )
-    said = command("check", tmp_path).stdout
-    assert said.count("b.u [K] = 1 * a.y [degC] + 273.15") == 1
-
-
-def test_units_without_a_conversion_are_refused_by_check_and_run(tmp_path):
-    measuring(tmp_path / "a.fmu", 2, "deg", DEGREE)
-    measuring(tmp_path / "b.fmu", 2, "s", '<BaseUnit s="1"/>')
-    (tmp_path / "scenario.toml").write_text(
-        'duration = 1.0\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n"b.u" = "a.y"\n'
-    )
-    for name in ("check", "run"):
-        done = command(name, tmp_path, cwd=tmp_path, code=2)
-        assert (
-            "a.y (2x3) [deg] feeds b.u (2x3) [s]; must have the same unit"
-            in done.stderr + done.stdout
-        )
 
 
 def sizes_fmu(path: Path) -> None:

@@ -28,7 +28,6 @@ def folder(tmp_path):
     return tmp_path
 
 
-@pytest.mark.fmu
 @own_process
 @pytest.mark.parametrize(("fmi", "name"), [("2", "decay.py"), ("3", "decay.py:Decay")])
 def test_a_slave_becomes_an_fmu_that_runs(folder, fmi, name):
@@ -50,7 +49,6 @@ def decay(request):
     return unpacked_fmu(slave_fmu(SLAVES / "decay.py"), request.param)
 
 
-@pytest.mark.fmu
 @own_process
 def test_values_texts_and_states_arrive(decay):
     it = Instance(decay).start({"u": [2.0]})
@@ -72,7 +70,6 @@ def test_values_texts_and_states_arrive(decay):
     assert it.log == []
 
 
-@pytest.mark.fmu
 @own_process
 @pytest.mark.parametrize(
     ("fail", "told"), [(1.0, "RuntimeError: boom 100%"), (2.0, "do_step returned False")]
@@ -90,7 +87,6 @@ def test_a_failure_of_the_slave_is_an_error(decay, fail, told):
     assert "big = 2.5e+09 does not fit an integer" in it.messages()
 
 
-@pytest.mark.fmu
 @own_process
 def test_the_hosts_modules_and_path_stay_as_they_are(folder):
     sys.modules["my_helper"] = own = ModuleType("my_helper")
@@ -171,7 +167,6 @@ def peculiar(request, tmp_path_factory):
     return build_fmu(fmu, Target(fmi=request.param))
 
 
-@pytest.mark.fmu
 @own_process
 def test_a_slave_may_have_any_names_and_says_why_it_failed(peculiar):
     assert validate_fmu(str(peculiar)) == []

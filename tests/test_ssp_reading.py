@@ -156,7 +156,6 @@ OWN = (
 )
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
 def test_nested_systems_convert_and_transform_on_the_way(tmp_path):
     more = OWN + parameters(value("given", "0.5") + value("S.b.k", "4"))
@@ -357,7 +356,6 @@ TYPES = {"Int32": ("Integer", "7"), "Boolean": ("Boolean", "true"), "String": ("
          "Enumeration": ("Enumeration", "Option 2")}  # fmt: skip
 
 
-@pytest.mark.fmu
 @needs_reference_fmus
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_connections_and_parameters_of_all_types(tmp_path, fmi):

@@ -13,7 +13,6 @@ from fmu_instance import MODELS, OK, Instance, Unpacked, unpacked
 from fmu_support import in_process
 from panda_cosim.fmus.sources.targets import Kind
 
-pytestmark = pytest.mark.fmu
 TICKS = 160  # at a model's step of 2 ms, bodies fall asleep from the 80th on, and wake again
 # What is called, in which of two instances, and how far or which output or state.
 CALLS = st.tuples(

@@ -9,7 +9,7 @@ from sweep_support import rows_of, short_sweep
 distributed = pytest.importorskip("distributed")
 import dask_jobs  # noqa: E402 - needs it
 
-pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
+pytestmark = pytest.mark.usefixtures("forked_workers")
 SAMPLES = 8
 
 

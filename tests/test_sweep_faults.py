@@ -16,7 +16,7 @@ from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.report import promote_row, show_row
 from sweep_support import TABLE, rows_of
 
-pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
+pytestmark = pytest.mark.usefixtures("forked_workers")
 LAW = """\
 import time as clock
 

@@ -19,7 +19,7 @@ from panda_cosim.study.sweep.report import promote_row, scenario_of
 from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep, write_sweep
 
-pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
+pytestmark = pytest.mark.usefixtures("forked_workers")
 
 
 def edit(folder: Path, *changes: tuple[str, str]) -> None:

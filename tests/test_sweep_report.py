@@ -81,8 +81,6 @@ def select(page: Page, name: str, value: str) -> None:
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
 def test_the_page_draws_itself_and_asks_nobody(page, scheme, width, tmp_path):
     path = write_report(made_up(tmp_path / "sweep", 300))
-    page.errors.clear()
-    page.requests.clear()
     page.open(path, width, 844, scheme)
     page.wait("window.PandaSweep !== undefined")
     bad = page.value("PandaSweep.data.bad.filter(Boolean).length")
@@ -176,7 +174,6 @@ def test_each_cell_of_the_map_counts_the_rows_of_its_place(page, tmp_path, rows,
         assert across.deriv()(0) > 0
 
 
-@pytest.mark.fmu
 @pytest.mark.usefixtures("forked_workers")
 def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(page, tmp_path):
     gains = {"vary": {"controller.kp": {"values": [6.0, 8.0, 12.0]}}}

@@ -33,7 +33,7 @@ from panda_cosim.study.sweep.row import Task
 from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
 
-pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("forked_workers")]
+pytestmark = pytest.mark.usefixtures("forked_workers")
 COMMAND = str(Path(sys.executable).with_name("panda-cosim"))
 
 

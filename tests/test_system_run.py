@@ -27,7 +27,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_a_system_runs_as_its_scenario_bit_for_bit(folder, coupling):
     runs = {"system": (folder / "files" / "Panda.ssp",), "scenario": (folder / "short",)}
@@ -83,7 +82,6 @@ on = "block"
 """
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize(
     ("kind", "fmi"),
     [
@@ -125,7 +123,6 @@ def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(tmp_path, kind, fmi
     assert "it can run" in check.stdout
 
 
-@pytest.mark.fmu
 def test_run_and_check_refuse_a_system_in_the_same_words(folder, tmp_path):
     bad = tmp_path / "bad.ssp"
     with (
@@ -145,7 +142,6 @@ def test_run_and_check_refuse_a_system_in_the_same_words(folder, tmp_path):
     assert "did you mean 'qvel[1]'" in check.stdout
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

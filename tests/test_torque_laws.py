@@ -6,8 +6,6 @@ import pytest
 
 from forked import command
 
-pytestmark = pytest.mark.fmu
-
 LAWS = '''
 import numpy as np
 from clipped import clipped

@@ -40,11 +40,15 @@ def drive(it: Instance, name: str) -> list[list[float]]:
     return rows
 
 
-@pytest.mark.fmu
 @pytest.mark.own_process
-@pytest.mark.parametrize("name", ["plant", "controller", "trajectory"])
-def test_fmus_of_either_kind_have_the_same_bits(name):
-    native, python = (Instance(unpacked(kind, name, 2)).start() for kind in ("native", "python"))
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [("plant", {}), ("controller", {}), ("controller", {"period": [0.005], "ki": [2.0] * 7}),
+     ("trajectory", {})],
+    ids=["plant", "controller", "slow controller", "trajectory"],
+)  # fmt: skip
+def test_fmus_of_either_kind_have_the_same_bits(name, start):
+    native, python = (Instance(unpacked(k, name, 2)).start(start) for k in ("native", "python"))
     rows = drive(native, name)
     assert rows == drive(python, name)
     assert native.log == python.log

@@ -151,7 +151,6 @@ def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path):
             assert np.array_equal(run.recording[name], other[name]), name
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize("until", ["contact > 3", "external_force > 6"])
 def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path, until):
     push = Push(start=2.8, duration=0.1, force=(0.0, 3.0, 0.0))  # is played, too

@@ -63,8 +63,6 @@ def compared(run, folder):
 
 def show(page: Page, path: Path, **how: Any) -> None:
     """Open a view and wait for its first picture."""
-    page.errors.clear()
-    page.requests.clear()
     page.open(path, **{"width": 820, "height": 560, **how})  # drawing is slow without a GPU
     page.wait(READY)
     page.value(f"{STAGE}.sun.castShadow = false")  # its light draws all once more
@@ -369,7 +367,6 @@ def test_a_notebook_shows_it_in_a_frame(page, run, folder):
     done = Run(run, summarize(Recording.open(run), load_scenario("pick_and_place")))
     html = done.view(against=done, height=600)._repr_html_()
     path.write_text(f"<!DOCTYPE html><body>{html}", encoding="utf-8")
-    page.errors.clear()
     page.open(path)
     with page.in_frame():
         page.wait("document.querySelector('.pv-stage canvas') !== null")

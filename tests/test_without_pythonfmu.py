@@ -7,8 +7,6 @@ import pytest
 from forked import script
 from panda_cosim.task.writer import make_scenario
 
-pytestmark = pytest.mark.fmu
-
 WITHOUT = """
 import sys
 from importlib import metadata
