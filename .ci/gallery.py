@@ -14,7 +14,7 @@ from PIL import Image
 
 from panda_cosim import Recording, load_scenario, shipped_scenarios
 from panda_cosim.result.judging.criterion import bound_text, margin_text, quantity
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.pictures.motion import poses, scene_of
 from panda_cosim.show.pictures.offscreen import OffscreenRenderer
 

@@ -22,7 +22,7 @@ from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import Prepared, prepare
 from panda_cosim.run.start import instants, resolve, start_values

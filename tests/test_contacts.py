@@ -16,7 +16,7 @@ from panda_cosim.plant.plant import SUPPORT, UNWANTED, Plant, PlantParameters, c
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.contacts import unwanted_contacts
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.summary import summarize
 from panda_cosim.task.criteria import Success
 from panda_cosim.task.scenario import Scenario

@@ -12,7 +12,7 @@ import pytest
 from panda_cosim import Options, load_scenario, run_scenario
 from panda_cosim.controller.gains import DEFAULT
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run import guarded
 from panda_cosim.study.compare.against_reference import Comparison, compare_with_reference
 from panda_cosim.study.compare.reference import Reference, reference_path

@@ -13,7 +13,7 @@ import pytest
 
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.contacts import SIGNAL as UNWANTED
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.result.recording import Column, Recorder, Recording, storage
 from panda_cosim.run.summary import summarize
 from panda_cosim.study.compare.against_reference import compare_with_reference

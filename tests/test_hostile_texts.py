@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from panda_cosim.study.compare.compare import compare_with_reference
 
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
@@ -32,13 +33,12 @@ from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.errors import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.interface.tables import SENSORS
 from panda_cosim.result.judging.criterion import Criterion
-from panda_cosim.result.judging.verdict import SUMMARY_FILE, Summary
+from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.result.recording import Recording
 from panda_cosim.run.result import Run
 from panda_cosim.show.view.model import describe
 from panda_cosim.show.view.page import Inline, live_page
 from panda_cosim.study.compare.between_runs import RunComparison, compare
-from panda_cosim.study.compare.compare import compare_with_reference
 from panda_cosim.study.compare.junit import Case, write_cases
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.regress import Outcome

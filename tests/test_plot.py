@@ -11,7 +11,7 @@ from PIL import Image
 from fake_recording import FakeRecording
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.pictures.panels import DPI, ROWS_DRAWN, thin
 from panda_cosim.show.pictures.plot import SIZE, VERDICTS, draw_run, plot_run
 

@@ -21,7 +21,7 @@ from panda_cosim.result.judging.advice import refusals
 from panda_cosim.result.judging.checks import CHECKS
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.preflight import preflight
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.view import run
 from panda_cosim.study.sweep.row import metrics
 from panda_cosim.task.table import TableRow, TrajectoryTable

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from browser import Page
-from panda_cosim.result.judging.verdict import SUMMARY_FILE, Summary
+from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.reference import Reference

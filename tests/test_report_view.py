@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from browser import find_browser
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.between_runs import compare as compare_runs

@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 from panda_cosim.cli import outcome as door
 from panda_cosim.fmus.errors import InputError, SimulationError
-from panda_cosim.result.judging.verdict import INCOMPLETE, SUMMARY_FILE, VERDICTS, Summary
+from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
+from panda_cosim.result.judging.verdicts import INCOMPLETE, VERDICTS
 from panda_cosim.run.result import Run
 from panda_cosim.show.view.facts import criteria_of, limits_of, refusals_of
 from panda_cosim.show.view.run import Shown, describe

@@ -17,7 +17,7 @@ from hypothesis.extra import numpy as hnp
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.definitions import DEFINITIONS
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.view import columns, run
 from panda_cosim.show.view.columns import Thinning, encode
 from panda_cosim.show.view.model import describe as describe_model

@@ -17,7 +17,7 @@ from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.definitions import DEFINITIONS
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.result.recording import Recording
 from panda_cosim.run.execution import Run
 from panda_cosim.run.summary import summarize

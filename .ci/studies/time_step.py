@@ -14,7 +14,7 @@ from unittest.mock import patch
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.plant.plant import Plant
-from panda_cosim.result.judging.verdict import Summary
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.summary import summarize
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))

@@ -22,7 +22,9 @@ from ..fmus.errors import CosimError, InputError, SimulationError
 from ..fmus.sources.targets import Kind, Target
 from ..result.judging.advice import advise, refusals
 from ..result.judging.criterion import cells
-from ..result.judging.verdict import FAILED, Summary, Verdict
+from ..result.judging.summary import Summary
+from ..result.judging.verdict import Verdict
+from ..result.judging.verdicts import FAILED
 from ..result.recording import Recording
 from ..run.folder import claimed_folder
 from ..run.result import VIDEO_FILE, Run

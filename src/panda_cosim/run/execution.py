@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..fmus.errors import CosimError, InputError, SimulationError
 from ..fmus.master.master import Master, RealtimePacer
-from ..result.judging.verdict import ENDED, FAILED, STOPPED, TIMEOUT, Summary
+from ..result.judging.summary import Summary
+from ..result.judging.verdicts import ENDED, FAILED, STOPPED, TIMEOUT
 from ..task.scenario import Scenario, load_scenario
 from ..task.values import Values
 from .folder import claimed_folder

@@ -14,7 +14,8 @@ from ..fmus.atomic import replacing
 from ..fmus.build.libraries import package_version
 from ..fmus.errors import InputError
 from ..fmus.master.system import OpenSystem
-from ..result.judging.verdict import SUMMARY_FILE, Summary, Verdict
+from ..result.judging.summary import SUMMARY_FILE, Summary
+from ..result.judging.verdict import Verdict
 from ..result.recording import MemoryRecorder, Recorder, Recording
 from ..task.scenario import is_shipped
 from .folder import SCENARIO_FOLDER, keep_scenario

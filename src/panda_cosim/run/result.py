@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Final
 
 from ..fmus.errors import TEXT_LENGTH, legible
 from ..result.judging.criterion import cells
-from ..result.judging.verdict import STOPPED, Summary, Verdict
+from ..result.judging.summary import Summary
+from ..result.judging.verdict import Verdict
+from ..result.judging.verdicts import STOPPED
 from ..result.recording import Recording
 
 if TYPE_CHECKING:

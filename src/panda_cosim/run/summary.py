@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fmus.master.master import RunStatistics
+from ..result.judging.block import measure_block
 from ..result.judging.contacts import SIGNAL as UNWANTED
 from ..result.judging.contacts import unwanted_contacts
 from ..result.judging.criterion import Criterion, Direction
-from ..result.judging.holds import COMMAND, Events, events, find_holds, measure_block, moving_rows
+from ..result.judging.holds import COMMAND, Events, events, find_holds, moving_rows
 from ..result.judging.limits import all_lacking, first_limit, largest_share, limit_shares
 from ..result.judging.signals import judge_bodies, judge_signals
-from ..result.judging.verdict import ENDED, Metrics, Summary, Verdict
+from ..result.judging.summary import Metrics, Summary
+from ..result.judging.verdict import Verdict
+from ..result.judging.verdicts import ENDED
 from ..result.recording import Recording, by_rows
 from ..task import rotations
 from ..task.criteria import Success, split_instant

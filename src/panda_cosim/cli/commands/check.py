@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from ...fmus.errors import InputError
-from ...result.judging.verdict import MISSED
+from ...result.judging.verdicts import MISSED
 from ...study.check.diagnosis import check_folder
 from ...study.check.experiments import check_experiments
 from ...task.scenario import shipped_scenarios

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import InputError
-from ...result.judging.verdict import Summary
+from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
 from ...show.pictures.motion import position_columns

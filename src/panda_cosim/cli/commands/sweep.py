@@ -14,7 +14,7 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError
 from ...result.judging.criterion import line as criterion_line
 from ...result.judging.criterion import miss_text
-from ...result.judging.verdict import FAILED, MISSED, SUCCESS
+from ...result.judging.verdicts import FAILED, MISSED, SUCCESS
 from ...run.folder import default_folder
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of

@@ -17,12 +17,13 @@ from ...fmus.interface.plant import FORCES
 from ...task.criteria import HELD_FORCE
 from ...task.scenario import TABLE_FILE
 from ..recording import Recording, by_rows
+from .block import SUPPORT
 from .checks import REMEDIES, table_row
 from .contacts import SIGNAL as UNWANTED
 from .contacts import Touch
-from .holds import FORCE, HAND, SUPPORT, find_holds
+from .holds import FORCE, HAND, find_holds
 from .limits import exceeded
-from .verdict import Summary
+from .summary import Summary
 
 Array = NDArray[np.float64]
 Level = Literal["wrong", "refused", "hint", "good"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ...assets.franka import ROBOTS, RobotLimits
 from ...task.limits import LIMITS_OF, METRICS, reference_rates, robot_of, saturated, torque_rates
 from ..recording import Recording, by_rows
+from .summary import Metrics
 
 Array = NDArray[np.float64]
-Metrics = dict[str, Any]  # as a section of summary.json has them
 Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
 
 HAND: Final = "plant.hand_xpos"

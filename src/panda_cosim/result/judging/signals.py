@@ -26,8 +26,9 @@ from ...task.criteria import (
 )
 from ..recording import Recording, by_rows
 from ..recording.reader import shapes_of
+from .block import POSE
 from .criterion import Criterion, Direction
-from .holds import POSE, Events
+from .holds import Events
 
 Array = NDArray[np.float64]
 Reduction = Callable[[Array, Array, SignalCriterion], float | None]

@@ -12,7 +12,8 @@ import numpy as np
 
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
-from ...result.judging.verdict import NO_CRITERIA, Summary
+from ...result.judging.summary import Summary
+from ...result.judging.verdicts import NO_CRITERIA
 from .motion import SHAPES, describe_run
 from .panels import COLOURS, DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves, thin
 

@@ -13,7 +13,7 @@ from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ...result.judging.advice import refusals
 from ...result.judging.checks import CHECKS
 from ...result.judging.definitions import DEFINITIONS
-from ...result.judging.verdict import Summary, json_values
+from ...result.judging.summary import Summary, json_values
 from ...task.limits import METRICS
 from ..pictures.motion import Signals, key_moments
 

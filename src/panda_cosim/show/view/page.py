@@ -22,7 +22,7 @@ from ...fmus.atomic import cache_folder, cached, replacing
 from ...fmus.build.libraries import code_digest, digest
 from ...fmus.errors import InputError, legible, shown
 from ...plant.parameters import BLOCK, PlantParameters
-from ...result.judging.verdict import Summary
+from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.files import model_file
 from ..pictures.meshes import Meshes, load_model

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.master.order import shown
-from ...result.judging.verdict import Summary
+from ...result.judging.summary import Summary
 from ...result.recording import Recording, by_rows
 from ...task import rotations
 from ...task.files import model_file

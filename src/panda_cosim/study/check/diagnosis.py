@@ -24,7 +24,7 @@ from ...fmus.master.system import conversions, notes, read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ...result.judging.advice import Level, advise, refusals, weakest_grip
 from ...result.judging.checks import REMEDIES
-from ...result.judging.verdict import MISSED, NOT_MEASURED, UNEXPECTED
+from ...result.judging.verdicts import MISSED, NOT_MEASURED, UNEXPECTED
 from ...result.recording.reader import shapes_of
 from ...run.execution import Execution
 from ...run.prepare import Prepared, prepare

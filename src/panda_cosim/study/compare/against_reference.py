@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, did_you_mean, excerpt
-from ...result.judging.verdict import Summary
+from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, signal_of
 from .differences import LEAST_SHARE

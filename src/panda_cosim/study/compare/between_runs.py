@@ -16,7 +16,8 @@ import numpy as np
 
 from ...fmus.errors import InputError
 from ...result.judging.criterion import Criterion, bound_text, margin_text, quantity
-from ...result.judging.verdict import Summary, Verdict
+from ...result.judging.summary import Summary
+from ...result.judging.verdict import Verdict
 from ...result.recording import Recording
 from ...run.result import Run
 from . import differences

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
-from ...result.judging.verdict import Summary
+from ...result.judging.summary import Summary
 from ...result.recording import Column, Recording
 from ...result.recording.reader import bits
 from ...result.recording.storage import METADATA_KEY, Source, literal, make_batch, values_of

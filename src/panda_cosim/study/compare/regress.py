@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ...result.judging.criterion import Criterion
-from ...result.judging.verdict import NO_CRITERIA, Summary
+from ...result.judging.summary import Summary
+from ...result.judging.verdicts import NO_CRITERIA
 from ...result.recording import Recording
 from ...run.execution import run_scenario
 from ...run.options import Options

@@ -19,7 +19,7 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Target, build
 from ...fmus.twins import notice
 from ...result.judging.criterion import Criterion, miss_text
-from ...result.judging.verdict import SUMMARY_FILE
+from ...result.judging.summary import SUMMARY_FILE
 from ...run.folder import default_folder
 from ...task.criteria import Success
 from ...task.scenario import SCENARIO_FILE, Scenario

@@ -23,7 +23,7 @@ from ...fmus.atomic import cache_folder, replacing, temporary_folder
 from ...fmus.errors import InputError, legible, printable
 from ...fmus.interface.tables import INTERFACES
 from ...result.judging.definitions import DEFINITIONS, Definition
-from ...result.judging.verdict import SUMMARY_FILE
+from ...result.judging.summary import SUMMARY_FILE
 from ...run.execution import run_scenario
 from ...run.folder import SCENARIO_FOLDER, refuse_existing
 from ...show.view.page import (

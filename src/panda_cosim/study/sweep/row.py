@@ -16,7 +16,8 @@ from typing import Any, Final
 
 from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
 from ...fmus.interface.parameters import ParameterValue
-from ...result.judging.verdict import VERDICTS, Summary
+from ...result.judging.summary import Summary
+from ...result.judging.verdicts import VERDICTS
 from ...run.execution import Execution
 from ...run.options import Options
 from ...run.prepare import prepare
