@@ -30,7 +30,7 @@ LONGEST = (
     "test_regress", "test_view_page", "test_engines", "test_live", "test_sweep_run",
     "test_fmu_importers", "test_run_faults", "test_analysis", "test_cli", "test_contributing",
     "test_parts", "test_render", "test_experiments", "test_native_c", "test_route", "test_install",
-    "test_native_cross", "test_growth", "test_fmu_package", "test_report_view",
+    "test_native_cross", "test_growth", "test_fmu_package", "test_report",
 )  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone
 # Hundreds of processes would compile the package anew, and each worker the tests.

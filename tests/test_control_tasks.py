@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +12,18 @@ from numpy.typing import NDArray
 from control_support import started
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.assets.franka import QD_MAX, QDD_MAX, QDDD_MAX
+from panda_cosim.assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_RATE_MAX
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import preset
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.result.judging.advice import weakest_grip
 from panda_cosim.result.judging.limits import largest_share
+from panda_cosim.run.execution import run_scenario
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.check.diagnosis import rehearse
+from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable
-from random_tasks import Done, connect, random_tasks, run_in_memory
+from random_tasks import Done, connect, random_tasks, run_in_memory, run_plain
 
 Array = NDArray[np.float64]
 Signals = dict[str, Array]
@@ -156,3 +166,133 @@ def test_other_blocks_are_placed_as_well(count):
         assert max(rates) <= 1.25, task  # 57 of 10,000 blocks of `random_box` take more than 1
         assert largest_share(metrics.limits) <= 1.0, task
         assert metrics.block["place_error_mm"] <= 2.0, task
+
+
+# The grip force as a command: in a table and as the controller's parameter.
+
+
+FORCE = 22.0  # [N] a finger
+OFF = 0.03  # of the force, as the pads give
+
+
+def gripping(force: float) -> Scenario:
+    """Grasp the block where it stands."""
+    rows = (
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+        TableRow(1.2, "target", (0.0, 0.0, 0.085), 0.06, grip_force=force),
+        TableRow(2.0, "target", (0.0, 0.0, 0.085), 0.06, grip_force=force),
+        TableRow(2.4, "target", (0.0, 0.0, 0.135), 0.06, grip_force=force),
+    )
+    return Scenario("grip", TrajectoryTable(rows), duration=2.4)
+
+
+def test_the_fingers_press_as_the_table_says():
+    contact = run_plain(gripping(FORCE))["plant.contact_force"]
+    assert contact[-200:] == pytest.approx(2 * FORCE, rel=OFF)
+
+
+def test_the_parameter_presses_like_the_column():
+    row = gripping(FORCE).table.rows[1]
+    controllers = [Controller(preset("default", grip_force=FORCE)), Controller()]
+    for controller, opening in zip(controllers, (0.02, row.opening), strict=True):
+        controller.inputs["grip_cmd"] = opening
+        controller.inputs["quat_cmd"] = controller.inputs["hand_xquat"] = (1.0, 0.0, 0.0, 0.0)
+        controller.update()
+    assert controllers[0].outputs["ctrl"][7] == controllers[1].outputs["ctrl"][7]
+
+
+def test_a_wide_opening_is_no_grip():
+    controller = Controller(preset("default", grip_force=FORCE))
+    controller.inputs["grip_cmd"] = 0.07
+    controller.inputs["quat_cmd"] = controller.inputs["hand_xquat"] = (1.0, 0.0, 0.0, 0.0)
+    controller.update()
+    assert controller.outputs["ctrl"][7] == pytest.approx(255 * 0.07 / 0.08)
+
+
+@pytest.mark.parametrize(
+    ("grip", "force", "bound"),
+    [(0.06, 31.0, "from 0 to 30 N"), (0.04, 21.0, "must be at most 20 N on what is 0.04 m wide")],
+)
+def test_an_impossible_force_is_refused(grip, force, bound):
+    with pytest.raises(InputError, match=bound):
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), grip, grip_force=force)
+
+
+def test_a_check_says_what_the_block_takes():
+    heavy = {"block_mass": 2.0, "block_friction": 0.4}
+    robust = replace(gripping(FORCE), gains="robust", scene="elastic", plant=heavy)
+    prepared = prepare(robust)
+    grip = weakest_grip(rehearse(prepared).recording)
+    assert grip is not None
+    _, friction, needed = grip
+    assert friction < 0.4 * 2.0 * FORCE * 1.05
+    assert needed > 0.9 * 2.0 * 9.81
+    assert friction < needed
+
+
+def test_a_scene_without_that_gripper_refuses_the_column():
+    with pytest.raises(InputError, match='the gripper of scene "tutorial" is too weak'):
+        replace(gripping(FORCE), scene="tutorial")
+
+
+# The gains "robust": noise, elastic joints, and the line that proposes them.
+
+
+APPROACH = load_scenario("pick_and_place").changed({"duration": 1.4})  # s, before the grasp
+NOISE = {"mismatch.joint_noise": 1e-5, "mismatch.hand_pose_source": "model"}  # [rad]
+SETTLED = 100  # ticks, after which the servos carry the arm
+
+
+def torque_rate(out: Path, **values: Any) -> float:
+    """Largest torque rate of the approach, as a share of the robot's limit."""
+    run = run_scenario(APPROACH.changed({**NOISE, **values}), out)
+    torques = run.recording["plant.actuator_force"][SETTLED:, :7]
+    return float((np.abs(np.diff(torques, axis=0)) / (TORQUE_RATE_MAX * 1e-3)).max())
+
+
+@pytest.mark.own_process
+def test_noise_of_1e_5_rad_keeps_the_torque_rate(tmp_path):
+    assert torque_rate(tmp_path / "default") > 5.0
+    assert torque_rate(tmp_path / "robust", gains="robust") < 1.0
+
+
+@pytest.mark.own_process
+def test_elastic_joints_do_not_swing(tmp_path):
+    elastic = APPROACH.changed({"scene": "elastic"})
+    gains = ("default", "robust")
+    runs = [run_scenario(elastic.changed({"gains": g}), tmp_path / g) for g in gains]
+    rms = [run.summary.tracking["rms_mm"] for run in runs]
+    assert rms[0] > 5.0
+    assert rms[1] < 1.0
+
+
+def test_the_pose_error_passes_a_low_pass():
+    """A step of the error e gives the velocity ik_gain e (1 - decay^n) in the n-th update."""
+    gains = preset("robust", error_filter=0.009, posture_gain=(0.0,) * 7, ik_gain=1.0)
+    controller = Controller(gains)
+    x = controller.inputs
+    x["qpos"], x["jac"] = HOME_Q, np.eye(6, 7)  # its last joint moves nothing
+    x["quat_cmd"] = x["hand_xquat"] = (1.0, 0.0, 0.0, 0.0)
+    controller.update()
+    for update in range(1, 6):
+        x["pos_cmd"] = (1e-6, 0.0, 0.0)
+        controller.update()
+        expected = 1e-6 * (1.0 - 0.9**update)
+        assert controller.outputs["qvel_ref"][0] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "cause"),
+    [
+        (NOISE, "mismatch.joint_noise"),
+        ({"scene": "elastic"}, 'scene "elastic"'),
+        ({"mismatch.preset": "worn"}, "mismatch.joint_noise"),
+        ({"mismatch.payload": 1.0}, ""),
+        (NOISE | {"gains": "robust"}, ""),
+        (NOISE | {"controller.kp": 1.0, "controller.ik_gain": 2.0}, ""),
+    ],
+)
+def test_default_gains_that_meet_mismatch_are_said(values, cause):
+    notes = prepare(APPROACH.changed(values)).notes
+    assert len(notes) == bool(cause)
+    assert all(cause in note and 'gains = "robust"' in note for note in notes)

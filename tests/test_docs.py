@@ -7,21 +7,33 @@ must end with, `Ctrl-C` how. Lines of a block of text must be in what the block 
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
+import nbformat
+import numpy as np
 import pytest
+from nbclient import NotebookClient
 
+from bounded import ran
+from panda_cosim import Scenario
 from panda_cosim.cli.app import load
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
+from panda_cosim.result.recording import Recording
+from panda_cosim.task.criteria import Success
+from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.table import COLUMNS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -208,3 +220,181 @@ def test_a_page_of_the_gallery_has_a_title():
     report = runpy.run_path(str(ROOT / ".ci" / "gallery.py"))["REPORT"]
     page = report.render(title="T", text="For all", paths=["a.html"], lines=["panda-cosim run"])
     assert page.startswith("---\nhide: [toc]\n---\n\n# T\n\nFor all\n")
+
+
+# README, reference and notebook say what is so: commands, scenario files, links.
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+REFERENCE_PAGES = sorted((ROOT / "docs" / "reference").glob("*.md"))
+REFERENCE = "\n".join(page.read_text(encoding="utf-8") for page in REFERENCE_PAGES)
+SCENARIO = (ROOT / "docs" / "reference" / "scenario.md").read_text(encoding="utf-8")
+NOTEBOOK = ROOT / "scenarios" / "examples" / "first_steps.ipynb"
+
+
+def code_blocks(kind: str, text: str = README) -> list[str]:
+    """Code code_blocks of one kind."""
+    return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def test_every_command_is_in_the_table():
+    page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    assert all(f"| `panda-cosim {name}" in page for name in COMMANDS)
+
+
+def test_the_example_scenario_can_be_read(tmp_path):
+    (tmp_path / "scenario.toml").write_text(code_blocks("toml", SCENARIO)[0], encoding="utf-8")
+    (tmp_path / "trajectory.csv").write_text(code_blocks("csv", SCENARIO)[0], encoding="utf-8")
+    scenario = Scenario.read(tmp_path)
+    assert scenario.success.min_lift == 0.15
+    assert len(scenario.success.signal) == 1
+
+
+def test_every_key_and_column_of_a_scenario_is_named():
+    keys = {entry.name for entry in (*fields(Scenario), *fields(Success))}
+    missing = {key for key in keys if not re.search(rf"\b{key}\b", REFERENCE)}
+    assert missing <= {
+        "name",
+        "table",
+        "input_table",
+        "folder",
+    }  # where it is, not what is in its file
+    table = SCENARIO.partition("| column | meaning |")[2]
+    assert all(f"`{column}`" in table for column in COLUMNS)
+
+
+def headings(text: str) -> set[str]:
+    """Anchors of a page's headings."""
+    found = re.findall(r"^#+ (.*)$", text, re.M)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found}
+
+
+@pytest.mark.parametrize("name", ["README.md", "SECURITY.md", "CONTRIBUTING.md"])
+def test_every_link_leads_somewhere(name):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    for target, _, anchor in re.findall(r"\]\((?!https?://)([^)#]*)(#([^)]+))?\)", text):
+        assert not target or (ROOT / target).exists(), target
+        if anchor and (not target or target.endswith(".md")):
+            page = (ROOT / target).read_text(encoding="utf-8") if target else text
+            assert anchor in headings(page), f"{target}#{anchor}"
+
+
+def test_the_example_of_a_model_runs_anywhere(tmp_path):
+    example = next(block for block in code_blocks("sh") if "pendulum.xml" in block)
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = ran(["sh", "-e"], input=example, cwd=tmp_path, env=os.environ | {"PATH": path})
+    assert "Angle of joint hinge" in done.stdout
+
+
+@pytest.mark.long
+def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
+    pytest.importorskip("pandas")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
+    shown = {
+        cell.source: output.data
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+        for output in cell.outputs
+        if output.output_type == "execute_result"
+    }
+    kinds = {source.splitlines()[-1]: set(data) for source, data in shown.items()}
+    assert "text/html" in kinds["run"]
+    assert "image/png" in kinds["run.plot()"]
+    assert "text/html" in kinds["run.view(height=480)"]
+    assert "text/html" in kinds["compared"]
+    table = next(data for source, data in shown.items() if source.startswith("gains ="))
+    assert "success" in table["text/plain"]  # with the scenario's gain
+    assert "missed" in table["text/plain"]  # with half of it the hand lags
+
+
+# The examples run as they stand: four ways to use the project, from own parts to a kept result.
+
+
+EXAMPLES = Path(__file__).parent.parent / "scenarios" / "examples"
+EXAMPLE_LIMIT = 500.0  # [s]
+
+
+@pytest.fixture(autouse=True)
+def activated(monkeypatch):
+    """Find programs as in an activated environment."""
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+
+
+def walk_script(name: str, folder: Path) -> str:
+    """Run a script in a new folder, as its first lines say; returns what it printed."""
+    done = ran(["sh", EXAMPLES / f"{name}.sh", folder], timeout=EXAMPLE_LIMIT)
+    return done.stdout
+
+
+def execute(name: str, folder: Path) -> dict[str, str]:
+    """Run a notebook; returns the text that each cell printed or returned, by its last line."""
+    pytest.importorskip("pandas")
+    notebook = nbformat.read(EXAMPLES / f"{name}.ipynb", as_version=4)
+    client = NotebookClient(
+        notebook, timeout=EXAMPLE_LIMIT, resources={"metadata": {"path": folder}}
+    )
+    client.execute()
+    return {
+        cell.source.splitlines()[-1]: "".join(
+            output.get("text", "") or output.get("data", {}).get("text/plain", "")
+            for output in cell.outputs
+        )
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+    }
+
+
+@pytest.mark.long
+def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path):
+    said = execute("own_law", tmp_path)
+    assert "2 passed" in said["!{sys.executable} -m pytest -q test_my_task.py"]
+    margins = said["analysis.margins.disk_margin, stiff.margins.disk_margin"]
+    usual, stiff = (float(each) for each in margins.strip("()").split(","))
+    assert 0 < stiff < usual <= 2
+    assert (tmp_path / "my_task" / "reference.parquet").exists()
+
+
+@pytest.mark.long
+def test_a_foreign_arm_runs_with_a_python_fmu_and_as_an_ssp(tmp_path):
+    pytest.importorskip("gymnasium")
+    said = walk_script("foreign_arm", tmp_path / "new")
+    assert "1 of 1 scenarios match" in said
+    first, second = (Recording.open(tmp_path / "new" / name) for name in ("first", "second"))
+    angle = first["plant.qpos[4]"]
+    assert np.abs(angle[-100:] + 0.8).max() < 0.02  # [rad]: the target of the controller's file
+    np.testing.assert_array_equal(angle, second["plant.qpos[4]"])
+
+
+@pytest.mark.long
+def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path):
+    said = walk_script("nightly", tmp_path / "new")
+    assert "6 passed" in said
+    suites = ET.parse(tmp_path / "new" / "nightly" / "junit.xml").getroot()
+    cases = list(suites.iter("testcase"))
+    assert len(cases) == 6  # five scenarios and the sweep
+    assert not list(suites.iter("failure"))
+    kept = load_scenario(tmp_path / "new" / "suite" / "pushed_too_hard")
+    assert (kept.expect, kept.push[0].force[1]) == ("failure", 200.0)
+    assert "6 of 6 scenarios match their references" in said
+
+
+@pytest.mark.long
+def test_a_scene_with_a_wall_is_pushed_by_hand_and_kept(tmp_path):
+    execute("wall", tmp_path)
+    runs = {path.parent for path in (tmp_path / "runs").glob("*/summary.json")}
+    summaries = [json.loads((run / "summary.json").read_text()) for run in runs]
+    nominal = next(s for s, r in zip(summaries, runs, strict=True) if (r / "video.mp4").exists())
+    assert nominal["as_expected"]
+    shift = next(c for c in nominal["criteria"] if c["name"] == "cylinder max_shift")
+    assert shift["value"] < 0.002  # m
+    kept = load_scenario(tmp_path / "pushed")
+    (push,) = kept.push
+    assert (push.start, push.duration, push.force) == (0.5, 0.2, (0.0, 30.0, 0.0))
+    session, again = (
+        Recording.open(next(r for r, s in zip(runs, summaries, strict=True) if s["scenario"] == name
+                            and not (r / "video.mp4").exists()))
+        for name in ("wall", "pushed")
+    )  # fmt: skip
+    np.testing.assert_array_equal(session["plant.qpos"], again["plant.qpos"])
+    shutil.rmtree(tmp_path / "runs")

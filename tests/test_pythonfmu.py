@@ -18,7 +18,7 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 from typer.testing import CliRunner
 
-from forked import command
+from forked import command, script
 from panda_cosim.cli.app import app
 from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
@@ -30,8 +30,8 @@ from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import start_values
 from panda_cosim.task.scenario import load_scenario
+from panda_cosim.task.writer import make_scenario
 
-pytestmark = pytest.mark.own_process
 STEP = 0.001  # [s]
 PACKED = Target("pythonfmu")
 STEPS = b"self._plant.step(count)"  # what a step of the plant's slave does
@@ -95,6 +95,7 @@ def with_step(step: bytes) -> Path:
 # The same bits.
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("name", ["elastic", "sensor_noise", "jacobi"])
 def test_our_master_gives_the_same_bits_with_each_kind(name, tmp_path):
     runs = [
@@ -105,6 +106,7 @@ def test_our_master_gives_the_same_bits_with_each_kind(name, tmp_path):
         assert runs[0][column].tobytes() == runs[1][column].tobytes(), column
 
 
+@pytest.mark.own_process
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["python", "pythonfmu"])
 def test_all_references_match_in_python(kind):
@@ -112,6 +114,7 @@ def test_all_references_match_in_python(kind):
     assert "31 of 31 scenarios match" in done.stdout
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("name", OWN)
 def test_the_description_is_ours_and_valid(name):
     packed, ours = (
@@ -133,6 +136,7 @@ class Mine({base}):
 """
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("name", ["plant", "controller", "trajectory"])
 def test_pythonfmu_alone_makes_an_fmu_of_a_short_script(name, tmp_path):
     (tmp_path / "mine.py").write_text(SCRIPT.format(name=name, base=OWN[name].slave[1]))
@@ -155,6 +159,7 @@ def test_pythonfmu_alone_makes_an_fmu_of_a_short_script(name, tmp_path):
 # The wrapper's traps.
 
 
+@pytest.mark.own_process
 def test_any_number_of_instances_live_in_one_process():
     expected = outputs(Unit(plant()).steps(3))
     for _ in range(5):
@@ -165,6 +170,7 @@ def test_any_number_of_instances_live_in_one_process():
         unit.slave.freeInstance()
 
 
+@pytest.mark.own_process
 def test_two_fmus_of_one_name_run_each_its_own_code():
     still = Unit(with_step(b"pass")).steps(5)
     moving = Unit(plant()).steps(5)
@@ -172,6 +178,7 @@ def test_two_fmus_of_one_name_run_each_its_own_code():
     assert outputs(moving) != outputs(still)
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("call", ["getReal", "setReal", "getString"])
 def test_an_unknown_reference_is_refused_and_shortens_nothing(call):
     unit = Unit(plant())
@@ -180,6 +187,7 @@ def test_an_unknown_reference_is_refused_and_shortens_nothing(call):
         getattr(unit.slave, call)([0, 99999], *values)
 
 
+@pytest.mark.own_process
 def test_an_exception_ends_the_simulation_and_not_the_process():
     path = with_step(b"raise ValueError('broken 100%')")
     for _ in range(5):
@@ -190,6 +198,7 @@ def test_an_exception_ends_the_simulation_and_not_the_process():
     Unit(plant()).steps(3)
 
 
+@pytest.mark.own_process
 def test_our_master_says_where_and_why_a_slave_failed(tmp_path):
     fmus = {"plant": with_step(b"raise ValueError('broken 100%')")}
     options = Options(fmus=fmus, kind="pythonfmu")
@@ -198,12 +207,14 @@ def test_our_master_says_where_and_why_a_slave_failed(tmp_path):
     assert (tmp_path / "run" / "recording.parquet").is_file()
 
 
+@pytest.mark.own_process
 def test_code_that_cannot_be_imported_is_named_when_it_is_built():
     code = {"fmus/inside/plant.py": b"import not_there"}
     with pytest.raises(CosimError, match="No module named 'not_there'"):
         build_fmu(own_fmu("plant", "pythonfmu", changed=code))
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_an_input_that_is_not_finite_is_refused(bad):
     unit = Unit(plant())
@@ -212,6 +223,7 @@ def test_an_input_that_is_not_finite_is_refused(bad):
         unit.steps(1)
 
 
+@pytest.mark.own_process
 def test_a_state_is_restored_bit_for_bit_also_in_another_instance():
     unit, other = Unit(plant()).steps(20), Unit(plant()).steps(3)
     kept = unit.slave.serializeFMUstate(unit.slave.getFMUstate())
@@ -221,6 +233,7 @@ def test_a_state_is_restored_bit_for_bit_also_in_another_instance():
         assert outputs(each.steps(20, 20)) == expected
 
 
+@pytest.mark.own_process
 def test_a_long_step_is_as_many_short_ones_and_parts_add_up():
     expected = outputs(Unit(plant()).steps(9))
     unit = Unit(plant())
@@ -232,6 +245,7 @@ def test_a_long_step_is_as_many_short_ones_and_parts_add_up():
 # What it cannot do, and what does without it.
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize(
     "words", [("--fmi", "3"), ("--platform", ",".join([this_platform(), [*PLATFORMS][-1]]))]
 )
@@ -247,6 +261,7 @@ def test_what_pythonfmu_cannot_make_is_refused(words, tmp_path):
 # Our own FMUs as parts.
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("target", [Target("native"), PACKED], ids=lambda target: target.kind)
 def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(target, tmp_path):
     built = build(target=target)
@@ -258,6 +273,7 @@ def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(target, tm
     assert given.assembly.changed(given.values, {})["plant"] == {"scene": "tutorial"}
 
 
+@pytest.mark.own_process
 def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path):
     folder = tmp_path / "gust"
     assert CliRunner().invoke(app, ["new", str(folder), "--slave", "--law"]).exit_code == 0
@@ -274,6 +290,52 @@ def test_a_new_slave_runs_in_our_master_and_in_fmpy_alone(tmp_path):
     np.testing.assert_allclose(alone[1:], ours[: len(alone) - 1], rtol=0.0, atol=1e-9)  # [N]
 
 
+@pytest.mark.own_process
 def test_an_unknown_kind_is_refused():
     with pytest.raises(InputError, match="must be one of auto, native, python, pythonfmu"):
         Options(kind="pythonfmus")  # type: ignore[arg-type]
+
+
+# Without the package pythonfmu, what needs it says so in one line, and all else runs.
+
+
+WITHOUT = """
+import sys
+from importlib import metadata
+sys.modules["pythonfmu"] = None
+def distribution(name):
+    if name == "pythonfmu":
+        raise metadata.PackageNotFoundError(name)
+    return metadata.Distribution.from_name(name)
+metadata.distribution = distribution
+sys.argv[0] = "panda-cosim"
+from panda_cosim.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("run push --kind python --out OUT", 2),
+        ("run push --kind pythonfmu --out OUT", 2),
+        ("run sensor_offset --out OUT", 2),
+        ("build --kind pythonfmu --out OUT", 2),
+        ("build --slave SLAVE --out OUT", 2),
+        ("regress push --kind python", 2),
+        ("check sensor_offset", 2),
+        ("check GUST", 2),
+        ("run tutorial --duration 0.05 --no-video --no-view --out OUT", 3),
+        ("check push", 0),
+    ],
+)
+def test_without_the_package_only_what_needs_it_fails_in_one_line(words, code, tmp_path):
+    places = {"OUT": tmp_path / "new", "SLAVE": Path(__file__).parent / "slaves" / "decay.py"}
+    places["GUST"] = make_scenario(tmp_path / "gust", ["slave"])[0].parent
+    done = script(WITHOUT, *(str(places.get(word, word)) for word in words.split()))
+    assert done.returncode == code, done.stderr
+    if code == 2:
+        told = " ".join((done.stdout + done.stderr).split())
+        assert told.count("the package pythonfmu is not installed") == 1
+        assert "Traceback" not in told
+        assert not (tmp_path / "new").exists()

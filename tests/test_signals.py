@@ -8,13 +8,20 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fmu_support import needs_compiler
 from forked import command
-from panda_cosim import Recording
+from odd_fmu import odd_fmu, odd_ssp
+from panda_cosim import Recording, load_scenario
+from panda_cosim.fmus.interface.types import is_lossless
+from panda_cosim.fmus.interface.units import PLAIN, Unit, conversion, doubt
+from panda_cosim.fmus.interface.variables import Variable
+from panda_cosim.run.prepare import prepare
+from panda_cosim.study.check.diagnosis import check_folder, rehearse
 from toy_fmu import UNITS, library, toy_fmu
 
-pytestmark = needs_compiler
 STEP, TICKS = 0.1, 20  # s
 TIMES = STEP * np.arange(TICKS + 1)
 
@@ -54,6 +61,7 @@ CELSIUS = '<BaseUnit K="1" offset="273.15"/>'
 FAHRENHEIT = '<BaseUnit K="1" factor="0.5555555555555556" offset="255.37222222222223"/>'
 
 
+@needs_compiler
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 @pytest.mark.parametrize(
     ("source", "target", "wanted"),
@@ -80,6 +88,7 @@ def test_units_are_converted_as_both_sides_define_them(tmp_path, source, target,
     assert recording.units["b.y[1,2]"] == target[0]
 
 
+@needs_compiler
 def test_differences_of_temperatures_have_no_offset(tmp_path):
     measuring(tmp_path / "a.fmu", 2, "degC", CELSIUS)
     measuring(tmp_path / "b.fmu", 3, "K", '<BaseUnit K="1"/>')
@@ -115,6 +124,7 @@ def sizes_fmu(path: Path) -> None:
         archive.writestr(f"binaries/{fmpy.platform_tuple}/sizes.so", library(source))
 
 
+@needs_compiler
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_structural_parameters_give_arrays_their_sizes(tmp_path, isolate):
     sizes_fmu(tmp_path / "it.fmu")
@@ -128,6 +138,7 @@ def test_structural_parameters_give_arrays_their_sizes(tmp_path, isolate):
     assert "it.u: a list of 5; must be one number for all, or 4 values" in done.stderr
 
 
+@needs_compiler
 def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path):
     sizes_fmu(tmp_path / "it.fmu")
     fixed = 'modelIdentifier="sizes" fixedInternalStepSize="0.4"'
@@ -139,6 +150,7 @@ def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path):
     assert "it: supports a single step size, 0.4 s: 4 system steps" in " ".join(done.stdout.split())
 
 
+@needs_compiler
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_a_step_that_returns_early_is_taken_to_its_end(tmp_path, isolate):
     toy_fmu(tmp_path / "it.fmu", 3)
@@ -147,6 +159,7 @@ def test_a_step_that_returns_early_is_taken_to_its_end(tmp_path, isolate):
     np.testing.assert_allclose(recording["it.y[2,3]"], 0.5 + TIMES, rtol=1e-15)
 
 
+@needs_compiler
 def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path):
     clocked = (
         '<Clock name="tick" valueReference="17" causality="input" intervalVariability="triggered"/>'
@@ -160,6 +173,7 @@ def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path):
     assert "it: clocks are not supported; left out: tick, w" in said
 
 
+@needs_compiler
 @pytest.mark.parametrize(
     ("output", "input_", "suggested"),
     [
@@ -184,6 +198,7 @@ def test_check_suggests_connections_that_nearly_fit(tmp_path, output, input_, su
     assert (line in said) == suggested
 
 
+@needs_compiler
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path, isolate):
     """It refuses to go back otherwise. The loop y = 0.5 y + t has the solution y = 2 t."""
@@ -194,6 +209,7 @@ def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path, isolate):
     np.testing.assert_allclose(recording["it.y[2,2]"], 2.0 * TIMES, atol=1e-9)
 
 
+@needs_compiler
 def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
     toy_fmu(tmp_path / "it.fmu", 3)
     text = 'duration = 1.0\ncoupling = "iterated"\n[fmus]\nit = "it.fmu"\n'
@@ -202,3 +218,188 @@ def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
         done = command(name, tmp_path, cwd=tmp_path, code=2)
         said = " ".join((done.stdout + done.stderr).split())
         assert 'it.fmu: coupling = "iterated": it cannot restore its state; its FMU must' in said
+
+
+# Units and types of the two ends of a connection, of FMUs in FMI 2.0 and 3.0.
+
+
+RELATIVE: float = 1e-9  # error of a conversion there and back
+NUMBERS = st.floats(1e-3, 1e3)
+DEFINED = st.builds(
+    Unit, st.sampled_from([(1,) + (0,) * 7, (0, 1) + (0,) * 6]), NUMBERS, st.floats(-1e3, 1e3)
+)
+NAMES = st.sampled_from(["", "1", "a", "b"])
+DEFINITIONS = st.dictionaries(st.sampled_from(["a", "b"]), DEFINED)
+
+
+@given(source=NAMES, sources=DEFINITIONS, target=NAMES, targets=DEFINITIONS)
+def test_definitions_decide_not_names(source, sources, target, targets):
+    scale = conversion(source, sources, target, targets)
+    one, other = sources.get(source), targets.get(target)
+    if one and other:
+        assert (scale is None) == (one.exponents != other.exponents)
+        assert doubt(source, sources, target, targets) == ""
+        if scale is not None:  # both are the same value in base units
+            value = scale[0] * 3.0 + scale[1]
+            base = one.factor * 3.0 + one.offset
+            error = abs(other.factor * value + other.offset - base)
+            assert error <= RELATIVE * (abs(base) + abs(other.offset) + 1.0)
+    else:
+        assert scale == PLAIN
+        is_known = source == target or {source, target} <= {"", "1"}
+        assert bool(doubt(source, sources, target, targets)) != is_known
+
+
+def in_unit(path: Path, fmi: int, unit: str, definition: str | None) -> Path:
+    """A toy FMU with its variables in a unit, which is defined if there is a BaseUnit."""
+    toy_fmu(path, fmi)
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    base = f'<Unit name="{unit}">{f"<BaseUnit {definition}/>" if definition else ""}</Unit>'
+    text = members["modelDescription.xml"].decode()
+    text = text.replace(UNITS, f"<UnitDefinitions>{base}</UnitDefinitions>" if unit else "")
+    text = text.replace(' unit="N"', f' unit="{unit}"' if unit else "")
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in {**members, "modelDescription.xml": text.encode()}.items():
+            archive.writestr(name, content)
+    return path
+
+
+def system(folder: Path, connect: str) -> Path:
+    (folder / "scenario.toml").write_text(
+        'purpose = "x"\nduration = 0.01\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n'
+        f'"b.u[1,1]" = "{connect}"\n[inputs]\n"a.u[1,1]" = 4.0\n[success]\n'
+    )
+    return folder
+
+
+def said(folder: Path) -> str:
+    return " | ".join(f"{each.level} {each.text}" for each in check_folder(folder))
+
+
+TON, SHORT_TON, METRE = 'kg="1" factor="1000"', 'kg="1" factor="907.18474"', 'm="1"'
+
+
+@needs_compiler
+@pytest.mark.own_process
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("one", "other", "factor", "told"),
+    [
+        (("t", TON), ("t", SHORT_TON), 1000 / 907.18474, "good b.u [t] = 1.10231 * a.y [t] + 0"),
+        (("t", TON), ("t", None), 1.0, ""),
+        (("Nm", None), ("N.m", TON), 1.0,
+         "hint b: no definition of Nm, so values are taken as they are: b.u [N.m] from a.y [Nm]"),
+        (("", None), ("t", TON), 1.0, "hint b: only one side has a unit, so values are taken as"),
+    ],
+)  # fmt: skip
+def test_values_are_converted_or_the_user_is_told(tmp_path, fmi, one, other, factor, told):
+    in_unit(tmp_path / "a.fmu", fmi, *one)
+    in_unit(tmp_path / "b.fmu", 5 - fmi, *other)
+    checked = said(system(tmp_path, "a.y[1,1]"))
+    assert told in checked
+    assert told or not any(word in checked for word in ("no definition", "one side", "= 1"))
+    recording = rehearse(prepare(load_scenario(tmp_path))).recording
+    giving, taking, time = recording["a.y"], recording["b.y"], recording.time
+    # b.y = u + t after the step; the last row's u is that of the step before
+    expected = factor * giving[:-1, 0, 0] + time[1:]
+    assert taking[1:, 0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+@needs_compiler
+@pytest.mark.own_process
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_what_cannot_be_converted_is_refused_unless_it_is_asked_for(tmp_path, fmi):
+    in_unit(tmp_path / "a.fmu", fmi, "t", TON)
+    in_unit(tmp_path / "b.fmu", 5 - fmi, "t", METRE)
+    refused = said(system(tmp_path, "a.y[1,1]"))
+    assert "must have the same unit, or both be defined by the same SI base units" in refused
+    assert '"b.u[1,1]" = "convert(a.y[1,1])"' in refused
+    assert "wrong" not in said(system(tmp_path, "convert(a.y[1,1])"))
+    recording = rehearse(prepare(load_scenario(tmp_path))).recording
+    assert recording["b.y"][-1, 0, 0] == recording["a.y"][-2, 0, 0] + recording.time[-1]
+
+
+ITEMS = st.dictionaries(st.sampled_from("abcd"), st.integers(-3, 3), max_size=4)
+
+
+def enumeration(items: dict[str, int]) -> Variable:
+    """Two names of an enumeration never have one number."""
+    unique = {number: name for name, number in items.items()}
+    names, numbers = tuple(unique.values()), tuple(unique)
+    return Variable("e", (), "", "input", "discrete", "", kind="Enumeration", choices=names,
+                    numbers=numbers, fmi_type="Enumeration")  # fmt: skip
+
+
+@given(one=ITEMS, other=ITEMS)
+def test_an_enumeration_feeds_one_that_has_its_numbers_and_gives_them_no_other_name_of_its_own(
+    one, other
+):
+    source, target = enumeration(one), enumeration(other)
+    ours = dict(zip(source.choices, source.numbers, strict=True))
+    theirs = dict(zip(target.choices, target.numbers, strict=True))
+    clashes = any(name in theirs and theirs[name] != number for name, number in ours.items())
+    has_all = all(number in theirs.values() for number in ours.values())
+    assert is_lossless(source, target) == (not theirs or (has_all and not clashes))
+
+
+ENUMERATED = (
+    '<fmiModelDescription fmiVersion="2.0" modelName="Odd" guid="odd">'
+    '<CoSimulation modelIdentifier="odd"/><TypeDefinitions><SimpleType name="modes">'
+    '<Enumeration><Item name="off" value="-1"/><Item name="low" value="0"/></Enumeration>'
+    '</SimpleType></TypeDefinitions><ModelVariables><ScalarVariable name="e" valueReference="0" '
+    'causality="input" variability="discrete"><Enumeration declaredType="modes" start="0"/>'
+    '</ScalarVariable><ScalarVariable name="z" valueReference="100" causality="output" '
+    'variability="discrete"><Integer/></ScalarVariable></ModelVariables><ModelStructure/>'
+    "</fmiModelDescription>"
+)
+
+
+@needs_compiler
+@pytest.mark.own_process
+def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path):
+    """The integer counts from its parameter on: -1, 0, 1."""
+    odd_fmu(tmp_path / "a.fmu", [("n", "Integer", "parameter", 0), ("y", "Integer", "output", 100)])
+    with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
+        library = archive.read("binaries/linux64/odd.so")
+    with zipfile.ZipFile(tmp_path / "b.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", ENUMERATED)
+        archive.writestr("binaries/linux64/odd.so", library)
+    text = 'duration = 0.01\ncoupling = "jacobi"\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n'
+    text += '[connect]\n"b.e" = "a.y"\n[parameters.a]\nn = -1\n'
+    (tmp_path / "scenario.toml").write_text(text)
+    run = rehearse(prepare(load_scenario(tmp_path)))
+    assert not run.summary.complete
+    reason = "at t = 0.002 s, in FMU 'b', variable e: value 1.0; must be -1 (off), 0 (low)"
+    assert reason in str(run.summary.reason)
+    assert run.recording["b.z"][1] == 0.0  # -1, and one step
+
+
+@needs_compiler
+@pytest.mark.own_process
+@pytest.mark.parametrize("start", [-2.6, -2.5, -2.4, 0.0])
+def test_numbers_become_integers_and_booleans_by_one_rule(tmp_path, start):
+    odd_fmu(tmp_path / "a.fmu", [("p", "Real", "parameter", 0), ("y", "Real", "output", 100)])
+    taking = [("i", "Integer", "input", 0), ("b", "Boolean", "input", 1)]
+    odd_fmu(tmp_path / "b.fmu", [
+        *taking, ("oi", "Integer", "output", 100), ("ob", "Boolean", "output", 101),
+    ])  # fmt: skip
+    (tmp_path / "scenario.toml").write_text(
+        'duration = 0.006\ncoupling = "jacobi"\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n'
+        f'"b.i" = "convert(a.y)"\n"b.b" = "convert(a.y)"\n[parameters.a]\np = {start}\n'
+    )
+    recording = rehearse(prepare(load_scenario(tmp_path))).recording
+    whole = [round(value) for value in recording["a.y"][:-1]]
+    assert recording["b.oi"][1:].tolist() == [n + k for k, n in enumerate(whole, 1)]
+    assert recording["b.ob"][1:].tolist() == [n != 0 for n in whole]
+
+
+@needs_compiler
+def test_an_unknown_unit_in_a_parameter_set_is_told_and_refuses_nothing(tmp_path):
+    toy = toy_fmu(tmp_path / "toy.fmu", 2)
+    values = '<ssv:Parameter name="u[1,1]"><ssv:Real value="0.5" unit="[N]"/></ssv:Parameter>'
+    ssp = odd_ssp(tmp_path / "x.ssp", {"c": toy}, {"c": ["y[1,1]"]}, {"c": values})
+    done = command("run", "--system", ssp, "--no-video", "--out", tmp_path / "run", code=0)
+    told = "parameter c.u[1,1]: no definition of [N], so the value is taken as it is"
+    assert told in " ".join(done.stderr.split())
+    assert Recording.open(tmp_path / "run")["c.y[1,1]"][0] == 0.5

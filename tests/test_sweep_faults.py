@@ -8,13 +8,15 @@ from pathlib import Path
 
 import pytest
 
+import dask_jobs
+from fmu_support import in_process
 from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.study.sweep import backend
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.report import promote_row, show_row
-from sweep_support import TABLE, rows_of
+from sweep_support import TABLE, rows_of, short_sweep
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
 LAW = """\
@@ -73,3 +75,32 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path):
     files = promote_row(out, 0, tmp_path / "mine" / "held", known_limit=True)
     assert tmp_path / "mine" / "held" / "hold.py" in files
     command("regress", "--scenarios", tmp_path / "mine", "--exact", code=0)
+
+
+# A Dask cluster gives the same table as this machine's pool, also where workers are lost.
+
+
+distributed = pytest.importorskip("distributed")
+
+SAMPLES = 8
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    """A folder with the sweep on this machine's pool."""
+    folder = tmp_path_factory.mktemp("dask")
+    sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=1)
+    return folder
+
+
+def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(base, tmp_path):
+    pytest.importorskip("cryptography")
+    out = tmp_path / "out"
+    assert in_process(dask_jobs.local_cluster, str(base), str(out), SAMPLES, timeout=540) == 1
+    assert rows_of(out) == rows_of(base / "pool")
+
+
+def test_a_cluster_that_is_not_there_is_reported(base, tmp_path):
+    said, seconds = in_process(dask_jobs.nowhere, str(base), str(tmp_path / "out"), timeout=540)
+    assert said.startswith("--dask tcp://127.0.0.1:9")
+    assert seconds < 60

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
+import re
+import shutil
+import subprocess
 import zlib
+from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
@@ -14,16 +19,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import regress_support
+from bounded import ran
+from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.result.recording import Recording
 from panda_cosim.show.view import columns, run
 from panda_cosim.show.view.columns import Thinning, encode
 from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.page import Inline
 from panda_cosim.show.view.run import Shown, describe
-from view_support import MODEL, MadeUp, as_columns, decoded
+from panda_cosim.task.scenario import shipped_scenarios
+from view_support import MODEL, MadeUp, as_columns, decoded, run_scenario_outside
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([np.nan, np.inf, -np.inf, 0.0])
 COLUMNS = hnp.arrays(np.float64, st.integers(1, 60), elements=NUMBERS)
@@ -182,3 +192,141 @@ def test_columns_of_different_units_are_not_in_one_plot():
     units = {"plant.qvel[1]": "m/s", "plant.qvel[2]": "rad/s", "plant.qvel[3]": "rad/s"}
     plots = run.shown_curves(run.CURVES, units)
     assert [plot["columns"] for plot in plots] == [[*units][:1], [*units][1:]]
+
+
+# The built page code is what its source says: rebuilt to the same code, and tested.
+
+
+VIEW = Path(__file__).parent.parent / "src" / "panda_cosim" / "show" / "view"
+BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """A copy of the source with the locked libraries in it."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("no node and npm here")
+    folder = tmp_path_factory.mktemp("build") / "source"
+    shutil.copytree(VIEW / "source", folder, ignore=shutil.ignore_patterns("node_modules"))
+    command = ["npm", "ci", "--prefer-offline"]
+    done = ran(command, cwd=folder, code=None)
+    unreachable = ("ENOTFOUND", "EAI_AGAIN", "ECONNREFUSED", "ETIMEDOUT", "ENETUNREACH")
+    if done.returncode and any(word in done.stderr for word in unreachable):
+        pytest.skip("npm reaches no registry from here")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def node(folder: Path, *command: str) -> None:
+    """Run a command in the source's folder."""
+    ran(command, cwd=folder)
+
+
+def content(file: Path) -> dict[str, bytes]:
+    """A built file; code as it runs, since another zlib may deflate it to other bytes."""
+    if file.suffix != ".json":
+        return {file.name: file.read_bytes()}
+    return {name: code_of(built) for name, built in json.loads(file.read_text()).items()}
+
+
+def code_of(built: dict[str, str]) -> bytes:
+    """Return a bundle's code, which the pages' policy allows by this digest."""
+    if "text" in built:
+        code = built["text"].encode()
+    else:
+        code = zlib.decompress(base64.b64decode(built["deflated"]))
+    assert base64.b64encode(hashlib.sha256(code).digest()).decode() == built["sha256"]
+    return code
+
+
+def test_rebuilding_gives_the_same_code(source, tmp_path):
+    node(source, "node", "build.mjs", str(tmp_path))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(BUILT)
+    for name in BUILT:
+        assert content(tmp_path / name) == content(VIEW / "page" / name), name
+
+
+def test_the_page_codes_own_tests_pass(source):
+    """Its types are checked with those of Python, by `.ci/run`."""
+    node(source, "npm", "test")
+
+
+def test_the_bundle_carries_its_licences_and_asks_nobody():
+    notice = (VIEW / "page" / "LICENSES.txt").read_text(encoding="utf-8")
+    versions = json.loads((VIEW / "source" / "package.json").read_text())["dependencies"]
+    bundles = content(VIEW / "page" / "code.json")
+    for name, version in versions.items():
+        assert f"{name} {version}" in notice
+        assert f"{name} {version}".encode() in bundles["view"]
+    assert notice.count("Permission is hereby granted") == len(versions)
+    assert notice.encode() in bundles["view"]
+    for word in ("fetch(", "WebSocket", "innerHTML", "eval(", "importScripts"):
+        ours = [path for path in (VIEW / "source/src").rglob("*.ts") if word in path.read_text()]
+        # A live run's page speaks to its server; its policy allows no other, a file's none.
+        assert [path.name for path in ours] == (["link.ts"] if word == "WebSocket" else []), word
+
+
+# The command `panda-cosim view`.
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return run_scenario_outside(tmp_path_factory.mktemp("runs") / "first")
+
+
+def view(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Call the command in a process of its own."""
+    return command("view", *arguments)
+
+
+def shown(path: Path) -> str:
+    """What a page says that it shows first."""
+    text = path.read_text(encoding="utf-8")
+    found = re.search(r'data-view="&quot;show&quot;">(.*?)</script>', text)
+    assert found is not None
+    return found[1]
+
+
+def test_the_page_lies_in_the_run_or_where_it_is_wanted(recorded, tmp_path):
+    done = view(recorded)
+    assert done.returncode == 0, done.stderr
+    assert str(recorded / "view.html") in done.stdout
+    assert shown(recorded / "view.html") == '{"runs":["first"]}'
+    assert view(Recording.open(recorded).path, "--out", tmp_path / "a" / "b.html").returncode == 0
+    assert (tmp_path / "a" / "b.html").is_file()
+
+
+def test_a_scenario_of_ones_own_has_its_reference(tmp_path):
+    own = shutil.copytree(shipped_scenarios()["push"], tmp_path / "own")
+    recorded = run_scenario_outside(tmp_path / "run", scenario=own)
+    out = tmp_path / "view.html"
+    for against in ("reference", own):
+        done = view(recorded, "--against", against, "--out", out)
+        assert done.returncode == 0, done.stderr
+        assert shown(out) == '{"runs":["run","reference"]}'
+    (own / "reference.parquet").unlink()
+    done = view(recorded, "--against", "reference", "--out", out)
+    assert done.returncode == 2
+    assert f"regress {own} --update" in " ".join(done.stderr.split())
+
+
+def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(recorded, tmp_path):
+    regress_support.record(
+        tmp_path / "small", regress_support.columns()
+    )  # one joint, of a scenario that is not shipped
+    out = tmp_path / "view.html"
+    for arguments, words in (
+        ((tmp_path / "nothing",), "no such file"),
+        ((tmp_path / "small",), "1 columns of plant.qpos"),
+        ((recorded, "--against", tmp_path / "small"), "1 columns of plant.qpos"),
+        ((tmp_path / "small", "--against", "reference"), "'small' is not one of the shipped ones"),
+        (
+            (recorded, "--against", tmp_path / "reference.parquet"),
+            "no such file; must be",
+        ),
+    ):
+        done = view(*arguments, "--out", out)
+        assert done.returncode == 2, arguments
+        assert words in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert not out.exists()
