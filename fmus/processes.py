@@ -7,9 +7,10 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -24,24 +25,45 @@ def run(
     command: Sequence[str], folder: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> subprocess.CompletedProcess[str]:
     """Run a program, such as a compiler, to its end; if Ctrl-C ends the wait for it, kill it."""
-    with subprocess.Popen(
-        command,
-        cwd=folder,
-        env=dict(environment),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",  # they may write anything
-        start_new_session=True,  # so that it can be killed with all that it has started
-    ) as process:
-        try:
-            output, errors = process.communicate()
-        except BaseException:
-            with suppress(ProcessLookupError):
+    process = None
+    try:
+        with _signals_wait():
+            process = subprocess.Popen(
+                command,
+                cwd=folder,
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                errors="replace",  # they may write anything
+                start_new_session=True,  # so that it can be killed with all that it has started
+            )
+        output, errors = process.communicate()
+    except BaseException:
+        if process is not None:
+            with process, suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-            raise
+        raise
     return subprocess.CompletedProcess(command, process.returncode, output, errors)
+
+
+@contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Handle signals after the block: `Popen` would forget a process that has just begun."""
+    if threading.current_thread() is not threading.main_thread():  # which alone handles them
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    handlers = [signal.signal(number, lambda each, _: came.append(each)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, handlers, strict=True):
+            signal.signal(number, handler)
+        for sent in came:
+            signal.raise_signal(sent)
 
 
 def start_from_lasting_thread(

@@ -89,7 +89,8 @@ class Course:
         columns = _columns(signal) if instance == "controller" else []
         values: Array = self.commands[:, columns] if columns else getattr(self, instance)[signal]
         values = values[:, 0] if len(columns) == 1 else values
-        return values.reshape(self.rows, -1)[:, int(index[:-1]) - 1] if index else values
+        element = tuple(int(i) - 1 for i in index[:-1].split(",")) if index else ()
+        return values[(slice(None), *element)]
 
 
 def _columns(signal: str) -> list[int]:

@@ -266,9 +266,10 @@ def test_a_step_timeout_is_a_number_above_zero_of_an_isolated_fmu(seconds):
 # Ctrl-C leaves no process, and no folder of one.
 
 
+# It interrupts the build as soon as it has begun.
 COMPILER = """#!/bin/sh
 sleep 300.75 &
-touch "$COMPILING"
+kill -s "$INTERRUPT" $PPID
 wait
 """
 BUILD = """
@@ -317,43 +318,24 @@ def test_a_signal_whose_exception_nobody_sees_ends_the_command(number):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
-@pytest.mark.parametrize(
-    ("number", "what"), [(signal.SIGINT, "own"), (signal.SIGTERM, "slave")], ids=["own", "slave"]
-)
+@pytest.mark.parametrize("what", ["own", "slave"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_first_build_that_is_interrupted_ends_its_compilers(tmp_path, number, what):
-    """The project's own FMUs are compiled in threads, a single one in the main thread."""
-    compiler, slave = tmp_path / "bin" / "cc", tmp_path / "slave.py"
+    compiler, slave, cache = tmp_path / "bin" / "cc", tmp_path / "slave.py", tmp_path / "cache"
     compiler.parent.mkdir()
-    compiler.write_text(COMPILER, encoding="utf-8")
+    compiler.write_text(COMPILER)
     compiler.chmod(0o755)
-    slave.write_text(SLAVE, encoding="utf-8")
-    begun, cache = tmp_path / "begun", tmp_path / "cache"
-    mark = f"COMPILING={begun}"
-    environment = os.environ | {
+    slave.write_text(SLAVE)
+    variables = {
         "PATH": f"{compiler.parent}{os.pathsep}{os.environ['PATH']}",
         "PANDA_COSIM_CACHE": str(cache),
-        "COMPILING": str(begun),
+        "INTERRUPT": number.name.removeprefix("SIG"),
     }
-    more = ["--slave", str(slave)] if what == "slave" else []
-    command = [sys.executable, "-P", "-c", BUILD, "build", "--out", str(tmp_path / "out"), *more]
-    with subprocess.Popen(
-        [*command, str(tmp_path / "none")], env=environment, stderr=subprocess.PIPE, text=True
-    ) as building:
-        try:
-            end = time.monotonic() + 60.0
-            while not begun.exists():
-                assert time.monotonic() < end, "no compiler was started"
-                time.sleep(0.01)
-            building.send_signal(number)
-            _, complaint = building.communicate(timeout=60.0)
-        finally:
-            building.kill()
-            end = time.monotonic() + 10.0  # a killed process may take a moment to go
-            while (left := processes_with(mark, "300.75")) and time.monotonic() < end:
-                time.sleep(0.05)
-            for process in left:
-                os.kill(process, signal.SIGKILL)
-    assert building.returncode == 128 + number
-    assert "Traceback" not in complaint
-    assert left == []
+    more = ["--slave", slave] if what == "slave" else []
+    build = ["build", "--out", tmp_path / "out", *more, tmp_path / "none"]
+    done = ran(
+        [sys.executable, "-P", "-c", BUILD, *build], code=128 + number, env=os.environ | variables
+    )
+    assert "Traceback" not in done.stderr
+    wait_until(lambda: not processes_with(str(cache), "300.75"))  # the killed may take a moment
     assert not [*cache.rglob(f"{TEMPORARY}*")]
