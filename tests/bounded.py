@@ -51,11 +51,11 @@ def running(command: Sequence[Any], **options: Any) -> Iterator[subprocess.Popen
 
 
 def ran(
-    command: Sequence[Any], code: int | None = 0, **options: Any
+    command: Sequence[Any], code: int | None = 0, timeout: float = 300.0, **options: Any
 ) -> subprocess.CompletedProcess[str]:
     """Run a command and take what it says; it has to end with an exit code, None for any."""
-    options = {"capture_output": True, "text": True, "timeout": 300.0} | options
-    done = subprocess.run(list(map(str, command)), check=False, **options)
+    options = {"capture_output": True, "text": True} | options
+    done = subprocess.run(list(map(str, command)), timeout=timeout, check=False, **options)
     assert code in (None, done.returncode), (
         f"{command}: {done.returncode}{done.stdout}{done.stderr}"
     )
