@@ -21,7 +21,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from panda_cosim.study.compare.compare import compare_with_reference
 
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
@@ -38,6 +37,7 @@ from panda_cosim.result.recording import Recording
 from panda_cosim.run.result import Run
 from panda_cosim.show.view.model import describe
 from panda_cosim.show.view.page import Inline, live_page
+from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.between_runs import RunComparison, compare
 from panda_cosim.study.compare.junit import Case, write_cases
 from panda_cosim.study.compare.reference import Reference
