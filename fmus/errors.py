@@ -139,16 +139,20 @@ class SimulationError(CosimError):
     def __init__(
         self, message: str, *, time: float | None = None, instance: str = "", variable: str = ""
     ) -> None:
-        where = [f"at t = {time:.3f} s"] if time is not None else []
-        if instance:
-            where.append(f"in FMU {instance!r}")
-        if variable:
-            where.append(f"variable {variable}")
-        super().__init__(printable(f"{', '.join(where)}: {message}" if where else message))
+        super().__init__(message)
         self.message = message
         self.time = time
         self.instance = instance
         self.variable = variable
+
+    def __str__(self) -> str:
+        """Time, instance and variable, as far as they are known, and the message."""
+        where = [f"at t = {self.time:.3f} s"] if self.time is not None else []
+        if self.instance:
+            where.append(f"in FMU {self.instance!r}")
+        if self.variable:
+            where.append(f"variable {self.variable}")
+        return printable(f"{', '.join(where)}: {self.message}" if where else self.message)
 
 
 class SimulationEndedError(SimulationError):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import panda_cosim.fmus.master.master
 from panda_cosim.fmus.errors import InputError, SimulationEndedError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
-from panda_cosim.fmus.master.master import Master
+from panda_cosim.fmus.master.master import Master, RealtimePacer, RunStatistics
 from panda_cosim.fmus.master.step import Coupling
 from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange, SlowSlave
 
@@ -479,18 +479,25 @@ def clock(monkeypatch):
     return make
 
 
+def paced(steps: int, speed: float) -> RunStatistics:
+    master = loop()
+    master.begin(lambda _rows: None)
+    pace = RealtimePacer(H / speed, master.statistics).wait
+    master.step(steps, references(steps), pace=pace)
+    return master.statistics
+
+
 @pytest.mark.parametrize("speed", [1.0, 2.0])
 def test_a_run_in_real_time_sleeps_until_each_tick_is_due(clock, speed):
     it = clock(1e-5)
-    statistics = loop().run(100, references(100), lambda _rows: None, realtime=speed)
-    assert statistics.overruns == 0
+    assert paced(100, speed).overruns == 0
     assert len(it.slept) == 100
     assert it.now == pytest.approx(0.1 / speed, abs=2e-3)
 
 
 def test_what_is_late_is_reported(clock):
     it = clock(1e-3)  # two readings per tick of 1 ms
-    statistics = loop().run(50, references(50), lambda _rows: None, realtime=1.0)
+    statistics = paced(50, 1.0)
     assert not it.slept
     assert statistics.overruns == 50
     assert statistics.worst_lateness > 0.04

@@ -90,9 +90,9 @@ class LawSlave:
         if not np.isfinite(ctrl).all():
             raise ValueError(f"update: ctrl at t = {time:.3f} s is not finite: {ctrl}")
         if self._first and self._ticks == 0:
-            arm = ctrl[: len(self._first["low"])]
-            within = bool(((arm >= self._first["low"]) & (arm <= self._first["high"])).all())
-            if within != self._first["within"]:
+            low, high = self._first["low"], self._first["high"]
+            arm = ctrl[: len(low)]
+            if bool(((arm >= low) & (arm <= high)).all()) != self._first["within"]:
                 raise ValueError(
                     f"update: ctrl starts with {arm.round(2)}; {self._first['reason']}"
                 )

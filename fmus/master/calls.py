@@ -14,7 +14,6 @@ from pathlib import PurePath
 from typing import Any, ClassVar, Final, NoReturn
 from weakref import WeakValueDictionary
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SimulationEndedError, SimulationError
@@ -164,12 +163,13 @@ class Caller:
 
 
 class Access:
-    """A getter or setter of FMPy, called with the index of a row of a block (n, values)."""
+    """A getter or setter of arrays, called with the index of a row of a block (n, elements)."""
 
     def __init__(
-        self, slave: Caller, label: str, references: Sequence[int], block: NDArray[np.float64]
+        self, slave: Caller, verb: str, arrays: Sequence[Scalar], block: NDArray[Any]
     ) -> None:
-        self.slave, self.name, self.block = slave, f"{slave.prefix}{label}", block
+        kind, references = arrays[0].variable.fmi_type, [each.value_reference for each in arrays]
+        self.slave, self.name, self.block = slave, f"{slave.prefix}{verb}{kind}", block
         self.references = (ctypes.c_uint * len(references))(*references)
         size = block.shape[1]
         first, stride, view = block.ctypes.data, block.strides[0], ctypes.c_double * size
@@ -189,36 +189,23 @@ class Access:
         self.slave.fail(self.name, status, time)
 
 
-class Typed:
-    """An access to variables of one type that is not Real, through FMPy's functions of lists."""
+class Lists:
+    """The same for arrays of a type that is not float64, through FMPy's functions of lists."""
 
-    def __init__(  # noqa: PLR0913 - both sides of the exchange
-        self,
-        slave: Caller,
-        scalars: Sequence[Scalar],
-        places: Sequence[int],  # of the values that belong to
-        columns: Sequence[int],  # of the block
-        block: NDArray[Any],
-        *,
-        reads: bool,
+    def __init__(
+        self, slave: Caller, verb: str, arrays: Sequence[Scalar], block: NDArray[Any]
     ) -> None:
-        self._slave, self._block, self._reads = slave, block, reads
-        self._arrays = list({scalar.variable.name: scalar for scalar in scalars}.values())
-        self._ends = list(zip(scalars, places, columns, strict=True))
-        self._values: list[Any] = [None] * sum(each.variable.size for each in self._arrays)
-        if not reads and len(scalars) < len(self._values):  # the others are set again and again
-            self._values = slave.get_values(self._arrays)
+        self._slave, self._verb, self._arrays, self._block = slave, verb, arrays, block
+        names = (name for array in arrays for name in array.variable.names())
+        self._scalars = [slave.fmu.variable(name) for name in names]
 
     def __call__(self, row: int) -> None:
         """Exchange the values of a row of the block."""
-        if self._reads:
-            values = self._slave.get_values(self._arrays)
-            for _, place, column in self._ends:
-                self._block[row, column] = values[place]
-            return
-        for scalar, place, column in self._ends:
-            self._values[place] = self._in_type(scalar, self._block[row, column])
-        self._slave.set_lists(self._arrays, self._values)
+        if self._verb == "Get":
+            self._block[row] = self._slave.get_values(self._arrays)
+        else:
+            values = map(self._in_type, self._scalars, self._block[row])
+            self._slave.set_lists(self._arrays, list(values))
 
     def _in_type(self, scalar: Scalar, value: Any) -> Any:
         """Return a value in the FMU's type: rounded, and in its range, unless it is a Float32."""

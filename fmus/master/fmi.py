@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import partial
 from typing import Any, Final, NoReturn
 
 from fmpy import calloc, fmi2, fmi3, free
@@ -21,42 +21,14 @@ from .fmu import FmuSlave
 from .wiring import Array, Exchange
 
 MOST_UPDATES: Final = 1000  # of discrete states at one event
-
-
-@cache
-def _logger2() -> Any:
-    """The callback through which FMUs log; it is never freed."""
-    # FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
-    # calls it for all instances, also when the one that gave it has gone.
-    return fmi2.fmi2CallbackLoggerTYPE(
-        lambda number, name, status, _category, text: receive(number, name, status, text)
-    )
-
-
-class Fmi2Slave(FmuSlave):
-    """An instance of an FMI 2.0 FMU: a value reference is one scalar."""
-
-    fmpy_class, prefix, state_name, enumeration = FMU2Slave, "fmi2", "FMUstate", "Integer"
-
-    def _instantiate(self, instance: Any) -> None:
-        callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = _logger2()
-        callbacks.componentEnvironment = self.log.number
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-        addLoggerProxy(ctypes.byref(callbacks))
-        self._keep.append(callbacks)
-        instance.instantiate(callbacks=callbacks, loggingOn=True)
-
-    def _make_step(self) -> StepCall:
-        return _Fmi2Step(self)
-
-    def _set_up(
-        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
-    ) -> None:
-        self.call("set up", self.instance.setupExperiment, tolerance, start, stop)
-        self._set_arrays(values)
-        self.call("enter initialization", self.instance.enterInitializationMode)
+# What FMUs log through is never freed, since they may log at any time. FMPy's proxy, which formats
+# FMI 2.0's messages, calls the last logger that it was given, for all instances.
+_LOGGER2: Final = fmi2.fmi2CallbackLoggerTYPE(
+    lambda number, name, status, _category, text: receive(number, name, status, text)
+)
+_LOGGER3: Final = fmi3.fmi3LogMessageCallback(
+    lambda number, status, _category, text: receive(number, b"", status, text)
+)
 
 
 class _Fmi2Step(StepCall):
@@ -81,12 +53,70 @@ class _Fmi2Step(StepCall):
         super().fail(status, time)
 
 
-@cache
-def _logger3() -> Any:
-    """Return the function that FMUs log through; it is kept, since an FMU may log while freed."""
-    return fmi3.fmi3LogMessageCallback(
-        lambda number, status, _category, text: receive(number, b"", status, text)
-    )
+class Fmi2Slave(FmuSlave):
+    """An instance of an FMI 2.0 FMU: a value reference is one scalar."""
+
+    fmpy_class, step_call = FMU2Slave, _Fmi2Step
+    prefix, state_name, enumeration = "fmi2", "FMUstate", "Integer"
+
+    def _instantiate(self, instance: Any) -> None:
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = _LOGGER2
+        callbacks.componentEnvironment = self.log.number
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        addLoggerProxy(ctypes.byref(callbacks))
+        instance.instantiate(callbacks=callbacks, loggingOn=True)
+
+    def _set_up(
+        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
+    ) -> None:
+        self.call("set up", self.instance.setupExperiment, tolerance, start, stop)
+        self._set_arrays(values)
+        self.call("enter initialization", self.instance.enterInitializationMode)
+
+
+class _Fmi3Step(StepCall):
+    """fmi3DoStep, which may return early; it is then called again for the rest of the step."""
+
+    slave: Fmi3Slave
+
+    def __init__(self, slave: Fmi3Slave) -> None:
+        super().__init__(slave)
+        self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
+        self._reached = ctypes.c_double()
+        answers = (self._event, self._ended, self._early, self._reached)
+        self._answers = [ctypes.byref(answer) for answer in answers]
+
+    def __call__(self, time: float, step_size: float) -> None:
+        """Take a step; one that was not taken to its end is an error."""
+        slave, end, size = self.slave, time + step_size, step_size
+        while True:
+            self._reached.value = end
+            before = (slave.component, time, size, slave.no_going_back)
+            slave.call(self.name, self._method, *before, *self._answers, time=time)
+            self.reached = reached = self._reached.value if self._early.value else end
+            if self._ended.value:
+                raise self.ending(time, self._reached.value)
+            if self._event.value:
+                self.meet_event(time)
+            if reached >= end:
+                return
+            if reached <= time:
+                self.refuse_early(time, reached)
+            time, size = reached, end - reached
+
+    def meet_event(self, time: float) -> None:
+        """Handle an event that ended a step; without event mode, it is an error."""
+        if not self.slave.has_events:
+            text = "the FMU needs an event handled, but its description has no event mode"
+            raise SimulationError(text, time=time, instance=self.slave.name)
+        self.slave.handle_event(self.reached)
+
+    def refuse_early(self, time: float, reached: float) -> NoReturn:
+        """Raise the error of a step that made no headway."""
+        text = f"the FMU returned early, at {reached:g} s"
+        raise SimulationError(text, time=time, instance=self.slave.name)
 
 
 class Fmi3Slave(FmuSlave):
@@ -95,7 +125,8 @@ class Fmi3Slave(FmuSlave):
     An FMU that has event mode is run with it.
     """
 
-    fmpy_class, prefix, state_name, enumeration = FMU3Slave, "fmi3", "FMUState", "Int64"
+    fmpy_class, step_call = FMU3Slave, _Fmi3Step
+    prefix, state_name, enumeration = "fmi3", "FMUState", "Int64"
 
     def _instantiate(self, instance: Any) -> None:
         self.has_events = bool(self.fmu.description.coSimulation.hasEventMode)
@@ -112,14 +143,11 @@ class Fmi3Slave(FmuSlave):
             (fmi3.fmi3ValueReference * 0)(),
             0,
             self.log.number,
-            _logger3(),
+            _LOGGER3,
             fmi3.fmi3IntermediateUpdateCallback(),
         )
         if not instance.component:
             raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
-
-    def _make_step(self) -> StepCall:
-        return _Fmi3Step(self)
 
     def _set_up(
         self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
@@ -181,46 +209,3 @@ class Fmi3Slave(FmuSlave):
             last[:] = values
 
         return exchange
-
-
-class _Fmi3Step(StepCall):
-    """fmi3DoStep, which may return early; it is then called again for the rest of the step."""
-
-    slave: Fmi3Slave
-
-    def __init__(self, slave: Fmi3Slave) -> None:
-        super().__init__(slave)
-        self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
-        self._reached = ctypes.c_double()
-        answers = (self._event, self._ended, self._early, self._reached)
-        self._answers = [ctypes.byref(answer) for answer in answers]
-
-    def __call__(self, time: float, step_size: float) -> None:
-        """Take a step; one that was not taken to its end is an error."""
-        slave, end, size = self.slave, time + step_size, step_size
-        while True:
-            self._reached.value = end
-            before = (slave.component, time, size, slave.no_going_back)
-            slave.call(self.name, self._method, *before, *self._answers, time=time)
-            self.reached = reached = self._reached.value if self._early.value else end
-            if self._ended.value:
-                raise self.ending(time, self._reached.value)
-            if self._event.value:
-                self.meet_event(time)
-            if reached >= end:
-                return
-            if reached <= time:
-                self.refuse_early(time, reached)
-            time, size = reached, end - reached
-
-    def meet_event(self, time: float) -> None:
-        """Handle an event that ended a step; without event mode, it is an error."""
-        if not self.slave.has_events:
-            text = "the FMU needs an event handled, but its description has no event mode"
-            raise SimulationError(text, time=time, instance=self.slave.name)
-        self.slave.handle_event(self.reached)
-
-    def refuse_early(self, time: float, reached: float) -> NoReturn:
-        """Raise the error of a step that made no headway."""
-        text = f"the FMU returned early, at {reached:g} s"
-        raise SimulationError(text, time=time, instance=self.slave.name)

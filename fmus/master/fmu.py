@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from threading import Lock
 from typing import Any, ClassVar, Final
@@ -21,7 +22,7 @@ import numpy as np
 
 from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
-from .calls import ERROR, FATAL, WARNING, Access, Caller, OnMessage, StepCall, Typed
+from .calls import ERROR, FATAL, WARNING, Access, Caller, Lists, OnMessage
 from .fmu_file import Fmu
 from .wiring import Array, Exchange, Moved
 
@@ -55,26 +56,22 @@ class FmuSlave(Caller, ABC):
 
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         super().__init__(name, fmu, on_message)
-        self._keep: list[object] = []
         self._state = ctypes.c_void_p()  # that was kept, if one was
         self.stop = math.inf  # [s] up to which it can be stepped
         with _loading:
             self.instance = self._open()
         self.component = self.instance.component
-        self.step = self._make_step()
+        self.step = self.step_call(self)
 
     # Different in FMI 2.0 and 3.0.
 
     fmpy_class: ClassVar[Any]  # of FMPy, which loads the library
+    step_call: ClassVar[Any]  # subclass of `StepCall`: a step by one communication step
     state_name: ClassVar[str]  # in the names of functions
 
     @abstractmethod
     def _instantiate(self, instance: Any) -> None:
         """Make the instance; raises any Exception."""
-
-    @abstractmethod
-    def _make_step(self) -> StepCall:
-        """Make the function `step`, by one communication step."""
 
     @abstractmethod
     def _set_up(
@@ -114,12 +111,13 @@ class FmuSlave(Caller, ABC):
 
     def _bind(self, verb: str, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that gets or sets variables, with one call for each type of FMI."""
+        scalars = [self.fmu.variable(name) for name in names]
         columns: dict[str, list[int]] = {}
-        for i, name in enumerate(names):
-            columns.setdefault(self.fmu.variable(name).variable.fmi_type, []).append(i)
+        for column, scalar in enumerate(scalars):
+            columns.setdefault(scalar.variable.fmi_type, []).append(column)
         calls = [
-            self._bind_type(verb, kind, [names[i] for i in places], places, block)
-            for kind, places in columns.items()
+            self._bind_type(verb, [scalars[column] for column in each], each, block)
+            for each in columns.values()
         ]
         if len(calls) == 1:
             return calls[0]
@@ -131,37 +129,22 @@ class FmuSlave(Caller, ABC):
         return exchange
 
     def _bind_type(
-        self, verb: str, kind: str, names: Sequence[str], columns: list[int], block: Array
+        self, verb: str, scalars: Sequence[Scalar], columns: list[int], block: Array
     ) -> Exchange:
-        references, places, size = self._elements(names)
-        if kind not in REALS:
-            scalars = [self.fmu.variable(name) for name in names]
-            return Typed(self, scalars, places, columns, block, reads=verb == "Get")
-        is_in_order = places == list(range(size)) and columns == list(
-            range(columns[0], columns[-1] + 1)
-        )
-        if is_in_order and block.dtype == np.float64:
-            part = block[:, columns[0] : columns[-1] + 1]
-            return Access(self, f"{verb}{kind}", references, part)
-        values = np.zeros((1, size))
-        call, get = (Access(self, f"{each}{kind}", references, values) for each in (verb, "Get"))
-        if verb == "Set" and len(names) < size:
-            get(0)
+        arrays = list({scalar.variable.name: scalar for scalar in scalars}.values())
+        *firsts, size = accumulate((array.variable.size for array in arrays), initial=0)
+        first = {array.variable.name: i for array, i in zip(arrays, firsts, strict=True)}
+        places = [first[scalar.variable.name] + scalar.element for scalar in scalars]
+        is_real = arrays[0].variable.fmi_type in REALS
+        access, dtype = (Access, np.float64) if is_real else (Lists, np.object_)
+        is_part = columns == list(range(columns[0], columns[-1] + 1))
+        if is_part and places == list(range(size)) and block.dtype == dtype:
+            return access(self, verb, arrays, block[:, columns[0] : columns[-1] + 1])
+        values: Array = np.zeros((1, size), dtype)
+        if verb == "Set" and len(scalars) < size:  # the others are set again and again
+            access(self, "Get", arrays, values)(0)
+        call = access(self, verb, arrays, values)
         return Moved(call, values, places, block, columns, reads=verb == "Get")
-
-    def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
-        """Value references of the arrays that hold scalars, each one's place, and their size."""
-        first: dict[str, int] = {}
-        references, where, size = [], [], 0
-        for name in names:
-            scalar = self.fmu.variable(name)
-            array = scalar.variable
-            if array.name not in first:
-                first[array.name] = size
-                references.append(scalar.value_reference)
-                size += array.size
-            where.append(first[array.name] + scalar.element)
-        return references, where, size
 
     def _open(self) -> Any:
         """Load the library and make the instance."""

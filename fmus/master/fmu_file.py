@@ -81,11 +81,13 @@ class Fmu:
         described = self.description.modelVariables
         self.clocked = [v.name for v in described if v.type == "Clock" or v.clocks]  # left out
         self.structural = {v.name for v in described if v.causality == STRUCTURAL}
-        self.relative = {v.name for v in described if _is_relative(v)}
+        # Differences, for which the offset of a unit does not count.
+        self.relative = {v.name for v in described if _stated(v, "relativeQuantity")}
         self.sizes: dict[str, int] = {}  # values of structural parameters that are changed
         notes = (*root.iterfind("VendorAnnotations/*"), *root.iterfind("Annotations/*"))
         self.is_model = any(_MODEL_NOTE in note.attrib.values() for note in notes)
         self._noted = _noted_names(root)
+        self._described: dict[str, Scalar] = {}  # by their names in the description
         self.variables = self._scalars()
         self.units = read_units(place, root.iterfind("UnitDefinitions/Unit"))
         return pickle.dumps({k: value for k, value in vars(self).items() if k not in before})
@@ -93,10 +95,12 @@ class Fmu:
     def _scalars(self) -> dict[str, Scalar]:
         place = f"{self.path}: modelDescription.xml"
         taken = [v for v in self.description.modelVariables if v.name not in self.clocked]
-        described = list(_scalars(place, taken, self.sizes))
-        renamed = [_renamed(scalar, self._noted) for scalar in described]
-        self._described = {d.name: r for d, r in zip(described, renamed, strict=True)}
-        return {scalar.name: scalar for scalar in renamed}
+        variables = {}
+        for scalar in _scalars(place, taken, self.sizes):
+            names = self._noted.get(scalar.variable.name, [])
+            name = names[scalar.element] if scalar.element < len(names) else scalar.name
+            self._described[scalar.name] = variables[name] = replace(scalar, name=name)
+        return variables
 
     @property
     def independent(self) -> frozenset[str]:
@@ -120,6 +124,7 @@ class Fmu:
             return self
         other = copy(self)
         other.sizes = {name: int(str(value).removesuffix(".0")) for name, value in numbers.items()}
+        other._described = {}
         other.variables = other._scalars()
         return other
 
@@ -277,17 +282,16 @@ def _scalars(place: str, described: Sequence[Any], sizes: Mapping[str, int]) -> 
         yield from variable.scalars(each.valueReference, stride=0)
 
 
-def _is_relative(described: Any) -> bool:
-    """Whether a variable is a difference, so that its unit's offset does not count."""
-    own = getattr(described, "relativeQuantity", False)
-    return bool(own or getattr(described.declaredType, "relativeQuantity", False))
+def _stated(described: Any, attribute: str) -> Any:
+    """An attribute of a variable, or else of its declared type; None: neither has it."""
+    own = getattr(described, attribute, None)
+    return own or getattr(described.declaredType, attribute, None)
 
 
 def _shape(described: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Shape of a variable for some values of structural parameters."""
-    changed = {i: sizes[d.variable.name] for i, d in enumerate(described.dimensions)
-               if d.variable is not None and d.variable.name in sizes}  # fmt: skip
-    return tuple(changed.get(i, n) for i, n in enumerate(described.shape or ()))
+    names = [getattr(each.variable, "name", "") for each in described.dimensions]
+    return tuple(sizes.get(n, size) for n, size in zip(names, described.shape or (), strict=True))
 
 
 def _noted_names(root: ET.Element) -> dict[str, list[str]]:
@@ -300,26 +304,20 @@ def _noted_names(root: ET.Element) -> dict[str, list[str]]:
     }
 
 
-def _renamed(scalar: Scalar, names: Mapping[str, list[str]]) -> Scalar:
-    noted = names.get(scalar.variable.name, [])
-    return replace(scalar, name=noted[scalar.element]) if scalar.element < len(noted) else scalar
-
-
 def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
     """Return one of FMPy's `ModelVariable`s as a row of an interface table."""
-    declared = described.declaredType
     kind = _KINDS.get(described.type, described.type)
-    items = getattr(declared, "items", ())
+    items = getattr(described.declaredType, "items", ())
     shape, is_structural = _shape(described, sizes), described.causality == STRUCTURAL
 
     def bound(side: str) -> float | None:
-        text = getattr(described, side) or getattr(declared, side, None)
+        text = _stated(described, side)
         return None if text is None else float(read_value(f"{place}: {side}", _NUMBER, text))
 
     variable = Variable(
         described.name,
         shape,
-        described.unit or getattr(declared, "unit", None) or "",
+        _stated(described, "unit") or "",
         "parameter" if is_structural else described.causality,
         cast("Variability", "fixed" if is_structural else described.variability or ""),
         described.description or "",

@@ -9,9 +9,8 @@ library is missing, `Step.take` is called.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cache
-from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -87,27 +86,24 @@ class Kernel:
     ) -> None:
         self._step, self._rows = step, rows
         self._keep: list[object] = [stop]
-        self._made_by: list[Access | StepCall | None] = []
-        leaders, followers = step.leaders, step.followers
-        calls = [
-            *chain.from_iterable(
-                [
-                    *self._access(SET_INPUTS, [leader.set_inputs]),
-                    self._stepping(leader.step),
-                    *self._access(GET_OUTPUTS, [leader.get_outputs]),
-                ]
-                for leader in leaders
-            ),
-            self._add(None, action=COMPLETE, **self._columns(checked)),
-            *self._access(SET_INPUTS, [follower.set_inputs for follower in followers]),
-            *[self._stepping(follower.step) for follower in followers],
-            *self._access(GET_OUTPUTS, [f.get_outputs for f in followers], later=1),
-        ]
+        self._made_by: list[Any] = []  # `Access`, `StepCall` or None, of each call
+        self._list: list[_Call] = []
+        for leader in step.leaders:
+            self._exchange(SET_INPUTS, leader.set_inputs)
+            self._step_once(leader.step)
+            self._exchange(GET_OUTPUTS, leader.get_outputs)
+        self._add(COMPLETE, None, **self._columns(checked))
+        for follower in step.followers:
+            self._exchange(SET_INPUTS, follower.set_inputs)
+        for follower in step.followers:
+            self._step_once(follower.step)
+        for follower in step.followers:
+            self._exchange(GET_OUTPUTS, follower.get_outputs, later=1)
         if step.fed_back:
-            calls.append(self._add(None, action=FEED_BACK, **self._columns(step.fed_back)))
-        self._calls = (_Call * len(calls))(*calls)
+            self._add(FEED_BACK, None, **self._columns(step.fed_back))
+        self._calls = (_Call * len(self._list))(*self._list)
         self._course = _Course(
-            ctypes.addressof(self._calls), len(calls), rows.ctypes.data, rows.shape[1],
+            ctypes.addressof(self._calls), len(self._calls), rows.ctypes.data, rows.shape[1],
             start, step.size, ctypes.addressof(stop),
         )  # fmt: skip
 
@@ -130,11 +126,11 @@ class Kernel:
         course = self._course
         status, reached = course.status, course.reached
         if course.ended:
-            ender: Any = self._made_by[course.ended - 1]
+            ender = self._made_by[course.ended - 1]
             self._step.ended = ender.ending(time - self._step.size, reached)
         if OK <= status <= WARNING:
             return
-        caller: Any = self._made_by[course.failed]
+        caller = self._made_by[course.failed]
         if status == ENDED:
             raise caller.ending(time, reached)
         if status == EARLY:
@@ -144,24 +140,22 @@ class Kernel:
         elif caller is not None:
             caller.fail(status, time)
 
-    def _add(self, caller: Access | StepCall | None, **fields: int | None) -> _Call:
+    def _add(self, action: int, caller: Access | StepCall | None, **fields: int | None) -> None:
+        if caller is not None:
+            method = getattr(caller.slave.instance.dll, caller.name)
+            fields["function"] = ctypes.cast(method, ctypes.c_void_p).value
+            fields |= {"instance": caller.slave.component, "fmi": caller.slave.fmu.fmi}
         self._made_by.append(caller)
-        return _Call(**fields)
+        self._list.append(_Call(action, **fields))
 
-    def _stepping(self, call: object) -> _Call:
+    def _step_once(self, call: object) -> None:
         if not isinstance(call, StepCall) or call.slave.fmu.in_python or call.slave.has_events:
             raise _NotInCError
-        is_returned_to = not call.slave.no_going_back
-        return self._add(call, action=STEP, later=int(is_returned_to), **_callee(call))
+        self._add(STEP, call, later=int(not call.slave.no_going_back))  # whether it is returned to
 
-    def _access(self, action: int, exchanges: Iterable[object], later: int = 0) -> list[_Call]:
-        return [
-            self._exchange(exchange, action=action, later=later)
-            for exchange in exchanges
-            if exchange is not nothing
-        ]
-
-    def _exchange(self, exchange: object, **fields: int) -> _Call:
+    def _exchange(self, action: int, exchange: object, later: int = 0) -> None:
+        if exchange is nothing:
+            return
         columns = places = None
         moves: dict[str, int | None] = {}
         while isinstance(exchange, Moved):  # to a slave's own order, perhaps, after the first
@@ -177,8 +171,8 @@ class Kernel:
         else:
             moves |= {"values": exchange.block.ctypes.data, **self._columns(columns, places)}
         references = exchange.references
-        return self._add(
-            exchange, **fields, **_callee(exchange), **moves, size=exchange.block.shape[1],
+        self._add(
+            action, exchange, later=later, **moves, size=exchange.block.shape[1],
             references=ctypes.addressof(references), count=len(references),
         )  # fmt: skip
 
@@ -192,9 +186,3 @@ class Kernel:
         self._keep += arrays
         where, places = (array.ctypes.data for array in arrays)
         return {"columns": where, "places": places, "moved": len(arrays[0])}
-
-
-def _callee(call: Access | StepCall) -> dict[str, int | None]:
-    method = getattr(call.slave.instance.dll, call.name)
-    function = ctypes.cast(method, ctypes.c_void_p).value
-    return {"function": function, "instance": call.slave.component, "fmi": call.slave.fmu.fmi}

@@ -249,14 +249,10 @@ class Master:
         steps: int,
         external: ExternalInputs,
         sink: Sink,
-        *,
-        realtime: float = 0.0,
-        progress: Progress | None = None,
     ) -> RunStatistics:
         """Run from t_0 to the end, or until `stop_requested` is set."""
         self.begin(sink)
-        pace = RealtimePacer(self.step_size / realtime, self.statistics).wait if realtime else None
-        if self.step(steps, external, pace=pace, progress=progress) == steps:
+        if self.step(steps, external) == steps:
             self.end(external[steps : steps + 1])
         else:
             self.flush()
@@ -315,32 +311,20 @@ class Master:
 
     @contextmanager
     def _rows_kept(self) -> Iterator[None]:
-        """If an error ends the run, pass complete rows to the sink and add the error's time."""
+        """If an error ends the run, pass complete rows to the sink and add the error's time.
+
+        What a slave fails at is often a value that is not finite, which is then the error.
+        """
         began = clock.perf_counter()
         try:
             yield
-        except SimulationError as error:
-            explained = self._explained(error)
+        except BaseException as error:
+            cause = self._buffer.non_finite(self._row)
             self._buffer.flush()
-            if explained is error:
-                raise
-            raise explained from error
-        except BaseException:
-            self._buffer.flush()
+            if isinstance(error, SimulationError):
+                if cause and error.instance and not error.variable:  # by a slave, not by the sink
+                    raise cause from error
+                error.time = self.time if error.time is None else error.time
             raise
         finally:
             self.statistics.wall_time += clock.perf_counter() - began
-
-    def _explained(self, error: SimulationError) -> SimulationError:
-        """Add the time to an error; a value that is not finite is the cause, so it goes first."""
-        cause = self._buffer.non_finite(self._row)
-        if cause and error.instance and not error.variable:  # raised by a slave, not by the sink
-            return cause
-        if error.time is None:
-            return SimulationError(
-                error.message,
-                time=self.time,
-                instance=error.instance,
-                variable=error.variable,
-            )
-        return error

@@ -1,7 +1,8 @@
 """An FMU in a process of its own, whose crash does not affect this one.
 
 A request is (method, arguments, values of the blocks to set first, by their index). A reply is
-(error or None, result, log messages); the result of `step` and `read` is the values of all blocks.
+(error or None, result, log messages); the result of `step` and `outputs` is the values of all
+blocks that are read.
 """
 
 from __future__ import annotations
@@ -57,9 +58,9 @@ class RemoteSlave:
         self.stop = math.inf  # [s] up to which it can be stepped
         self._on_message, self._step_timeout = on_message, step_timeout
         self._time: float | None = None  # of the present step [s]
+        self._blocks = 0  # number of those that are bound, in the order of their making
         self._inputs: dict[int, Array] = {}  # put since the last request, by block
-        self._outputs: list[Array] | None = None  # of each block; None: out of date
-        self._blocks = {"bind_get": 0, "bind_set": 0}  # number of each
+        self._outputs: dict[int, Array] | None = None  # by block; None: out of date
         self._waiting = False  # for a reply
         self._connection, there = Pipe()
         folders = [folder for folder in sys.path if folder]
@@ -99,7 +100,7 @@ class RemoteSlave:
 
         def read(row: int) -> None:
             if self._outputs is None:
-                self._outputs = self._call("read")
+                self._outputs = self._call("outputs")
             block[row] = self._outputs[index]
 
         return read
@@ -115,9 +116,9 @@ class RemoteSlave:
         return put
 
     def _bind(self, method: str, names: Sequence[str], block: Array) -> int:
-        self._call(method, list(names), block.dtype.char)
-        self._blocks[method] += 1
-        return self._blocks[method] - 1
+        self._call("bind", method, list(names), block.dtype.char)
+        self._blocks += 1
+        return self._blocks - 1
 
     def step(self, time: float, step_size: float) -> None:
         """Take a step; raises SimulationError if it fails, or if the process ends or is late."""
@@ -224,36 +225,35 @@ class _Host:
     def __init__(self, open_slave: Callable[..., FmuSlave]) -> None:
         self.messages: list[tuple[str, ...]] = []
         self._open_slave = open_slave
-        # Values (1, n), and what sets or gets them.
-        self._blocks: dict[str, list[tuple[Array, Callable[[int], None]]]]
-        self._blocks = {"bind_get": [], "bind_set": []}
+        self._blocks: list[Array] = []  # values (1, n)
+        self._exchanges: dict[str, dict[int, Exchange]] = {"bind_get": {}, "bind_set": {}}
         self._slave: Any = None
 
     def call(self, method: str, arguments: Any, values: dict[int, Array]) -> Any:
-        """Set input blocks, then call a method of the slave."""
+        """Set input blocks, then call a method of this object or of the slave."""
         for index, numbers in values.items():
-            block, put = self._blocks["bind_set"][index]
-            block[0] = numbers
-            put(0)
-        match method:
-            case "open":
-                name, path, sizes = arguments
-                fmu = Fmu(Path(path)).restructured(sizes)
-                self._slave = self._open_slave(name, fmu, self._keep)
-            case "bind_get" | "bind_set":
-                names, dtype = arguments
-                block = np.zeros((1, len(names)), dtype)
-                bound = getattr(self._slave, method)(names, block)
-                self._blocks[method].append((block, bound))
-            case "step" | "read":
-                if method == "step":
-                    self._slave.step(*arguments)
-                for _, get in self._blocks["bind_get"]:
-                    get(0)
-                return [block[0] for block, _ in self._blocks["bind_get"]]
-            case _:
-                return getattr(self._slave, method)(*arguments)
-        return None
+            self._blocks[index][0] = numbers
+            self._exchanges["bind_set"][index](0)
+        return getattr(self if hasattr(self, method) else self._slave, method)(*arguments)
 
-    def _keep(self, *message: str) -> None:
-        self.messages.append(message)
+    def open(self, name: str, path: str, sizes: Mapping[str, int]) -> None:
+        """Make the slave."""
+        fmu = Fmu(Path(path)).restructured(sizes)
+        self._slave = self._open_slave(name, fmu, lambda *message: self.messages.append(message))
+
+    def bind(self, method: str, names: list[str], dtype: str) -> None:
+        """Bind a block for values."""
+        block = np.zeros((1, len(names)), dtype)
+        self._exchanges[method][len(self._blocks)] = getattr(self._slave, method)(names, block)
+        self._blocks.append(block)
+
+    def step(self, time: float, step_size: float) -> dict[int, Array]:
+        """Take a step."""
+        self._slave.step(time, step_size)
+        return self.outputs()
+
+    def outputs(self) -> dict[int, Array]:
+        """Read the blocks that are read."""
+        for get in self._exchanges["bind_get"].values():
+            get(0)
+        return {index: self._blocks[index][0] for index in self._exchanges["bind_get"]}

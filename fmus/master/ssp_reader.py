@@ -6,7 +6,7 @@ Parameter sets (SSV) and mappings (SSM) become start values of its FMUs.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,11 +18,18 @@ from ..errors import InputError, did_you_mean
 from ..interface.tables import Connection
 from ..interface.units import PLAIN, Units, doubt
 from ..interface.variables import Value
-from ..reading import finite_number, read_xml
+from ..reading import read_xml
 from .fmu_file import read_units, read_value
 from .order import stepping_order
 from .ssp_structure import Document, End, Link, Structure, choice, converts_units, local, shown
 from .system import System
+
+DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
+# Where a file may say the master's step size.
+STEP_SIZES: Final = {
+    ".//oms:FixedStepMaster": "stepSize", ".//osp:FixedStepAlgorithm": "baseStepSize"
+}  # fmt: skip
+MASTER: Final = "ssd:Annotations/ssc:Annotation/panda:Master"
 
 
 @dataclass(frozen=True)
@@ -164,14 +171,6 @@ def _content(holder: ET.Element, path: str, document: Document) -> tuple[ET.Elem
     return content, label
 
 
-DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
-# Where a file may say the master's step size.
-STEP_SIZES: Final = {
-    "oms:FixedStepMaster": "stepSize", "osp:FixedStepAlgorithm": "baseStepSize"
-}  # fmt: skip
-MASTER: Final = "ssd:Annotations/ssc:Annotation/panda:Master"
-
-
 @dataclass(frozen=True)
 class CoupledSystem:
     """The content of an SSP file, ready for `open_system`."""
@@ -223,7 +222,7 @@ def _outputs(
     structure: Structure, connections: Sequence[Connection], places: Mapping[End, int]
 ) -> dict[str, list[str]]:
     """Outputs of each component, connected ones first, in the order of their targets."""
-    ends = dict.fromkeys(connection.source for connection in connections)
+    connected = dict.fromkeys(connection.source for connection in connections)
     others = {
         (name, item)
         for name in structure.fmus
@@ -231,42 +230,31 @@ def _outputs(
         if row.kind == "output"
         for item in structure.items[name][connector]
     }
-    ends |= dict.fromkeys(sorted(others, key=places.__getitem__))
     outputs: dict[str, list[str]] = {name: [] for name, _ in places}
-    for name, variable in ends:
+    for name, variable in [*connected, *sorted(others - connected.keys(), key=places.__getitem__)]:
         outputs[name].append(variable)
     return outputs
 
 
 def _experiment(structure: Structure) -> tuple[float, float, float]:
     """Start, stop and step size [s]: what the file says, or else what the FMUs do."""
-    root = structure.document.root
-    element = root.find("ssd:DefaultExperiment", PREFIXES)
-    times = {} if element is None else element.attrib
-    steps = [
-        each.get(attribute)
-        for tag, attribute in STEP_SIZES.items()
-        for each in root.iterfind(f".//{tag}", PREFIXES)
-    ]
-    start = min(_times(structure, "startTime", [times.get("startTime")]), default=0.0)
-    stops = _times(structure, "stopTime", [times.get("stopTime")])
-    stop = max(stops, default=start + DEFAULT_STOP)
-    step = min(_times(structure, "stepSize", steps[:1]), default=STEP_SIZE)
+    root, document = structure.document.root, structure.document
+
+    def times(key: str, stated: Iterable[str | None]) -> list[float]:
+        texts = [(key, text) for text in stated if text is not None][:1]
+        for name, fmu in structure.fmus.items() if not texts else ():
+            text = getattr(fmu.description.defaultExperiment, key, None)
+            texts += [(f"{name}: modelDescription.xml: {key}", text)] if text else []
+        return [document.number(place, text) for place, text in texts]
+
+    experiment = root.find("ssd:DefaultExperiment", PREFIXES)
+    stated = {} if experiment is None else experiment.attrib
+    annotated = (
+        each.get(key) for tag, key in STEP_SIZES.items() for each in root.iterfind(tag, PREFIXES)
+    )
+    start = min(times("startTime", [stated.get("startTime")]), default=0.0)
+    stop = max(times("stopTime", [stated.get("stopTime")]), default=start + DEFAULT_STOP)
+    step = min(times("stepSize", annotated), default=STEP_SIZE)
     if step <= 0:
-        structure.document.refuse(f"stepSize = {step!r}", "above 0")
+        document.refuse(f"stepSize = {step!r}", "above 0")
     return start, stop, step
-
-
-def _times(structure: Structure, attribute: str, texts: Sequence[str | None]) -> list[float]:
-    """Times [s] that the file gives; if it gives none, those of the FMUs' experiments."""
-    given = [(attribute, text) for text in texts if text is not None]
-    for name, fmu in structure.fmus.items() if not given else ():
-        text = getattr(fmu.description.defaultExperiment, attribute, None)
-        given += [(f"{name}: modelDescription.xml: {attribute}", text)] if text else []
-    times = []
-    for place, text in given:
-        time = finite_number(text)
-        if time is None:
-            structure.document.refuse(f"{place} = {text!r}", "a finite number")
-        times.append(time)
-    return times

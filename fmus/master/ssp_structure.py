@@ -49,9 +49,9 @@ class Link:
 class Document:
     """An .ssd file."""
 
-    def __init__(self, file: Path, label: str) -> None:
-        self.folder, self.label = file.parent, label
-        self.root = read_xml(file, label)
+    def __init__(self, folder: Path, label: str) -> None:
+        self.folder, self.label = folder, label
+        self.root = read_xml(folder / STRUCTURE_FILE, label)
         self.units = read_units(label, self.root.iterfind("ssd:Units/ssc:Unit", PREFIXES))
         system = self.root.find("ssd:System", PREFIXES)
         if not self.root.tag.endswith("}SystemStructureDescription") or system is None:
@@ -68,17 +68,20 @@ class Document:
         if name not in valid:
             self.refuse(place, f"{what}{did_you_mean(name, valid)}")
 
-    def number(self, element: ET.Element, attribute: str, default: float) -> float:
-        """Read an attribute."""
-        text = element.get(attribute, str(default))
+    def number(self, place: str, text: str) -> float:
+        """Read a number; `place` is for the message."""
         number = finite_number(text)
         if number is None:
-            self.refuse(f"{local(element)}: {attribute} = {text!r}", "a finite number")
+            self.refuse(f"{place} = {text!r}", "a finite number")
         return number
 
     def linear(self, element: ET.Element) -> tuple[float, float]:
         """Factor and offset of a transformation."""
-        return self.number(element, "factor", 1.0), self.number(element, "offset", 0.0)
+        factor, offset = (
+            self.number(f"{local(element)}: {key}", element.get(key, default))
+            for key, default in (("factor", "1"), ("offset", "0"))
+        )
+        return factor, offset
 
     def member(self, source: str) -> Path:
         """Path of a file that is named here; it must be inside the archive."""
@@ -100,7 +103,7 @@ class Structure:
         self.links: dict[End, Link] = {}  # by the end that is fed
         self._elements = 0  # of the systems' connectors
         folder, _ = unpack(path)
-        self.document = Document(folder / STRUCTURE_FILE, f"{path}: {STRUCTURE_FILE}")
+        self.document = Document(folder, f"{path}: {STRUCTURE_FILE}")
         self._read_system(self.document.system, "")
         if not self.fmus:
             self.document.refuse("no components", "at least one")
@@ -154,7 +157,7 @@ class Structure:
             row = fmu.variable(items[variable][0]).variable
             self._add(connector, name, row.shape if variable == row.name else ())
         for hint in element.iterfind(STEP_SIZE, PREFIXES):
-            self.step_sizes[name] = document.number(hint, "value", 0.0)
+            self.step_sizes[name] = document.number("StepSizeHint: value", hint.get("value", ""))
         self._bind(element, name)
 
     def _add(self, connector: ET.Element, path: str, shape: tuple[int, ...]) -> None:

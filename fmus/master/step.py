@@ -163,20 +163,12 @@ def settle(
 
 def _leaders(slaves: Sequence[BoundSlave]) -> list[BoundSlave]:
     """Slaves that feed a later one."""
-    return [
-        slave
-        for i, slave in enumerate(slaves)
-        if any(slave.feeds(later) for later in slaves[i + 1 :])
-    ]
+    return [slave for i, slave in enumerate(slaves) if any(map(slave.feeds, slaves[i + 1 :]))]
 
 
 def _feeding_back(leaders: Sequence[BoundSlave]) -> list[BoundSlave]:
     """Leaders that feed themselves or an earlier leader."""
-    return [
-        leader
-        for i, leader in enumerate(leaders)
-        if any(leader.feeds(earlier) for earlier in leaders[: i + 1])
-    ]
+    return [leader for i, leader in enumerate(leaders) if any(map(leader.feeds, leaders[: i + 1]))]
 
 
 def _columns(slaves: Sequence[BoundSlave]) -> list[int]:

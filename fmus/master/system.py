@@ -50,6 +50,11 @@ class System:
     not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
     labels: Mapping[str, str] = field(default_factory=dict)  # what messages call files, not paths
 
+    @property
+    def read(self) -> list[Name]:
+        """All outputs to read."""
+        return [(instance, name) for instance, names in self.outputs.items() for name in names]
+
 
 @dataclass(frozen=True)
 class OpenSystem:
@@ -91,10 +96,7 @@ def read_fmus(
 def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
     """Check that connections exist, lead from output to input, in units that can be converted."""
     inputs = [*system.external, *(connection.target for connection in system.connections)]
-    outputs = [
-        *(connection.source for connection in system.connections),
-        *((instance, name) for instance, names in system.outputs.items() for name in names),
-    ]
+    outputs = [*(connection.source for connection in system.connections), *system.read]
     ends = dict.fromkeys(inputs, "input") | dict.fromkeys(outputs, "output")
     for (instance, name), causality in ends.items():
         own = fmus[instance].variable(name).variable.causality
@@ -150,16 +152,6 @@ def _doubts(fmus: Mapping[str, Fmu], system: System) -> Iterator[tuple[str, str,
     for (instance, reason), texts in found.items():
         some = ", ".join([*texts][:SHOWN]) + ", ..." * (len(texts) > SHOWN)
         yield instance, "Warning", f"{reason}, so values are taken as they are: {some}"
-
-
-def _objects(fmus: Mapping[str, Fmu], system: System) -> set[Name]:
-    """Columns whose values a float64 cannot hold."""
-    read = ((instance, name) for instance, names in system.outputs.items() for name in names)
-    return {
-        (instance, name)
-        for instance, name in (*system.external, *read)
-        if type_of(fmus[instance].variable(name).variable) in OBJECTS
-    }
 
 
 def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
@@ -279,6 +271,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         for note in notes(fmus, system, step_size):
             on_message(*note)
     multiples = multiples_of(fmus, system, step_size)
+    types = {end: type_of(fmus[end[0]].variable(end[1]).variable)
+             for end in (*system.external, *system.read)}  # fmt: skip
     with ExitStack() as stack:
         here = working_directory()
         stack.callback(return_to, here)
@@ -304,7 +298,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             step_size,
             coupling,
             start=start,
-            objects=_objects(fmus, system),
+            objects=[end for end, kind in types.items() if kind in OBJECTS],
             multiples=multiples,
             stepper=stepper,
             not_finite=system.not_finite,

@@ -32,6 +32,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -44,20 +45,17 @@ RESOURCES: str = globals()["RESOURCES"]
 PYTHON_IS_OURS = hasattr(sys, "_started_by_fmu")  # by this one or another; the library sets it
 Message = tuple[int, str]
 messages: list[Message] = []
+texts: dict[int, str] = {}  # values of all String variables, by value reference
+slave: Any = None
 
 
 class ScalarVariable(NamedTuple):
     """A scalar variable of the table."""
 
     reference: int
-    causality: str
-    variability: str
     kind: str  # real, integer, boolean or string
-
-    @property
-    def is_given(self) -> bool:
-        """Whether the importer sets it, rather than the slave."""
-        return self.causality in {"input", "parameter"} and self.variability != "constant"
+    is_given: bool  # the importer sets it, rather than the slave
+    is_computed: bool
 
 
 def read_table() -> tuple[dict[str, list[str]], list[ScalarVariable]]:
@@ -71,7 +69,9 @@ def read_table() -> tuple[dict[str, list[str]], list[ScalarVariable]]:
         elif fields[0] == "variable":
             _, reference, _, causality, variability, kind, *_ = fields
             kind = "integer" if kind == "Enumeration" else kind.lower()
-            variables.append(ScalarVariable(int(reference), causality, variability, kind))
+            is_given = causality in {"input", "parameter"} and variability != "constant"
+            is_computed = causality in {"output", "local"}
+            variables.append(ScalarVariable(int(reference), kind, is_given, is_computed))
     return options, variables
 
 
@@ -217,7 +217,7 @@ class PythonFmu:
     ) -> None:
         self.make, self.texts = make, texts
         self.given = _by_kind(v for v in table if v.is_given)
-        self.computed = _by_kind(v for v in table if v.causality in {"output", "local"})
+        self.computed = _by_kind(v for v in table if v.is_computed)
         self.messages: list[Message] = []
         self.slave = make()
         self.known: dict[str, list[Any]] = {}
@@ -249,8 +249,11 @@ class PythonFmu:
         """Read all outputs and local variables from the slave."""
         self._put()
         for kind, references in self.computed.items():
+            into: Any = self.texts if kind == "string" else VALUES
+            convert = str if kind == "string" else float
             values = getattr(self.slave, f"get_{kind}")(references)
-            self._take(kind, references, values)
+            for reference, value in zip(references, values, strict=True):
+                into[reference] = convert(value)
         self._take_messages()
 
     def _put(self, again: bool = False) -> None:
@@ -261,17 +264,9 @@ class PythonFmu:
                 self.known[kind] = values
 
     def _values(self, kind: str, references: list[int]) -> list[Any]:
-        if kind == "string":
-            return [self.texts[r] for r in references]
-        convert = {"real": float, "integer": int, "boolean": bool}[kind]
-        return [convert(VALUES[r]) for r in references]
-
-    def _take(self, kind: str, references: list[int], values: Sequence[Any]) -> None:
-        for reference, value in zip(references, values, strict=True):
-            if kind == "string":
-                self.texts[reference] = str(value)
-            else:
-                VALUES[reference] = float(value)
+        convert = {"real": float, "integer": int, "boolean": bool, "string": str}[kind]
+        values: Any = self.texts if kind == "string" else VALUES
+        return [convert(values[reference]) for reference in references]
 
     def _take_messages(self) -> None:
         for entry in self.slave.log_queue:
@@ -324,9 +319,6 @@ def make_slave() -> SharedMemory | PythonFmu:
 
 # ---- what the library calls
 
-texts: dict[int, str] = {}
-slave: Any = None
-
 
 def explain(error: BaseException) -> str:
     """Return the text of an error, with the traceback unless the message suffices."""
@@ -335,28 +327,22 @@ def explain(error: BaseException) -> str:
     return "".join(traceback.format_exception(error)).rstrip()
 
 
-def calls(method: str) -> Callable[..., list[Message] | None]:
-    """Make a function that calls a method of the slave, and returns the slave's messages."""
-
-    def call(*arguments: Any) -> list[Message] | None:
-        try:
-            getattr(slave, method)(*arguments)
-        except BaseException as error:  # no exception may reach the C library
-            return [*take_messages(), (ERROR, explain(error))]
-        return take_messages() if slave.messages else None
-
-    return call
-
-
-def take_messages() -> list[Message]:
-    """Return the slave's messages since the last call."""
+def call(method: str, *arguments: Any) -> list[Message] | None:
+    """Call a method of the slave, and return its messages since the last call."""
+    try:
+        getattr(slave, method)(*arguments)
+    except BaseException as error:  # no exception may reach the C library
+        slave.messages.append((ERROR, explain(error)))
+    if not slave.messages:
+        return None
     taken = list(slave.messages)
     slave.messages.clear()
     return taken
 
 
-start, tune, set_state, terminate = map(calls, ("start", "tune", "set_state", "terminate"))
-step = calls("advance")  # with a number of internal steps, and the communication step
+start, tune, step, set_state, terminate = (
+    partial(call, method) for method in ("start", "tune", "advance", "set_state", "terminate")
+)
 
 
 def take_texts(given: list[str]) -> None:
@@ -392,4 +378,4 @@ except BaseException as error:
         text += " holds them."
     messages.append((ERROR, text))
 # A step in shared memory writes them.
-outputs = None if isinstance(slave, SharedMemory) else calls("outputs")
+outputs = None if isinstance(slave, SharedMemory) else partial(call, "outputs")
