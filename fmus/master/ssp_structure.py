@@ -198,7 +198,8 @@ class Structure:
         self, connection: ET.Element, side: str, path: str
     ) -> tuple[bool, tuple[int, ...], list[End]]:
         """One end of a connection: whether it gives values, its shape and its scalars."""
-        element, name = connection.get(f"{side}Element"), connection.get(f"{side}Connector", "")
+        element = connection.get(f"{side}Element") or None  # OMSimulator writes "" for the system
+        name = connection.get(f"{side}Connector", "")
         owner = _inside(path, element)
         place, check_name = f"connection with {shown((owner, name))}", self.document.check_name
         check_name(place, owner, self.connectors, "with one of the system's components")
