@@ -12,7 +12,7 @@ from ..fmus.master.master import RunStatistics
 from ..result.judging.block import measure_block
 from ..result.judging.contacts import SIGNAL as UNWANTED
 from ..result.judging.contacts import unwanted_contacts
-from ..result.judging.criterion import Criterion, Direction
+from ..result.judging.criterion import Criterion
 from ..result.judging.holds import COMMAND, Events, events, find_holds, moving_rows
 from ..result.judging.limits import all_lacking, first_limit, largest_share, limit_shares
 from ..result.judging.signals import judge_bodies, judge_signals
@@ -21,7 +21,7 @@ from ..result.judging.verdict import Verdict
 from ..result.judging.verdicts import ENDED
 from ..result.recording import Recording, by_rows
 from ..task import rotations
-from ..task.criteria import Success, split_instant
+from ..task.criteria import Direction, Success, split_instant
 from ..task.fields import field_names
 from ..task.scenario import Scenario
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BeforeValidator, PlainValidator
 
@@ -59,6 +59,7 @@ _ANY = Quantity()
 
 Signal = str | tuple[str, tuple[str, ...]]  # a name, or an operation and its operands
 Instant = float | str
+Direction = Literal["below", "above"]  # where a value must be, seen from its bound
 
 
 def _signal(value: object) -> Signal:
@@ -187,9 +188,9 @@ class SignalCriterion:
         return f"{self.reduce} {signal_text(self.signal)}{window}"
 
     @property
-    def labels(self) -> dict[str, str]:
+    def labels(self) -> dict[Direction, str]:
         """Name in results of each of its bounds, by where the value must be."""
-        bounds = {"below": self.below, "above": self.above}
+        bounds: dict[Direction, float | None] = {"below": self.below, "above": self.above}
         given = [name for name, bound in bounds.items() if bound is not None]
         return {name: f"{self.label} {name}" if len(given) > 1 else self.label for name in given}
 

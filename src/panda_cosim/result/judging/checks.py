@@ -25,15 +25,13 @@ class Check:
     error: str
     what: str
     unit: str
-    remedy: str
+    remedy: str  # its name in `REMEDIES`
     necessary: bool = True
     limit: str = "the limit"
 
 
 # By the key of their largest share in summary.json.
-CHECKS: Final[Mapping[str, Check]] = {
-    key: Check(**entry | {"remedy": REMEDIES[entry["remedy"]]}) for key, entry in _TABLES.items()
-}
+CHECKS: Final[Mapping[str, Check]] = {key: Check(**entry) for key, entry in _TABLES.items()}
 
 
 def table_row(metadata: Mapping[str, object], time: float) -> int | None:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from ...fmus.errors import InputError, excerpt
+from ...task.criteria import Direction
 
-Direction = Literal["below", "above"]
 Word = Literal["ok", "missed", "not measured"]
 
 

@@ -7,7 +7,7 @@ the first command. A recording is read once, in blocks, so that a long one takes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -24,9 +24,9 @@ from ...task.limits import robot_of
 from ..recording import Recording
 from .checks import CHECKS, REMEDIES, table_row
 from .holds import first_collision
+from .summary import Metrics
 
 Array = NDArray[np.float64]
-Refusal = dict[str, Any]  # as `findings` of summary.json has them
 Rates = Sequence[Array]  # positions (n, k) and their three derivatives
 # Key of `CHECKS`, values (n, k), largest sizes (k,) or (n, k), and what both are counted from (k,).
 Measure = tuple[str, Array, Array, Array | float]
@@ -49,7 +49,7 @@ class _Judge:
 
     def __init__(self, robot: str, recording: Recording, touch: float) -> None:
         self.shares: dict[str, Array] = {}
-        self.first: dict[str, Refusal] = {}  # of each check
+        self.first: dict[str, Metrics] = {}  # of each check
         self._robot, self._cause = robot, _cause(recording)
         self._touch = touch  # when a joint first collides [s]
         self._metadata = recording.metadata
@@ -67,14 +67,13 @@ class _Judge:
                 value, size = float(values[rows][row, k]), float(sizes[row, k])
                 zero = float(np.broadcast_to(origin, values.shape[1:])[k])
                 at, check = float(time[row]), CHECKS[key]
-                more_time = check.remedy == REMEDIES["more_time"]
-                remedy = self._cause if more_time else ""
-                if at >= self._touch and (more_time or check.remedy == REMEDIES["smooth"]):
-                    remedy = REMEDIES["after_touch"]
+                remedy = self._cause if check.remedy == "more_time" else check.remedy
+                if at >= self._touch and check.remedy in ("more_time", "smooth"):
+                    remedy = "after_touch"
                 self.first[key] = {
                     "name": key,
                     **vars(check),
-                    "remedy": (remedy or check.remedy).format(robot=self._robot, touch=self._touch),
+                    "remedy": REMEDIES[remedy].format(robot=self._robot, touch=self._touch),
                     "time_s": at,
                     "row": table_row(self._metadata, at),
                     "joint": k + 1 if values.shape[1] > 1 else None,
@@ -83,31 +82,12 @@ class _Judge:
                 }
 
 
-class _Lost:
-    """How many packets may be lost in a row, at any time of the motion.
-
-    Meanwhile the robot keeps its last acceleration, and then gets the command of its time.
-    """
-
-    def __init__(self, limits: RobotLimits, judge: Callable[[], _Judge]) -> None:
-        self._limits, self._new_judge = limits, judge
-        self.borne = limits.lost_packets - 1
-        self.refusal: Refusal | None = None  # of one more
-
-    def see(self, time: Array, rates: Rates) -> None:
-        """Judge the last rows, at which packets arrive again or have done so up to two before."""
-        for count in range(1, self.borne + 1):
-            judge = self._new_judge()
-            judge.see(time, _rate_measures(_received(count, rates), self._limits))
-            if judge.first:
-                self.borne = count - 1
-                first = min(judge.first.values(), key=lambda each: each["time_s"])
-                self.refusal = {**first, "remedy": REMEDIES["smoother"]}
-                return
-
-
 def _received(count: int, rates: Rates) -> Rates:
-    """Return the largest rates at each row, if the gap has ended there or up to two rows before."""
+    """Return the largest rates at each row, if the gap has ended there or up to two rows before.
+
+    While packets are lost, the robot keeps its last acceleration; then it gets the command of its
+    time.
+    """
     q, v, a, _ = (rate[: -count - 1] for rate in rates)  # of the last packet before
     command, velocity, acceleration, _ = (rate[count + 1 :] for rate in rates)  # with no gap
     v_kept = v + count * STEP_SIZE * a
@@ -187,7 +167,7 @@ class _Arm:
         yield "hand_velocity", speed, limits.translation[:1], 0.0
 
 
-def preflight(recording: Recording, robot: str) -> dict[str, Any]:
+def preflight(recording: Recording, robot: str) -> Metrics:
     """Return what one of `ROBOTS` would refuse, and the largest share of each of its limits [1]."""
     if not recording.rows:
         return {}
@@ -195,7 +175,7 @@ def preflight(recording: Recording, robot: str) -> dict[str, Any]:
     touch = math.inf if row is None else float(recording.time[row])
     new_judge = partial(_Judge, robot, recording, touch)
     limits, judge, reference = robot_limits(robot), new_judge(), _reference(recording)
-    lost = _Lost(limits, new_judge)
+    lost = [new_judge() for _ in range(1, limits.lost_packets)]  # by the packets lost in a row
     arm = _Arm(recording, limits)
     names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED) if n in recording]
     kept: dict[str, Array] = {}
@@ -212,21 +192,25 @@ def preflight(recording: Recording, robot: str) -> dict[str, Any]:
         if reference in signals:
             rates = _rates(signals[reference][:, :7], 3)
             judge.see(time, _joint_measures(rates, limits))
-            lost.see(time, rates)
+            for count, each in enumerate(lost, 1):
+                each.see(time, _rate_measures(_received(count, rates), limits))
+                if each.first:
+                    del lost[count:]
         if signals.keys() >= {*COMMAND}:
             judge.see(time, _hand_measures(signals, limits))
         if signals.keys() >= {*HAND, *MEASURED}:
             judge.see(time, arm.measures(signals, len(time)))
     if reference in signals:
         judge.see(time[-1:], _end_measures(rates, limits))
-    return _result(robot, reference, judge, lost)
+    return _result(robot, "joint" if reference else "torque", judge, lost)
 
 
-def _result(robot: str, reference: str, judge: _Judge, lost: _Lost) -> dict[str, Any]:
+def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metrics:
     """Return the section of summary.json."""
-    own = "joint" if reference else "torque"
+    firsts = (each.first.values() for each in lost if each.first)
+    late = [min(first, key=_time_of) | {"remedy": REMEDIES["smoother"]} for first in firsts]
     findings = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
-    findings.sort(key=lambda each: each["time_s"])
+    findings.sort(key=_time_of)
     refused = [each for each in findings if each["necessary"]]
     counts: dict[str, int | None] = {}  # None: a condition of the interface was not measured
     for name in ("joint", "cartesian", "torque", "arm"):
@@ -241,11 +225,15 @@ def _result(robot: str, reference: str, judge: _Judge, lost: _Lost) -> dict[str,
         "refusals": None if None in both else sum(filter(None, both)),
         "first_s": told[0]["time_s"] if told else None,
         **{f"{name}_refusals": count for name, count in counts.items()},
-        "lost_packets": lost.borne if "joint_jerk" in judge.shares else None,
+        "lost_packets": len(lost) - len(late) if "joint_jerk" in judge.shares else None,
         **{f"{key}_share": judge.shares.get(key, np.empty(0)).tolist() or None for key in CHECKS},
         "findings": findings,
-        "late": {"lost_packets": lost.refusal} if lost.refusal else {},
+        "late": {"lost_packets": late[0]} if late else {},
     }
+
+
+def _time_of(refusal: Metrics) -> float:
+    return float(refusal["time_s"])
 
 
 def _reference(recording: Recording) -> str:
@@ -269,10 +257,10 @@ def _gains(recording: Recording) -> Mapping[str, Any]:
 
 
 def _cause(recording: Recording) -> str:
-    """Return what to change besides rows of the table if joints are too fast, or ""."""
+    """Return which remedy helps if joints are too fast."""
     if _gains(recording).get("period", STEP_SIZE) > STEP_SIZE:
-        return REMEDIES["period"]
-    return REMEDIES["no_reference"] if _reference(recording) == "controller.ctrl" else ""
+        return "period"
+    return "no_reference" if _reference(recording) == "controller.ctrl" else "more_time"
 
 
 def _rates(values: Array, count: int) -> list[Array]:

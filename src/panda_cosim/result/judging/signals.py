@@ -7,19 +7,20 @@ with its band, target and level, and returns the number, or None if there is non
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...fmus.errors import InputError, did_you_mean, excerpt, refuse
 from ...task.criteria import (
     BLOCK,
     BOUNDS,
     SLACK,
     BodyCriterion,
+    Direction,
     Instant,
     SignalCriterion,
     split_instant,
@@ -27,13 +28,13 @@ from ...task.criteria import (
 from ..recording import Recording, by_rows
 from ..recording.reader import shapes_of
 from .block import POSE
-from .criterion import Criterion, Direction
+from .criterion import Criterion
 from .holds import Events
 
 Array = NDArray[np.float64]
 Reduction = Callable[[Array, Array, SignalCriterion], float | None]
-DIRECTIONS: Final[tuple[Direction, ...]] = ("below", "above")
 AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
+_POSE: Final = "_xquat[4]"  # end of a column's name, where a body's pose is recorded
 TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
 
 
@@ -43,32 +44,24 @@ class UnmeasuredError(ValueError):
 
 def judge_signals(
     criteria: Iterable[SignalCriterion], recording: Recording, events: Events
-) -> list[Criterion]:
+) -> Iterator[Criterion]:
     """Judge a run by each criterion; a criterion with two bounds gives two results."""
-    return [judged for criterion in criteria for judged in _judge(criterion, recording, events)]
-
-
-def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> list[Criterion]:
-    unit, reason, length = "", None, 0.0
-    values: list[float] = []
-    try:
-        unit = unit_of(criterion, shapes_of(recording.columns), recording.units)
-        unit = "s" if criterion.reduce in TIMES else unit
-        values, length = _measure(criterion, recording, events)
-    except ValueError as error:
-        reason = str(error)
-    judged = []
-    for direction in DIRECTIONS:
-        bound = getattr(criterion, direction)
-        if bound is None:
-            continue
-        # The worst of several elements counts: for an upper bound, the largest.
-        value = (max if direction == "below" else min)(values, default=None)
-        if value is not None and criterion.reduce == "settle" and length < value <= bound:
-            value, reason = None, f"does not settle within its window of {length:g} s"
-        name = criterion.labels[direction]
-        judged.append(Criterion.judge(name, value, bound, unit, direction, reason))
-    return judged
+    for criterion in criteria:
+        unit, reason, length = "", None, 0.0
+        values: list[float] = []
+        try:
+            unit = unit_of(criterion, shapes_of(recording.columns), recording.units)
+            unit = "s" if criterion.reduce in TIMES else unit
+            values, length = _measure(criterion, recording, events)
+        except ValueError as error:
+            reason = str(error)
+        for direction, name in criterion.labels.items():
+            bound = getattr(criterion, direction)
+            # The worst of several elements counts: for an upper bound, the largest.
+            value = (max if direction == "below" else min)(values, default=None)
+            if value is not None and criterion.reduce == "settle" and length < value <= bound:
+                value, reason = None, f"does not settle within its window of {length:g} s"
+            yield Criterion.judge(name, value, bound, unit, direction, reason)
 
 
 def _measure(
@@ -76,8 +69,12 @@ def _measure(
 ) -> tuple[list[float], float]:
     """Reduce each element; also return the window's length [s]."""
     time = recording.time
-    start, stop = (time_of(each, events) for each in (criterion.from_, criterion.to))
-    rows = (time >= start - _slack(time)) & (time <= stop + _slack(time))
+    start, stop, slack = (
+        time_of(criterion.from_, events),
+        time_of(criterion.to, events),
+        _slack(time),
+    )
+    rows = (time >= start - slack) & (time <= stop + slack)
     if not rows.any():
         raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
     signal = by_rows(recording, partial(_evaluate, criterion), *criterion.names)
@@ -172,11 +169,10 @@ def unit_of(
     """Return the unit of a criterion's signal."""
     columns = [_columns(name, shapes, units) for name in criterion.names]
     kinds = {units[column] for parts in columns for column in parts}
-    if len({len(parts) for parts in columns}) > 1:
-        sizes = " and ".join(
-            f"{n} has {len(p)}" for n, p in zip(criterion.names, columns, strict=True)
-        )
-        raise ValueError(f"{sizes} elements; must have the same number")
+    if len({*map(len, columns)}) > 1:
+        sizes = zip(criterion.names, map(len, columns), strict=True)
+        text = " and ".join(f"{name} has {size}" for name, size in sizes)
+        raise ValueError(f"{text} elements; must have the same number")
     if len(kinds) > 1:
         shown = ", ".join(sorted(kinds))
         raise ValueError(f"{' and '.join(criterion.names)}: units {shown}; must have the same unit")
@@ -206,50 +202,33 @@ def _evaluate(criterion: SignalCriterion, *signals: Array) -> Array:
     return values
 
 
-_POSE = "_xquat[4]"  # end of a column's name, where a body's pose is recorded
-
-
 def check_bodies(criteria: Iterable[BodyCriterion], units: Mapping[str, str]) -> None:
     """Check that the pose of each body is recorded, else raise `InputError`."""
     posed = [n.removeprefix("plant.").removesuffix(_POSE) for n in units if n.endswith(_POSE)]
     bodies = [name for name in posed if f"plant.{name}_xpos[3]" in units]
     bodies += [BLOCK] if "plant.qpos[16]" in units else []
+    valid = f"one of {', '.join(bodies)}" if bodies else "a body whose pose is recorded"
     for index, criterion in enumerate(criteria, 1):
         if criterion.body not in bodies:
-            valid = f"one of {', '.join(bodies)}" if bodies else "a body whose pose is recorded"
-            raise InputError(
-                f"[[success.body]] {index}: body: value {excerpt(criterion.body)}; must be {valid}"
-                f"{did_you_mean(criterion.body, bodies)}"
-            )
+            place = f"[[success.body]] {index}: body"
+            refuse(place, criterion.body, f"must be {valid}", bodies)
 
 
 def judge_bodies(
     criteria: Iterable[BodyCriterion], recording: Recording, events: Events
-) -> list[Criterion]:
+) -> Iterator[Criterion]:
     """Judge a run by each bound of each criterion."""
-    return [
-        judged for criterion in criteria for judged in _judge_body(criterion, recording, events)
-    ]
-
-
-def _judge_body(criterion: BodyCriterion, recording: Recording, events: Events) -> list[Criterion]:
-    values: Mapping[str, float] = {}
-    reason = None
-    try:
-        values = _measure_body(criterion, recording, row_at(criterion.at, recording.time, events))
-    except ValueError as error:
-        reason = str(error)
-    return [
-        Criterion.judge(
-            criterion.label(name),
-            values.get(name),
-            bound,
-            BOUNDS[name],
-            "above" if name.startswith("min_") else "below",
-            reason,
-        )
-        for name, bound in criterion.bounds.items()
-    ]
+    for criterion in criteria:
+        values, reason = {}, None
+        try:
+            row = row_at(criterion.at, recording.time, events)
+            values = _measure_body(criterion, recording, row)
+        except ValueError as error:
+            reason = str(error)
+        for name, bound in criterion.bounds.items():
+            direction: Direction = "above" if name.startswith("min_") else "below"
+            label, value = criterion.label(name), values.get(name)
+            yield Criterion.judge(label, value, bound, BOUNDS[name], direction, reason)
 
 
 def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:

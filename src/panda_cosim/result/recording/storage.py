@@ -161,32 +161,32 @@ def open_stream(path: Path) -> Source:
                 state |= {key: end[key] for key in (*state, *LATE) if key in end}
                 break
             batches, rows = batches + 1, rows + batch.num_rows
-    return Source(columns, metadata | state, rows, partial(_stream_blocks, path, batches))
 
-
-def _stream_blocks(path: Path, batches: int, names: Sequence[str]) -> Iterator[list[Array]]:
-    """Yield the named columns of a stream's first batches, about `BLOCK_ROWS` rows at a time."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-
-    pending: list[list[Array]] = []
-    try:
+    def tables(_: Sequence[str]) -> Iterator[Any]:
+        pending: list[Any] = []
         # Not memory-mapped: the pages would stay in memory, 4 GB for an hour.
         with pa.OSFile(literal(path)) as file:
             reader = pa.ipc.open_stream(file)
-            for _ in range(batches):
-                batch = reader.read_next_batch()
-                pending.append([values_of(batch.column(name)) for name in names])
-                if sum(len(parts[0]) for parts in pending) >= BLOCK_ROWS:
-                    yield _joined(pending)
+            for number in range(1, batches + 1):
+                pending.append(reader.read_next_batch())
+                if number == batches or sum(map(len, pending)) >= BLOCK_ROWS:
+                    yield pa.Table.from_batches(pending)
                     pending = []
-    except (pa.ArrowException, OSError, ValueError) as error:
+
+    return Source(columns, metadata | state, rows, partial(_blocks, path, tables))
+
+
+def _blocks(
+    path: Path, tables: Callable[[Sequence[str]], Iterator[Any]], names: Sequence[str]
+) -> Iterator[list[Array]]:
+    """Yield the named columns of a file's tables, which have about `BLOCK_ROWS` rows each."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    try:
+        for table in tables(names):
+            yield [values_of(table.column(name).combine_chunks()) for name in names]
+    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
         raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
-    if pending:
-        yield _joined(pending)
-
-
-def _joined(blocks: Sequence[Sequence[Array]]) -> list[Array]:
-    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
 
 
 def open_parquet(path: Path) -> Source:
@@ -211,19 +211,15 @@ def open_parquet(path: Path) -> Source:
     def only_group() -> Any:
         return file.read_row_group(0)
 
-    def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
+    def tables(names: Sequence[str]) -> Iterator[Any]:
         for number, rows in enumerate(groups):
-            try:
-                # A short run is read once, and kept.
-                group = only_group() if is_short else file.read_row_group(number, list(names))
-                block = [values_of(group.column(name).combine_chunks()) for name in names]
-                if any(len(column) != rows for column in block):
-                    raise ValueError(f"a column does not have {rows} rows")
-            except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-                raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
-            yield block
+            # A short run is read once, and kept.
+            table = only_group() if is_short else file.read_row_group(number, list(names))
+            if any(len(table.column(name)) != rows for name in names):
+                raise ValueError(f"a column does not have {rows} rows")
+            yield table
 
-    return Source(columns, metadata, sum(groups), blocks)
+    return Source(columns, metadata, sum(groups), partial(_blocks, path, tables))
 
 
 def make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
