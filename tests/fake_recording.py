@@ -1,4 +1,4 @@
-"""A recording in memory, with what pictures need of one."""
+"""A recording in memory, with what summaries, pictures and pages need of one."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ class FakeRecording:
     signals: dict[str, FloatArray]
     metadata: dict[str, Any] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
+    descriptions: dict[str, str] = field(default_factory=dict)
+    complete: bool = True
+    reason: None = None
 
     @property
     def columns(self) -> list[str]:
         """Names of all columns, such as `plant.qpos[1]`."""
-        vectors = {name: v.shape[1:] for name, v in self.signals.items()}
         return [
-            name + (f"[{index[0] + 1}]" if index else "")
-            for name, shape in vectors.items()
-            for index in np.ndindex(*shape)
+            name + (f"[{','.join(str(i + 1) for i in index)}]" if index else "")
+            for name, values in self.signals.items()
+            for index in np.ndindex(*values.shape[1:])
         ]
 
     @property
@@ -43,10 +45,12 @@ class FakeRecording:
 
     def __contains__(self, name: str) -> bool:
         """Whether there is such a signal, or a column of one."""
-        return name.partition("[")[0] in self.signals
+        return name in self.signals or name.rpartition("[")[0] in self.signals
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return a signal (n, ...), or one of its columns (n,)."""
-        signal, _, element = name.partition("[")
-        values = self.signals[signal]
-        return values[:, int(element[:-1]) - 1] if element else values
+        if name in self.signals:
+            return self.signals[name]
+        signal, _, element = name.rpartition("[")
+        index = (int(i) - 1 for i in element[:-1].split(","))
+        return self.signals[signal][(slice(None), *index)]

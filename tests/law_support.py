@@ -21,7 +21,7 @@ from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.build.libraries import CONTROLLER_LAW, FLAGS, SOURCES
 
 if TYPE_CHECKING:
-    from random_tasks import Course
+    from fake_recording import FakeRecording
 
 Array = NDArray[np.float64]
 
@@ -118,13 +118,15 @@ def replay(law: Controller | LawInC, rows: Array) -> Array:
     return outputs
 
 
-def inputs_of(course: Course) -> Array:
+def inputs_of(course: FakeRecording) -> Array:
     """Return what the controller has read at each tick (n, 109)."""
     rows = np.zeros((len(course.time), INPUTS.itemsize // 8))
     named = rows.view(INPUTS)[:, 0]
-    rows[:, : course.commands.shape[1]] = course.commands
+    for name in INPUTS.names or ():
+        if f"controller.{name}" in course:
+            named[name] = course[f"controller.{name}"]
     for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias", "actuator_force"):
-        named[name] = course.plant[name]
+        named[name] = course[f"plant.{name}"]
     for name in ("qpos", "qvel"):
-        named[name] = course.plant[name][:, :7]
+        named[name] = course[f"plant.{name}"][:, :7]
     return rows

@@ -6,13 +6,12 @@ bit, and need no FMUs, but ten times as long. `panda-cosim sweep random_box` dra
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fake_recording import FakeRecording
 from fmu_support import in_fork
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller.controller import Controller
@@ -43,63 +42,11 @@ FRICTION = (0.5, 1.2)  # [1]
 SEED = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Course:
-    """What happened at each tick from t = 0 to the end; read by name as a `Recording` is."""
+def run_plain(scenario: Scenario) -> FakeRecording:
+    """Run a scenario with plain objects in place of FMUs; its pushes are left out.
 
-    time: Array  # instants (n,) [s]
-    commands: Array  # (n, 14), columns as in `COMMANDS`
-    plant: NDArray[Any]  # its outputs, a structured array (n,)
-    controller: NDArray[Any]  # its outputs, a structured array (n,)
-    metadata: Mapping[str, Any]  # as a recording's; here the parameters alone
-    complete: bool = True
-    reason: None = None
-
-    @property
-    def rows(self) -> int:
-        """Number of instants."""
-        return len(self.time)
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each element, by its name."""
-        scalars = [(part, s) for part, i in INTERFACES.items() for s in i.scalars()]
-        named = {f"{part}.{s.name}": s.unit for part, s in scalars}
-        return {name: unit for name, unit in named.items() if name in self}
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the elements."""
-        return tuple(self.units)
-
-    def __contains__(self, name: str) -> bool:
-        instance, _, signal = name.partition("[")[0].partition(".")
-        is_command = instance == "controller" and bool(_columns(signal))
-        return is_command or signal in (getattr(self, instance).dtype.names or ())
-
-    def in_blocks(self, *names: str, before: int = 0) -> Iterator[list[Array]]:
-        """Yield signals in one block."""
-        del before  # none are
-        yield [self.time if name == "time" else self[name] for name in names]
-
-    def __getitem__(self, name: str) -> Array:
-        """Return a signal, as "plant.qpos" (n, ...), or an element, as "plant.qpos[12]" (n,)."""
-        whole, _, index = name.partition("[")
-        instance, _, signal = whole.partition(".")
-        columns = _columns(signal) if instance == "controller" else []
-        values: Array = self.commands[:, columns] if columns else getattr(self, instance)[signal]
-        values = values[:, 0] if len(columns) == 1 else values
-        element = tuple(int(i) - 1 for i in index[:-1].split(",")) if index else ()
-        return values[(slice(None), *element)]
-
-
-def _columns(signal: str) -> list[int]:
-    """Places of a signal among the commands."""
-    return [i for i, command in enumerate(COMMANDS) if command.split("[")[0] == signal]
-
-
-def run_plain(scenario: Scenario) -> Course:
-    """Run a scenario with plain objects in place of FMUs; its pushes are left out."""
+    Returns what happened at each tick from t = 0 to the end.
+    """
     values = start_values(scenario)
     plant = Plant(PlantParameters(**grouped(PLANT, values["plant"])))
     gains = grouped(CONTROLLER, values["controller"])
@@ -107,7 +54,8 @@ def run_plain(scenario: Scenario) -> Course:
     controller = Controller(Gains(**gains), period)
     period_ticks = round(controller.period / STEP_SIZE)
     commands = resolve(scenario, values).sample(instants(scenario))
-    log = {part: np.empty((len(commands), part.output_values.size)) for part in (plant, controller)}
+    parts = {"plant": plant, "controller": controller}
+    log = {name: np.empty((len(commands), p.output_values.size)) for name, p in parts.items()}
     delayed = scenario.coupling == "jacobi"
     ctrl = plant.inputs["ctrl"]
     for tick, command in enumerate(commands):
@@ -121,11 +69,25 @@ def run_plain(scenario: Scenario) -> Course:
             controller.update()
         if not delayed:
             ctrl[:] = controller.outputs["ctrl"]
-        for part, rows in log.items():
-            rows[tick] = part.output_values
-    outputs = [rows.view(part.outputs.dtype)[:, 0] for part, rows in log.items()]
-    metadata = {"coupling": scenario.coupling, "parameters": values}
-    return Course(instants(scenario), commands, *outputs, metadata)
+        for name, part in parts.items():
+            log[name][tick] = part.output_values
+    signals = {f"controller.{name}": each for name, each in commanded(commands).items()}
+    for name, part in parts.items():
+        dtype = part.outputs.dtype
+        signals |= {f"{name}.{n}": log[name].view(dtype)[:, 0][n] for n in dtype.names or ()}
+    scalars = [(f"{part}.{s.name}", s) for part, i in INTERFACES.items() for s in i.scalars()]
+    run = FakeRecording(
+        instants(scenario), signals, {"coupling": scenario.coupling, "parameters": values}
+    )
+    run.units = {name: scalar.unit for name, scalar in scalars if name in run}
+    return run
+
+
+def commanded(commands: Array) -> dict[str, Array]:
+    """Commands (n, 14) by the names of the controller's inputs."""
+    names = [name.partition("[")[0] for name in COMMANDS]
+    columns = {name: [i for i, n in enumerate(names) if n == name] for name in names}
+    return {n: commands[:, at if len(at) > 1 else at[0]] for n, at in columns.items()}
 
 
 def connect(plant: Plant, controller: Controller) -> None:

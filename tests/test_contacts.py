@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from fake_recording import FakeRecording
 from panda_cosim import load_scenario, run_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.plant import SUPPORT, UNWANTED, Plant, PlantParameters, contacts_of, kinds_of
@@ -21,7 +22,7 @@ from panda_cosim.run.summary import summarize
 from panda_cosim.task.criteria import Success
 from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.writer import write_scenario
-from random_tasks import Course, run_plain
+from random_tasks import run_plain
 
 SLACK = 0.0015  # [s] more than a tick
 STRUCK = {"block_pos": (0.367, 0.607), "block_yaw": 0.333}  # the fingers strike the table
@@ -38,7 +39,7 @@ FINGERS = {"left_finger", "right_finger"}
 
 
 @cache
-def course(**plant: Any) -> Course:
+def course(**plant: Any) -> FakeRecording:
     return run_plain(shortened().changed({f"plant.{name}": value for name, value in plant.items()}))
 
 
@@ -49,7 +50,7 @@ def shortened() -> Scenario:
     return replace(scenario, duration=4.0, success=success)
 
 
-def said(run: Course, summary: Summary) -> str:
+def said(run: FakeRecording, summary: Summary) -> str:
     return "\n".join(advise(run, summary))
 
 
@@ -93,7 +94,7 @@ def test_45_deg_from_vertical_parts_what_carries_from_what_pushes(turn, kind):
     }
 
 
-def own_pairs(run: Course) -> dict[tuple[str, str], list[int]]:
+def own_pairs(run: FakeRecording) -> dict[tuple[str, str], list[int]]:
     """Rows on which two bodies touch as nobody wants, by names and the definition alone."""
     model = load_scene(PlantParameters())
     data, rows = mujoco.MjData(model), {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import sys
 import zipfile
@@ -250,24 +249,6 @@ def test_a_folder_with_a_model_is_a_suite_over_engines(engine, arm, tmp_path):
     text = cli(*suite, "--mujoco", ENGINE).stdout
     assert f"MuJoCo of the runs: {ENGINE}, {HERE}; of the references: {HERE}" in text
     assert other["difference"] in text
-
-
-def test_the_suite_of_the_page_on_engines_runs(tmp_path):
-    gymnasium = pytest.importorskip("gymnasium")
-    page = Path(__file__).parents[1] / "docs" / "reference" / "engines.md"
-    section = page.read_text(encoding="utf-8").partition("## Does another MuJoCo")[2]
-    (tmp_path / "scenario.toml").write_text(re.findall(r"```toml\n(.*?)```", section, re.S)[0])
-    assets = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
-    shutil.copy(assets / "hopper.xml", tmp_path / "model.xml")
-    assert cli("regress", tmp_path, "--update").returncode == 0
-    done = cli("regress", tmp_path, "--mujoco", HERE, code=0)
-    assert re.search(r"own +" + HERE, done.stdout)
-    assert re.search(r"same +equal", done.stdout)
-
-
-def test_engines_do_not_go_with_update():
-    done = cli("regress", "push", "--mujoco", ENGINE, "--update", code=2)
-    assert "--mujoco: cannot be combined" in done.stderr
 
 
 # What counts as a change.

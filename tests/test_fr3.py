@@ -129,8 +129,8 @@ def test_native_fmus_give_the_bits_of_python(tmp_path, name):
     scenario = with_fr3(name).changed({"duration": 2.0})
     recording = run_scenario(scenario, tmp_path / "run").recording
     plain = run_plain(scenario)
-    assert np.array_equal(recording["plant.qpos"], plain.plant["qpos"])
-    assert np.array_equal(recording["controller.ctrl"], plain.controller["ctrl"])
+    assert np.array_equal(recording["plant.qpos"], plain["plant.qpos"])
+    assert np.array_equal(recording["controller.ctrl"], plain["controller.ctrl"])
 
 
 @pytest.mark.long

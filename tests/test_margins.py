@@ -120,28 +120,6 @@ def test_loops_are_stable_up_to_each_limit_and_not_beyond(made):
         assert np.abs(np.linalg.eigvals(late) + 1.0).min() < AGREEMENT
 
 
-@settings(deadline=None, max_examples=40)
-@given(loops(most=1))
-def test_margins_of_one_loop_are_those_of_python_control(made):
-    import control  # noqa: PLC0415 - takes a second, in each of xdist's processes
-
-    found = limits(made.sensitivity)
-    omega = np.linspace(0.0, math.pi / PERIOD, 4001)[1:]
-    data = control.FrequencyResponseData(made.response(omega)[:, 0, 0], omega, smooth=True)
-    gains, phases, _, _, crossings, _ = control.stability_margins(data, returnall=True)
-    decibels = 20.0 * np.log10(gains)
-    decibels = decibels[np.abs(decibels) < MOST * (1.0 - AGREEMENT)]
-    for sign, own in ((1.0, found.gain_up_db), (-1.0, found.gain_down_db)):
-        theirs = (sign * decibels)[sign * decibels > 0.0].min(initial=math.inf)
-        assert own <= theirs * (1.0 + AGREEMENT)  # it leaves out 0 and the highest frequency
-    close = np.abs(phases).min(initial=math.inf)
-    assert found.phase_margin_deg == pytest.approx(close, rel=AGREEMENT, abs=0.05)
-    highest = crossings.max(initial=0.0) / (2.0 * math.pi)
-    assert found.crossover_hz == pytest.approx(highest, rel=AGREEMENT)
-    delays = np.radians(np.mod(phases, 360.0)) / crossings
-    assert found.delay_margin_ms == pytest.approx(1e3 * delays.min(initial=math.inf), rel=AGREEMENT)
-
-
 @settings(deadline=None, max_examples=15)
 @given(loops())
 def test_the_disk_margin_is_that_of_python_control(made):

@@ -78,11 +78,6 @@ def test_state_space_takes_matrices_as_in_fmpy(tmp_path):
     assert_equal(recording, "it", in_fmpy("fmi3/StateSpace", start_values=values))
 
 
-def test_an_fmu_without_co_simulation_is_refused_in_a_line():
-    done = command("info", REFERENCE_FMUS / "fmi3" / "Clocks.fmu", code=2)
-    assert "not a co-simulation FMU; it must have a <CoSimulation> element" in done.stderr
-
-
 @pytest.mark.parametrize("fmi", ["2", "3"])
 @pytest.mark.parametrize("way", ["", "-mt", "-sequential"])
 def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path, fmi, way):

@@ -21,7 +21,6 @@ from panda_cosim.fmus.sources.targets import build
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.study.compare.regress import find_scenarios, start
 from panda_cosim.study.work import Workers
-from panda_cosim.task.scenario import Scenario
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
 
@@ -212,38 +211,6 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine, tmp_path):
     assert "runs/short: was not made by regress" in refused.stderr
     assert "Running" not in refused.stderr
     assert (other / "recording.parquet").read_text() == "of somebody else"
-
-
-SLIPS = [
-    (("regress", "pus"), "did you mean 'push'"),
-    (("regress", "push", "push"), "listed twice"),
-    (("regress", "push", "--set", "controller.kpp=1"), "did you mean 'kp'"),
-    (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
-    (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
-    (("regress", "push", "--overwrite"), "--overwrite: needs --report"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "expected"), SLIPS)
-def test_a_slip_is_reported_in_one_line(arguments, expected):
-    slip = cli(*arguments, code=InputError.exit_code)
-    assert expected in slip.stderr
-    assert slip.stderr.count("\n") == 1
-    assert "Traceback" not in slip.stderr
-
-
-def test_a_run_that_dies_fails_alone(mine, tmp_path):
-    scenario = Scenario.read(mine / "short")
-    folder = mine / "dies"
-    shutil.copytree(mine / "short", folder)
-    (folder / "scenario.toml").write_text('duration = 0.2\n[fmus]\ncontroller = "dies.py:Dies"\n')
-    (folder / "dies.py").write_text(DIES)
-    with Workers(1) as workers:
-        both = (Scenario.read(folder), scenario)
-        futures = [start(workers, each, tmp_path / f"b-{each.name}") for each in both]
-        died, other = (future.result() for future in futures)
-    assert (died.verdict, died.error) == ("failed", "its process ended with signal 11")
-    assert other.verdict == "holds"
 
 
 SWEEP = """scenario = "."

@@ -17,7 +17,7 @@ from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.packed import Loaded, identity, pack
 from panda_cosim.study.sweep.report import promote_row, scenario_of
 from panda_cosim.study.sweep.store import Store
-from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep, write_sweep
+from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
 
@@ -37,10 +37,6 @@ def over_mass(*scenarios: Path, **keys: Any) -> Sweep:
     vary: Any = {"plant.block_mass": {"values": [0.1, 0.2]}}
     names = tuple(map(str, scenarios))
     return Sweep(**{"scenario": names, "vary": vary, "design": "grid", **keys})
-
-
-def without(rows: list[dict[str, Any]], *columns: str) -> list[dict[str, Any]]:
-    return [{n: v for n, v in row.items() if n not in columns} for row in rows]
 
 
 def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path):
@@ -139,20 +135,6 @@ def test_rows_not_measured_and_expected_failures_are_what_they_are(tmp_path):
         files = promote_row(out, index, tmp_path / "mine" / str(index))
         assert load_scenario(tmp_path / "mine" / str(index)).expect == "failure"
         assert (tmp_path / "mine" / str(index) / "reference.parquet" in files) == is_as_expected
-
-
-def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path):
-    path = write_sweep(tmp_path, 2)
-    text = path.read_text(encoding="utf-8").replace("uniform = [0.0, 100.0]", "values = [1.0]")
-    path.write_text(f'{text}[vary."duration"]\nvalues = [0.1, 30.0]\n'.replace("samples = 2", ""))
-    path.write_text(path.read_text().replace("seed = 3", 'design = "grid"'), encoding="utf-8")
-    limits = ("--jobs", 1, "--time-limit", 0.3)
-    done = command("sweep", path, "--out", tmp_path / "out", *limits)
-    assert "2 of 4 rows did not finish" in done.stdout
-    counts = Store(tmp_path / "out").count()
-    assert counts == {"success": 2, "timeout": 2}
-    late = [row for row in rows_of(tmp_path / "out") if row["status"] == "timeout"]
-    assert [(row["margin"], row["missed"]) for row in late] == [(None, None)] * 2
 
 
 def test_a_search_needs_a_margin(tmp_path):

@@ -17,19 +17,8 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.report import write_report
-from panda_cosim.study.sweep.results import share_bounds
 from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, HEAVY, MASS, NAME, made_up, pretended, short_sweep
-
-
-def test_bounds_hold_the_share_with_their_confidence():
-    # Ref: Clopper and Pearson 1934: of 0 in n the upper bound solves (1 - p)^n = 0.025.
-    low, high = share_bounds(0, 300)
-    assert low == 0.0
-    assert (1 - high) ** 300 == pytest.approx(0.025, rel=1e-6)
-    drawn = np.random.default_rng(0).binomial(50, 0.9, 100)
-    held = [share_bounds(int(k), 50)[0] <= 0.9 <= share_bounds(int(k), 50)[1] for k in drawn]
-    assert np.mean(held) >= 0.95
 
 
 def test_many_rows_give_a_small_page_that_says_so(tmp_path):

@@ -21,6 +21,7 @@ from hypothesis.extra import numpy as hnp
 
 import regress_support
 from bounded import ran
+from fake_recording import FakeRecording
 from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.criterion import Criterion
@@ -33,7 +34,7 @@ from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.page import Inline
 from panda_cosim.show.view.run import Shown, describe
 from panda_cosim.task.scenario import shipped_scenarios
-from view_support import MODEL, MadeUp, as_columns, decoded, run_scenario_outside
+from view_support import MODEL, decoded, run_scenario_outside
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([np.nan, np.inf, -np.inf, 0.0])
 COLUMNS = hnp.arrays(np.float64, st.integers(1, 60), elements=NUMBERS)
@@ -112,22 +113,22 @@ def test_the_model_has_all_shapes_and_reduces_textures():
     assert len(json.dumps(described)) < 20_000
 
 
-def made_up(rows: int = 200, **metadata: Any) -> MadeUp:
+def made_up(rows: int = 200, **metadata: Any) -> FakeRecording:
     """A run of the foreign model with one more signal."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     time = 0.001 * np.arange(rows)
     qpos = np.tile(model.qpos0, (rows, 1))
-    values = as_columns({"time": time, "plant.qpos": qpos, "other.y": np.sin(30 * time)})
-    return MadeUp(values, {"complete": True, **metadata})
+    signals = {"plant.qpos": qpos, "other.y": np.sin(30 * time)}
+    return FakeRecording(time, signals, {"complete": True, **metadata})
 
 
-def foreign(source: MadeUp, name: str = "foreign", **summary: Any) -> Shown:
+def foreign(source: FakeRecording, name: str = "foreign", **summary: Any) -> Shown:
     """That run with its model."""
     model = describe_model(mujoco.MjModel.from_xml_string(MODEL))
     return Shown(name, source, model, summary=Summary.read(summary))
 
 
-class Rounded(MadeUp):
+class Rounded(FakeRecording):
     """A run whose hand is rounded, as in a reference."""
 
     quanta: ClassVar = {f"plant.hand_xpos[{axis}]": 1e-4 for axis in (1, 2, 3)}
@@ -136,13 +137,13 @@ class Rounded(MadeUp):
 def test_what_a_references_rounding_explains_is_no_difference():
     run = made_up()
     place = 0.1 * np.sin(np.outer(run.time, (1.0, 2.0, 3.0)))
-    ghost = Rounded({**run.values, **as_columns({"plant.hand_xpos": np.round(place, 4)})})
-    ghost.values |= as_columns({"controller.pos_cmd": place})  # type: ignore[operator]
-    run.values |= as_columns({"plant.hand_xpos": place})  # type: ignore[operator]
-    own, rounded = describe(foreign(run), "key", ghost), describe(foreign(ghost), "key")
+    rounded = {"plant.hand_xpos": np.round(place, 4), "controller.pos_cmd": place}
+    ghost = Rounded(run.time, run.signals | rounded, {"complete": True})
+    run.signals["plant.hand_xpos"] = place
+    own, again = describe(foreign(run), "key", ghost), describe(foreign(ghost), "key")
     gap = next(s for s in own["signals"] if s["name"] == "distance to the other run")
     assert not decoded(gap)[0].any()
-    assert "tracking error" not in [signal["name"] for signal in rounded["signals"]]
+    assert "tracking error" not in [signal["name"] for signal in again["signals"]]
 
 
 def test_a_foreign_run_with_nothing_but_positions_is_described():
@@ -157,7 +158,7 @@ def test_a_foreign_run_with_nothing_but_positions_is_described():
 
 def test_what_cannot_be_shown_is_refused_with_the_reason():
     source = made_up()
-    source.values = {"time": source.values["time"]}
+    source.signals.clear()
     with pytest.raises(InputError, match=r"foreign: 0 columns of plant.qpos; .* has 14 positions"):
         describe(foreign(source), "key")
     with pytest.raises(InputError, match="foreign: the recording has no rows"):
@@ -166,8 +167,8 @@ def test_what_cannot_be_shown_is_refused_with_the_reason():
 
 def test_a_run_that_diverged_is_described():
     source = made_up()
-    source.values["plant.qpos[1]"][50:] = np.nan  # type: ignore[index]
-    source.values["other.y"][:] = np.inf
+    source.signals["plant.qpos"][50:, 0] = np.nan
+    source.signals["other.y"][:] = np.inf
     document = describe(foreign(source), "key")
     json.dumps(document, allow_nan=False)
 

@@ -14,6 +14,7 @@ import pytest
 
 from browser import Page, find_browser
 from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
+from fake_recording import FakeRecording
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.definitions import DEFINITIONS
@@ -25,7 +26,7 @@ from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.page import shown_run, write_view
 from panda_cosim.show.view.run import Shown
 from panda_cosim.task.scenario import load_scenario
-from view_support import MODEL, MadeUp, as_columns, run_scenario_outside
+from view_support import MODEL, run_scenario_outside
 
 PLACE_TOLERANCE = 5e-6  # [m] of a body in the page
 TURN_TOLERANCE = 0.01  # [deg]
@@ -186,7 +187,7 @@ def test_every_kind_of_joint_is_where_mujoco_has_it(page, folder):
     qpos = random.uniform(-2, 2, (60, model.nq))
     for first in (3, 10):  # quaternions of the ball and of the free joint
         qpos[:, first : first + 4] /= np.linalg.norm(qpos[:, first : first + 4], axis=1)[:, None]
-    made_up = MadeUp(as_columns({"time": 0.1 * np.arange(60), "plant.qpos": qpos}))
+    made_up = FakeRecording(0.1 * np.arange(60), {"plant.qpos": qpos}, {"complete": True})
     path = write_view([Shown("foreign", made_up, describe_model(model))], folder / "foreign.html")
     show(page, path)
     check_poses(page, model, made_up, np.arange(0, 60, 3))
@@ -312,24 +313,14 @@ def test_crafted_names_are_shown_as_text(page, folder):
         MODEL.replace('name="fixed"', f'name="{escape(CRAFTED)}"')
     )
     time_axis = 0.01 * np.arange(50)
-    signals = {"time": time_axis, "plant.qpos": np.tile(model.qpos0, (50, 1)), ODD: time_axis}
-    signals["controller.pos_cmd"] = np.ones((50, 3))
-    source = MadeUp(
-        as_columns(signals),
-        metadata={
-            "scenario": ODD,
-            "purpose": HEBREW,
-            "coupling": ODD,
-            "row_times": [0.1],
-            "row_names": [ODD],
-        },
-        units=dict.fromkeys(signals, ODD),
-        descriptions=dict.fromkeys(signals, ODD),
-    )
-    summary = {
-        "criteria": [{"name": ODD, "value": 1.0, "bound": 2.0, "unit": ODD, "ok": False}],
-        "limits": {"torque_share": [0.5]},
-    }
+    signals = {"plant.qpos": np.tile(model.qpos0, (50, 1)), ODD: time_axis,
+               "controller.pos_cmd": np.ones((50, 3))}  # fmt: skip
+    metadata = {"complete": True, "scenario": ODD, "purpose": HEBREW, "coupling": ODD,
+                "row_times": [0.1], "row_names": [ODD]}  # fmt: skip
+    texts = dict.fromkeys(signals, ODD)
+    source = FakeRecording(time_axis, signals, metadata, texts, texts)
+    criterion = {"name": ODD, "value": 1.0, "bound": 2.0, "unit": ODD, "ok": False}
+    summary = {"criteria": [criterion], "limits": {"torque_share": [0.5]}}
     runs = [
         Shown(name, source, describe_model(model), summary=Summary.read(summary))
         for name in (ODD, f"{ODD} 2")

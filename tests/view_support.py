@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,46 +56,6 @@ MODEL = """
   </worldbody>
 </mujoco>
 """
-
-
-@dataclass
-class MadeUp:
-    """A run in memory, as the view reads one."""
-
-    values: Mapping[str, Array]
-    metadata: Mapping[str, Any] = field(default_factory=lambda: {"complete": True})
-    units: Mapping[str, str] = field(default_factory=dict)
-    descriptions: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def time(self) -> Array:
-        """Instants (n,) [s]."""
-        return self.values["time"]
-
-    @property
-    def columns(self) -> Sequence[str]:
-        """Names of all columns."""
-        return tuple(self.values)
-
-    def __getitem__(self, name: str) -> Array:
-        """A column, or a signal's columns side by side."""
-        if name in self.values:
-            return self.values[name]
-        parts = [self.values[c] for c in self.values if c.partition("[")[0] == name]
-        if not parts:
-            raise KeyError(name)
-        return np.column_stack(parts)
-
-
-def as_columns(signals: Mapping[str, Array]) -> dict[str, Array]:
-    """Return signals (n, k) as columns `name[1]` to `name[k]`, and (n,) as they are."""
-    columns: dict[str, Array] = {}
-    for name, values in signals.items():
-        if values.ndim == 1:
-            columns[name] = values
-        else:
-            columns |= {f"{name}[{i + 1}]": values[:, i] for i in range(values.shape[1])}
-    return columns
 
 
 def decoded(block: Mapping[str, Any]) -> list[Array]:
