@@ -227,7 +227,7 @@ BAD_TABLES = {
         "grip: missing; must have the columns time, frame, x, y, z, grip",
     ),
     "column repeated": (
-        GOOD_TABLE.replace("qx", "qw"),
+        GOOD_TABLE.replace(",grip", ",qw,grip"),
         "column 'qw' occurs 2 times; must occur once",
     ),
     "one quaternion column missing": (
