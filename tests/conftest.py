@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import signal
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from tempfile import mkdtemp
 
 import pytest
 
@@ -19,7 +23,7 @@ from hypothesis import settings
 
 import forked
 from browser import browser, find_browser
-from fmu_support import JobError, in_fork
+from fmu_support import JobError, compiler, in_fork
 
 settings.register_profile("tests", deadline=None)  # a machine may be busy
 settings.load_profile("tests")
@@ -40,6 +44,8 @@ sys.dont_write_bytecode = False
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let xdist keep files whole and in order, and commands listen to Ctrl-C."""
+    if compiler() is None and find_spec("ziglang"):
+        _lend_compiler()
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a job in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config.option, "loadscopereorder"):
@@ -47,6 +53,15 @@ def pytest_configure(config: pytest.Config) -> None:
     # What `-n` alone means; with it, two processes would make a file's fixtures.
     if getattr(config.option, "dist", "") == "load":
         config.option.dist = "loadfile"
+
+
+def _lend_compiler() -> None:
+    """Let ziglang, which comes with the tests, be the `cc` of a machine without a C compiler."""
+    tool = Path(mkdtemp()) / "cc"
+    tool.write_text(f'#!/bin/sh\nexec {sys.executable} -m ziglang cc "$@"\n')
+    tool.chmod(0o755)
+    atexit.register(shutil.rmtree, tool.parent)
+    os.environ["PATH"] += f"{os.pathsep}{tool.parent}"
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

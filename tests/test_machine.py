@@ -3,9 +3,12 @@
 import errno
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 import time
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from zipfile import ZipFile
@@ -20,6 +23,7 @@ from panda_cosim.cli.commands.build import build_all
 from panda_cosim.cli.commands.doctor import Finding, examine
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing, temporary_folder
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.extras import needing
 from panda_cosim.result.recording import Recording
 from panda_cosim.task.scenario import load_scenario
 
@@ -237,3 +241,45 @@ def test_it_starts_and_reports_where_numpy_cannot_be_imported():
     assert "numpy" in needed
     assert "scenarios cannot be run here" in done.stderr
     assert done.returncode == 1
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "last"), [("ompl", "route", 13), ("toppra", "retime", 14)]
+)
+def test_a_package_without_a_release_for_this_python_is_named_with_one_that_has_it(
+    package, extra, last, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    for minor, must in ((last, f"pip install 'panda-cosim[{extra}]'"), (last + 1, f"3.{last} or")):
+        monkeypatch.setattr(sys, "version_info", (3, minor, 0))
+        with pytest.raises(InputError, match=re.escape(must)), needing(package, extra, "this"):
+            import_module(package)
+        found = [finding.remedy for finding in examine() if finding.what.startswith(package)]
+        assert found == ([f"Python 3.{last}"] if minor > last else [])
+
+
+ROUNDING = """
+
+import functools
+
+noise, exact = np.random.default_rng(0), Impedance.update
+
+
+@functools.wraps(exact)
+def rounded(self, *values, **named):
+    return exact(self, *values, **named) * (1 + 1e-15 * noise.standard_normal(8))
+
+
+Impedance.update = rounded
+"""
+
+
+def test_a_reference_holds_however_a_numpy_law_is_rounded(tmp_path):
+    """As another numpy or processor would round it: by some units in the last place."""
+    folder = tmp_path / "scenarios" / "draw_circle"
+    shutil.copytree(load_scenario("draw_circle").folder, folder)
+    with (folder / "impedance.py").open("a") as law:
+        law.write(ROUNDING)
+    command = [sys.executable, "-m", "panda_cosim", "regress", "--scenarios", folder.parent]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout

@@ -19,6 +19,7 @@ from xml.etree import ElementTree as ET
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
+from ..extras import needing
 from ..interface.tables import Connection
 from ..interface.units import BASES, PLAIN, Units, conversion
 from ..interface.variables import Scalar, Value, Variable, by_array
@@ -204,13 +205,9 @@ SEQUENTIAL: Final = {"gauss-seidel": True, "jacobi": False}  # whether FMUs are 
 def write_container(path: Path, system: WrittenSystem, fmi: int) -> Path:
     """Write an FMU that steps a system of FMUs; those of FMI 2.0 may be within one of FMI 3.0."""
     # With Gauss-Seidel coupling it steps them one after another, else all with the same inputs.
-    try:
+    with needing("fmu-manipulation-toolbox", "container", "--container"):
         from fmu_manipulation_toolbox.container import FMUContainer  # noqa: PLC0415 - an extra
         from fmu_manipulation_toolbox.container.errors import FMUContainerError  # noqa: PLC0415
-    except ModuleNotFoundError:
-        raise InputError(
-            "--container: needs the FMU Manipulation Toolbox; pip install 'panda-cosim[container]'"
-        ) from None
     if system.coupling not in SEQUENTIAL or any(c.steps > 1 for c in system.components.values()):
         raise InputError('--container: coupling "iterated" or [steps]; must be built without')
     logging.getLogger("fmu_manipulation_toolbox").setLevel(logging.CRITICAL)

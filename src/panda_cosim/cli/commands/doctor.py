@@ -16,6 +16,7 @@ import typer
 from ...fmus.atomic import cache_folder
 from ...fmus.build.libraries import BACKENDS, can_compile, is_prebuilt, this_platform
 from ...fmus.errors import CosimError
+from ...fmus.extras import last_python
 from ...fmus.twins import LONGER, changed, notice
 from ..console import as_cell, show, show_json, table, tell
 
@@ -87,9 +88,14 @@ def examine() -> list[Finding]:
 def _packages() -> Iterator[Finding]:
     """Find the package itself, and what it requires without extras."""
     for requirement in ("panda-cosim", *(requires("panda-cosim") or ())):
+        name = re.split(r"[^\w.-]", requirement)[0]
+        if extra := re.search(r'extra == "(retime|route)"', requirement):
+            last = last_python(name)
+            if last and sys.version_info[1] > last:
+                found = "has no release for this Python"
+                yield Finding(f"{name} (for {extra[1]})", "optional", found, f"Python 3.{last}")
         if "extra ==" in requirement:
             continue
-        name = re.split(r"[^\w.-]", requirement)[0]
         use = OPTIONAL.get(name)
         what = f"{name} (for {use})" if use else name
         try:

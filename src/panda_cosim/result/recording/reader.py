@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.atomic import check_replaceable, replacing
-from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
+from ...fmus.errors import InputError, did_you_mean, excerpt, one_line
+from ...fmus.extras import needing
 from .storage import (
     PARQUET_FILE,
     REALS,
@@ -215,7 +216,7 @@ class Recording:
             signals: Signals to include; None: all.
 
         Raises:
-            CosimError: pandas is not installed.
+            InputError: pandas is not installed.
             InputError: There is no such signal.
         """
         pandas = _library("pandas")
@@ -236,7 +237,7 @@ class Recording:
             signals: Signals to include; None: all.
 
         Raises:
-            CosimError: xarray is not installed.
+            InputError: xarray is not installed.
             InputError: There is no such signal.
         """
         xarray = _library("xarray")
@@ -307,10 +308,8 @@ def bits(values: Array) -> Any:
 
 
 def _library(name: str) -> Any:
-    try:
+    with needing(name, "notebook", "this table"):
         return import_module(name)
-    except ModuleNotFoundError:
-        raise CosimError(f"{name} is not installed; pip install 'panda-cosim[notebook]'") from None
 
 
 @lru_cache(maxsize=16)  # runs of a sweep have the same columns

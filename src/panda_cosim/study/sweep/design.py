@@ -21,6 +21,7 @@ import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, located
+from ...fmus.extras import needing
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...run.prepare import CHUNK, prepare
 from ...run.start import start_values
@@ -195,12 +196,8 @@ class Search:
 
     def __init__(self, sweep: Sweep, store: Store) -> None:
         self._margin = margin_column(sweep.criterion, store.content["columns"])
-        try:
+        with needing("optuna", "search", 'design "search"'):
             import optuna  # noqa: PLC0415 - an extra
-        except ModuleNotFoundError as error:
-            raise InputError(
-                f"design \"search\": {error}; pip install 'panda-cosim[search]'"
-            ) from None
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self._axes = {key: _axis(optuna, each) for key, each in sweep.vary.items()}
         self._trials: dict[int, Any] = {}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
+from ...fmus.extras import needing
 from ...plant.parameters import BLOCK_HALF_HEIGHT, block_start_height
 from ..scenario import Scenario
 from .motions import SPACING, Motion, rounded, timed
@@ -159,12 +160,8 @@ def _path(  # noqa: PLR0913 - all that it depends on
 
     The seed is fixed and the budget is counted in iterations: the same input gives the same path.
     """
-    try:
+    with needing("ompl", "route", "route"):
         from ompl import base, geometric, util  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise InputError(
-            "route needs ompl, which is not installed; pip install 'panda-cosim[route]'"
-        ) from None
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(SEED)
     space, bounds = base.RealVectorStateSpace(7), base.RealVectorBounds(7)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE, franka
-from ...fmus.errors import InputError
+from ...fmus.extras import needing
 from .demand import WAY_TOLERANCE, ArmDynamics, Shares
 from .path import Motion
 
@@ -111,13 +111,8 @@ def _parametrized(
     motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics
 ) -> tuple[Array, Array]:
     """Return places (m,) [m] on the path and the speeds there [m/s]."""
-    try:
+    with needing("toppra", "retime", "time-optimal timing"):
         from toppra import SplineInterpolator, algorithm  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise InputError(
-            "time-optimal timing needs toppra, which is not installed; pip install "
-            "'panda-cosim[retime]'"
-        ) from None
     logging.getLogger("toppra").setLevel(logging.CRITICAL)
     nodes = np.linspace(0.0, motion.length, len(joints))
     path = SplineInterpolator(nodes, np.hstack((joints, _hand(motion, nodes))))
