@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -122,6 +123,19 @@ def history() -> str:
     )  # fmt: skip
 
 
+def overview() -> str:
+    """Return the text of llms.txt: what the project is, and each page with its title."""
+    project = tomllib.loads((ROOT / "zensical.toml").read_text(encoding="utf-8"))["project"]
+    lines = [f"# {project['site_name']}", f"> {project['site_description']}"]
+    for part in project["nav"]:
+        for title, pages in part.items():
+            lines += [f"## {title}"] if isinstance(pages, list) else []
+            listed = pages if isinstance(pages, list) else [part]
+            links = [f"- [{name}]({page[:-3]}.html)" for it in listed for name, page in it.items()]
+            lines.append("\n".join(links))
+    return "\n\n".join(lines) + "\n"
+
+
 def build(out: Path, *, with_gallery: bool) -> None:
     """Fill in the pages, build the site and check it."""
     with tempfile.TemporaryDirectory() as name:
@@ -144,6 +158,7 @@ def build(out: Path, *, with_gallery: bool) -> None:
         )
         shutil.rmtree(out, ignore_errors=True)
         shutil.move(work / "site", out)
+        (out / "llms.txt").write_text(overview(), encoding="utf-8")
     if problems := [it for it in check(out) if with_gallery or "gallery/" not in it]:
         raise SystemExit("\n".join(problems))
     print(f"{out}/index.html")
@@ -166,6 +181,7 @@ def check(site: Path) -> Iterator[str]:
             for key in ("href", "src")
             if element.get(key)
         ]
+    links += [(site / "llms.txt", "a", link) for link in re.findall(r"\]\((.*?)\)", overview())]
     for path, tag, link in links:
         url, anchor = urldefrag(link)
         parts = urlsplit(url)

@@ -14,7 +14,7 @@ import pytest
 from bounded import ran
 from couple_support import TABLES, compile_host, read_rows, unpack_task, write_plan
 from fmu_instance import Unpacked, mujoco_library, unpacked, unpacked_fmu
-from fmu_support import compiler, in_process, needs_compiler
+from fmu_support import compiler, in_process, needs_compiler, sanitizes
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library, slave_fmu
 from panda_cosim.result.recording import Recording
@@ -211,6 +211,8 @@ def test_fmus_in_python_may_be_first_at_one_moment(host, tmp_path):
 
 @pytest.mark.parametrize("backend", ["mujoco", pytest.param("python", marks=needs_library)])
 def test_first_instances_of_an_fmu_do_not_race(tmp_path, backend):
+    if not sanitizes():
+        pytest.skip("ziglang brings no sanitizers")
     library, program = tmp_path / "fmu.so", tmp_path / "host"
     sources = [native.SOURCES / name for name in (*native.FMI_LAYER, *native.BACKENDS[backend])]
     includes = [f"-isystem{include}" for include in native.includes()]

@@ -13,7 +13,7 @@ import pytest
 
 from bounded import ran
 from fmu_instance import BACKENDS, MODELS, Unpacked, mujoco_library, unpacked
-from fmu_support import compiler, needs_compiler
+from fmu_support import compiler, needs_compiler, sanitizes
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library
 from panda_cosim.fmus.sources.targets import Kind
@@ -50,6 +50,8 @@ def compile_drive(folder: Path, *arguments: str | Path) -> Path:
 @pytest.fixture(scope="module")
 def layer(tmp_path_factory):
     """The FMI layer and the drive, compiled once for all."""
+    if not sanitizes():
+        pytest.skip("ziglang brings no sanitizers")
     folder = tmp_path_factory.mktemp("layer")
     compiled(folder, *SANITIZED, "-c", *sources(native.FMI_LAYER), DRIVE)
     return sorted(folder.glob("*.o"))
