@@ -1,17 +1,19 @@
-"""Runs native FMUs in other importers, and writes the table of docs/reference/importers.md.
+"""Our FMUs in other importers, and others' in our master: tables of docs/reference/importers.md.
 
-Usage: python .ci/importers.py
+Usage: [FOREIGN_FMUS=FOLDER] python .ci/importers.py
 
-It needs the extra `importers`. Each row runs in a process of its own. A row that cannot be made
-ends the script, and the table stays as it was. The plant is driven by the reference experiment that
-it holds; whole systems are compared with our master in Jacobi coupling. The C host is that of the
-test that compares each value: it must pass.
+The first table needs the extra `importers`. Each row runs in a process of its own. A row that cannot
+be made ends the script, and the table stays as it was. The plant is driven by the reference experiment
+that it holds; whole systems are compared with our master in Jacobi coupling. The C host is that of the
+test that compares each value: it must pass. The second table is that of foreign.py; it stays as it was
+where no folder is named.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import os
 import re
 import subprocess
 import sys
@@ -23,12 +25,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import foreign
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "reference" / "importers.md"
 TESTS = ROOT / "tests"
-BEGIN, END = "<!-- importers: begin -->", "<!-- importers: end -->"
 HEAD = ("importer", "version", "how", "agreement")
 EXTRA = "extra/org.fmi-standard.fmi-ls-ref"
 STEP = 0.001  # [s]
@@ -238,10 +240,16 @@ def main() -> None:
         with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
             rows = [pool.apply(_row, (each.__name__, folders)) for each in ROWS]
     lines = [HEAD, ["---"] * len(HEAD), *rows]
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    PAGE.write_text(f"{before}{BEGIN}\n{table}\n{END}{after}", encoding="utf-8")
+    _write("importers", "\n".join(f"| {' | '.join(line)} |" for line in lines))
+    if folder := os.environ.get("FOREIGN_FMUS"):
+        _write("foreign", foreign.table(Path(folder)))
+
+
+def _write(name: str, table: str) -> None:
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(begin)
+    _, _, after = rest.partition(end)
+    PAGE.write_text(f"{before}{begin}\n{table}\n{end}{after}", encoding="utf-8")
     print(table)
 
 

@@ -13,6 +13,14 @@ from tempfile import mkdtemp
 
 import pytest
 
+# Where there is no C compiler, ziglang, which comes with the tests, is `cc`.
+if not any(map(shutil.which, ("cc", "gcc", "clang"))) and find_spec("ziglang"):
+    LENT = Path(mkdtemp()) / "cc"
+    LENT.write_text(f'#!/bin/sh\nexec {sys.executable} -m ziglang cc "$@"\n')
+    LENT.chmod(0o755)
+    atexit.register(shutil.rmtree, LENT.parent)
+    os.environ["PATH"] += f"{os.pathsep}{LENT.parent}"
+
 # Each test process has a core: NumPy's own threads would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # So that tests find the modules beside them, and the studies.
@@ -23,7 +31,7 @@ from hypothesis import settings
 
 import forked
 from browser import browser, find_browser
-from fmu_support import JobError, compiler, in_fork
+from fmu_support import JobError, in_fork
 
 settings.register_profile("tests", deadline=None)  # a machine may be busy
 settings.load_profile("tests")
@@ -44,8 +52,6 @@ sys.dont_write_bytecode = False
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let xdist keep files whole and in order, and commands listen to Ctrl-C."""
-    if compiler() is None and find_spec("ziglang"):
-        _lend_compiler()
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a job in the background
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config.option, "loadscopereorder"):
@@ -53,15 +59,6 @@ def pytest_configure(config: pytest.Config) -> None:
     # What `-n` alone means; with it, two processes would make a file's fixtures.
     if getattr(config.option, "dist", "") == "load":
         config.option.dist = "loadfile"
-
-
-def _lend_compiler() -> None:
-    """Let ziglang, which comes with the tests, be the `cc` of a machine without a C compiler."""
-    tool = Path(mkdtemp()) / "cc"
-    tool.write_text(f'#!/bin/sh\nexec {sys.executable} -m ziglang cc "$@"\n')
-    tool.chmod(0o755)
-    atexit.register(shutil.rmtree, tool.parent)
-    os.environ["PATH"] += f"{os.pathsep}{tool.parent}"
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
