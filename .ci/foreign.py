@@ -2,9 +2,9 @@
 
 Usage: FOREIGN_FMUS=FOLDER python .ci/foreign.py [--each]
 
-Every co-simulation FMU below the folder runs a hundred steps three times, in a process of its own.
-The table is by tool: what ran, what equals the bare loop, and the words where it did not run. An FMU
-may end the run: what was recorded until then is compared.
+Every co-simulation FMU below the folder runs a hundred steps three times, in a process of its
+own. The table is by tool: what ran, what equals the bare loop, and the words where it did not
+run. An FMU may end the run: what was recorded until then is compared.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 
 Usage: [FOREIGN_FMUS=FOLDER] python .ci/importers.py
 
-The first table needs the extra `importers`. Each row runs in a process of its own. A row that cannot
-be made ends the script, and the table stays as it was. The plant is driven by the reference experiment
-that it holds; whole systems are compared with our master in Jacobi coupling. The C host is that of the
-test that compares each value: it must pass. The second table is that of foreign.py; it stays as it was
-where no folder is named.
+The first table needs the extra `importers`. Each row runs in a process of its own. A row that
+cannot be made ends the script, and the table stays as it was. The plant is driven by the
+reference experiment that it holds; whole systems are compared with our master in Jacobi
+coupling. The C host is that of the test that compares each value: it must pass. The second
+table is that of foreign.py; it stays as it was where no folder is named.
 """
 
 from __future__ import annotations
