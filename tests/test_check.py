@@ -215,7 +215,7 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them():
 
 def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it():
     texts = [each.text for each in check_folder(shipped_scenarios()["push"])]
-    assert re.search(r"torque rate .*; it follows a push; push more gently", texts[0])
+    assert re.search(r"torque rate .*; it follows a push: push more gently", texts[0])
 
 
 def test_check_advises_no_more_time_for_what_is_out_of_reach():

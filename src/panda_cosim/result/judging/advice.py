@@ -1,7 +1,7 @@
 """What went wrong in a run and what helps, from its recording and summary.
 
-`run` and `check` say the same lines. Causes come before their symptoms; what helps is in
-checks.toml.
+`run` and `check` say the same lines, in the order of time: causes come before their symptoms. What
+helps is in checks.toml.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .summary import Summary
 
 Array = NDArray[np.float64]
 Level = Literal["wrong", "refused", "hint", "good"]
-Finding = tuple[float, str]  # when [s], and what is wrong then
+Finding = tuple[float, str, str]  # when [s], what is wrong then, and which remedy helps
 
 SINGULAR: Final = "controller.singular"
 SHOWN: Final = 4  # unwanted contacts that are named
@@ -42,38 +42,36 @@ FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it o
 def advise(recording: Recording, summary: Summary, *, ours: bool = True) -> Iterator[str]:
     """Yield what went wrong and what helps, in lines, each with the table's row.
 
-    `ours`: all FMUs are; of others the block and its grip are not known.
+    `ours`: all FMUs are; of others the block and its grip are not known, and no command takes them.
     """
     if not recording.rows:
         return
-    found = [*_contacts(recording, summary, ours), *(_dragging(recording) if ours else ())]
-    found += _limits(recording, summary, ours)
-    found += [*_lost(recording), *_releases(recording)] if ours else []
-    for at, text in found:
+    found = [*_contacts(recording, summary)]
+    found += _dragging(recording) if ours else ()
+    found += _limits(recording, summary)
+    found += (*_grip(recording), *_releases(recording)) if ours else ()
+    put_in = {name: REMEDIES[name] if ours else "" for name in ("retime", "route", "noise", "weak")}
+    for at, text, remedy in sorted(found):
         row = table_row(recording.metadata, at)
-        yield f"{TABLE_FILE}: row {row}: {text}" if row else text
+        place = f"{TABLE_FILE}: row {row}: " if row else ""
+        helps = REMEDIES.get(remedy, remedy).format(**put_in)
+        yield f"{place}{text}; {helps}" if helps else f"{place}{text}"
 
 
-def _remedy(name: str, *, ours: bool) -> str:
-    """Return what helps; commands take our own FMUs alone."""
-    own = {key: REMEDIES[key] if ours else "" for key in ("retime", "route", "noise", "weak")}
-    return REMEDIES[name].format(**own)
-
-
-def _contacts(recording: Recording, summary: Summary, ours: bool) -> Iterator[Finding]:
+def _contacts(recording: Recording, summary: Summary) -> Iterator[Finding]:
     """Name the unwanted contacts, which often cause all that follows."""
     contacts = [Touch(**each) for each in summary.contact.get("unwanted", ())]
-    peak, more = summary.contact.get("unwanted_force_N"), len(contacts) - SHOWN
     # A task whose criteria all hold with these contacts, such as a peg in its hole, needs them.
-    is_needed = bool(summary.criteria) and summary.success
-    remedy = "" if is_needed else f"; {_remedy('contact', ours=ours)}"
+    remedy = "" if summary.criteria and summary.success else "contact"
     for touch in contacts[:SHOWN]:
-        yield touch.time_s, f"{touch}{remedy}"
-    if more > 0:
-        yield contacts[SHOWN].time_s, f"unwanted contacts of {more} more pairs"
+        yield touch.time_s, str(touch), remedy
+    if len(contacts) > SHOWN:
+        more = f"unwanted contacts of {len(contacts) - SHOWN} more pairs"
+        yield contacts[SHOWN].time_s, more, remedy
+    peak = summary.contact.get("unwanted_force_N")
     if peak and not contacts:
         at = float(recording.time[recording[UNWANTED].argmax()])
-        yield at, f"unwanted contacts have up to {peak:.3g} N, at t = {at:.3f} s"
+        yield at, f"unwanted contacts have up to {peak:.3g} N, at t = {at:.3f} s", remedy
 
 
 def _dragging(recording: Recording) -> Iterator[Finding]:
@@ -82,10 +80,10 @@ def _dragging(recording: Recording) -> Iterator[Finding]:
     for row in np.flatnonzero(sliding & pressed)[:1]:
         at = float(recording.time[row])
         text = f"the fingers drag or push the block along its support at t = {at:.3f} s"
-        yield at, f"{text}; {REMEDIES['drag']}"
+        yield at, text, "drag"
 
 
-def _limits(recording: Recording, summary: Summary, ours: bool) -> Iterator[Finding]:
+def _limits(recording: Recording, summary: Summary) -> Iterator[Finding]:
     """Name the robot limit that bound the controller first, and those that were exceeded."""
     causes = [(each["time_s"], "the contact") for each in summary.contact.get("unwanted", ())[:1]]
     if (collision := summary.events.get("collision")) is not None:
@@ -93,48 +91,40 @@ def _limits(recording: Recording, summary: Summary, ours: bool) -> Iterator[Find
 
     def remedy(at: float, name: str) -> str:
         after = [cause for cause in causes if cause[0] <= at]
-        return f"it follows {max(after)[1]}" if after else _remedy(name, ours=ours)
+        return f"it follows {max(after)[1]}" if after else name
 
     if first := summary.first_limit:
         at, kind = first["time_s"], f"{first['kind']} limit"
         text = f"the {kind} of joint {first['joint']} first limits the motion at t = {at:.3f} s"
-        yield at, f"{text}; {remedy(at, 'singular' if _is_singular(recording, at) else kind)}"
+        stretched = SINGULAR in recording and recording[SINGULAR][recording.time >= at][0]
+        yield at, text, remedy(at, "singular" if stretched else kind)
         causes.append((at, f"the {kind}"))
     for name, share, at in exceeded(recording, summary.limits):
+        causes += _pushes(recording, at)
         text = f"{name} is {share} of its limit at t = {at:.3f} s"
-        causes += [(edge, f"a push; {REMEDIES['push']}") for edge in _pushes(recording, at)]
-        yield at, f"{text}; {remedy(at, 'torque rate')}" if name.startswith("torque rate") else text
+        yield at, text, remedy(at, "torque rate") if name.startswith("torque rate") else ""
 
 
-def _is_singular(recording: Recording, at: float) -> bool:
-    """Whether the arm is nearly stretched at an instant [s]."""
-    if SINGULAR not in recording:
-        return False
-    return bool(recording[SINGULAR][np.searchsorted(recording.time, at)])
-
-
-def _pushes(recording: Recording, at: float) -> list[float]:
-    """Return when a push began or ended that the torques answer at an instant [s]."""
-    time, edges = recording.time, []
+def _pushes(recording: Recording, at: float) -> Iterator[tuple[float, str]]:
+    """Yield when a push began or ended that the torques answer at an instant [s]."""
+    rows = (recording.time > at - JOLT) & (recording.time <= at)
     for name in (f"plant.{force}" for force in FORCES.values()):
-        if name in recording:
-            rows = np.flatnonzero(np.diff(recording[name], axis=0).any(axis=1))
-            edges += [edge for edge in time[rows + 1].tolist() if 0.0 <= at - edge < JOLT]
-    return edges
+        if name in recording and np.diff(recording[name][rows], axis=0).any():
+            yield at, "a push: push more gently"
 
 
-def _lost(recording: Recording) -> Iterator[Finding]:
+def _grip(recording: Recording) -> Iterator[Finding]:
     """Compare friction with the block's weight and acceleration; say where it is lost."""
     weakest = weakest_grip(recording)
     if weakest is not None and weakest[1] < weakest[2]:
         at, force, needed = weakest
         text = f"at t = {at:.3f} s the grip holds {force:.3g} N by friction; the block needs "
-        yield at, f"{text}{needed:.3g} N: {REMEDIES['grip']}"
+        yield at, f"{text}{needed:.3g} N", "grip"
     raised = _raised(recording)
     for hold in find_holds(recording):
         if raised[hold.end - 1] and hold.let_go == hold.end < recording.rows:
             at = float(recording.time[hold.end])
-            yield at, f"the block falls out of the closed fingers at t = {at:.3f} s"
+            yield at, f"the block falls out of the closed fingers at t = {at:.3f} s", "grip"
 
 
 def _raised(recording: Recording) -> NDArray[np.bool_]:
@@ -178,8 +168,8 @@ def _releases(recording: Recording) -> Iterator[Finding]:
         pressing = 0.5 * float(force[row + int(away.argmax())]) if away.any() else 0.0
         if 2.0 * pressing > HELD_FORCE:
             at, longer = float(recording.time[row]), pressing / FORCE_RATE
-            text = f"the hand moves on while each finger still presses with {pressing:.3g} N; "
-            yield at, text + REMEDIES["release"].format(longer=longer)
+            text = f"the hand moves on while each finger still presses with {pressing:.3g} N; it "
+            yield at, f"{text}must stay {longer:.2f} s longer, or grip less", ""
 
 
 def _average(values: Array) -> Array:
