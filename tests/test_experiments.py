@@ -155,7 +155,7 @@ def test_experiments_of_others_are_run_with_their_parameters(box, tmp_path, is_n
     assert found["left_out"] == 2
     told = command("check", path).stdout
     assert told.startswith("hint   floats: 4 values")
-    assert "2 more at no instant of the run, not compared" in told
+    assert "2 more not compared, t = 5 to 5 s, at no instant of the run" in told
 
 
 @pytest.mark.parametrize(("height", "code"), [(1.0, 0), (1.1, 3)])

@@ -89,13 +89,14 @@ def command(  # noqa: PLR0913 - one for each option
 def _check_fmu(path: Path, *, as_json: bool) -> None:
     """Run the experiments in an FMU, and print how far it is from their references."""
     outcomes = check_experiments(path)
+    is_ok = bool(outcomes) and all(each.ok for each in outcomes)
     if as_json:
         found = [{**asdict(each), "ok": each.ok} for each in outcomes]
-        show_json({"fmu": path, "ok": all(each.ok for each in outcomes), "experiments": found})
+        show_json({"fmu": path, "ok": is_ok, "experiments": found})
     for each in () if as_json else outcomes:
         show(f"{each.level:<6} {each}", STYLES[each.level])
     if not all(each.values for each in outcomes) or not outcomes:
         what = "an experiment has no references at its instants" if outcomes else "no experiments"
         raise InputError(f"{path}: {what}, so that nothing was compared")
-    if not all(each.ok for each in outcomes):
+    if not is_ok:
         raise typer.Exit(MISSED.exit_code)

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -23,7 +23,7 @@ from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
 from ...fmus.errors import InputError
 from ...fmus.interface.tables import Connection
-from ...fmus.interface.variables import Value, by_array
+from ...fmus.interface.variables import Scalar, Value, by_array
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
 from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...fmus.master.wiring import Name
@@ -35,7 +35,7 @@ from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.stopping import StopRequest
 from ...task.criteria import SignalCriterion, Success
-from ...task.files import as_argument, check_new
+from ...task.files import as_argument, check_new, csv_text
 from ...task.input_table import InputTable
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ...task.writer import check_name, write_scenario
@@ -43,7 +43,6 @@ from ..compare.tubes import distances
 from .diagnosis import rehearse
 
 Array = NDArray[np.float64]
-Series = dict[str, Array]  # scalar variables over time (n,), after "time" [s]
 
 FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST: Final = "fmi-ls-manifest.xml"
@@ -54,6 +53,14 @@ MOST_COMPARED: Final = 10  # outputs, as the cross-check rules recommend
 _ON_TICK: Final = 1e-6  # of a step, by which a reference may be off an instant
 _SWITCHES: Final = {"true": "1", "false": "0"}
 _IT: Final = "fmu"  # the instance
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Scalar variables over time."""
+
+    times: Array = field(default_factory=lambda: np.zeros(0))  # [s]
+    values: Mapping[str, Array] = field(default_factory=dict)  # each (n,)
 
 
 @dataclass(frozen=True)
@@ -67,17 +74,17 @@ class Experiment:
     tolerance: float = TOLERANCE
     description: str = "The default experiment; inputs keep their start values"
     parameters: Mapping[str, Value] = field(default_factory=dict)  # by scalar variable
-    stimuli: Series = field(default_factory=dict)
-    references: Series = field(default_factory=dict)
+    stimuli: Series = field(default_factory=Series)
+    references: Series = field(default_factory=Series)
 
     @property
     def steps(self) -> int:
         """Communication steps."""
         return round((self.stop - self.start) / self.step)
 
-    def compared(self) -> tuple[Any, Any]:
+    def compared(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows of the references that are at an instant, and their instants' numbers."""
-        ticks = (self.references.get("time", np.zeros(0)) - self.start) / self.step
+        ticks = (self.references.times - self.start) / self.step
         nearest = np.rint(ticks).astype(int)
         is_instant = np.abs(ticks - nearest) <= _ON_TICK
         rows = np.flatnonzero(is_instant & (nearest >= 0) & (nearest <= self.steps))
@@ -90,8 +97,9 @@ class Outcome:
 
     experiment: str
     tolerance: float
-    values: int = 0  # that were compared
-    left_out: int = 0  # that were not, as they are at no instant of the run
+    values: int  # that were compared
+    left_out: int  # that were not, as they are at no instant of the run
+    span: str  # from the first to the last of these
     largest_difference: float = math.nan  # relative to reference values above 1
     variable: str = ""
     time: float = math.nan  # [s]
@@ -107,13 +115,14 @@ class Outcome:
         return "wrong" if not self.ok else "hint" if self.left_out else "good"
 
     def __str__(self) -> str:
-        left = f"{self.left_out} more at no instant of the run" if self.left_out else ""
+        span = f"{self.span}, at no instant of the run"
+        left = f"; {self.left_out} more not compared, {span}" if self.left_out else ""
         if not self.values:
-            return f"{self.experiment}: nothing could be compared" + (left and f", {left}")
+            return f"{self.experiment}: nothing could be compared{left}"
         largest = f"{self.largest_difference:.3g} ({self.variable} at t = {self.time:g} s)"
         return (
             f"{self.experiment}: {self.values} values, largest difference {largest}, tolerance "
-            f"{self.tolerance:g}" + (left and f"; {left}, not compared")
+            f"{self.tolerance:g}{left}"
         )
 
 
@@ -127,23 +136,29 @@ def check_experiments(path: Path) -> list[Outcome]:
 
 
 def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
-    times, *expected = experiment.references.values() or [np.zeros(0)]
-    names, (rows, ticks) = list(experiment.references)[1:], experiment.compared()
-    left_out = (len(times) - rows.size) * len(names)
-    if not rows.size or not expected:
-        return Outcome(experiment.name, experiment.tolerance, left_out=left_out)
-    recording, columns = _run(fmu, experiment), []
-    for name, reference in zip(names, (values[rows] for values in expected), strict=True):
-        answers = recording[f"{_IT}.{name}"][ticks]
-        is_text = reference.dtype == object
-        if is_text:  # bytes as in the file
-            answers = np.array([a if isinstance(a, str) else a.hex() for a in answers], object)
-        apart = distances(answers, np.arange(rows.size), reference, 0.0, 0)
-        columns.append(apart if is_text else apart / np.maximum(np.abs(reference), 1.0))
-    errors = np.stack(columns, axis=1)
+    times, references = experiment.references.times, experiment.references.values
+    rows, ticks = experiment.compared()
+    left, values = np.delete(times, rows), rows.size * len(references)
+    span = f"t = {left.min():g} to {left.max():g} s" if left.size else ""
+    left_out = left.size * len(references)
+    outcome = Outcome(experiment.name, experiment.tolerance, values, left_out, span)
+    if not values:
+        return outcome
+    recording = _run(fmu, experiment)
+    columns = ((recording[f"{_IT}.{n}"][ticks], each[rows]) for n, each in references.items())
+    errors = np.stack([_apart(*column) for column in columns], axis=1)
     row, column = divmod(int(errors.argmax()), errors.shape[1])
-    return Outcome(experiment.name, experiment.tolerance, errors.size, left_out,
-                   float(errors[row, column]), names[column], float(times[rows[row]]))  # fmt: skip
+    return replace(outcome, largest_difference=float(errors[row, column]),
+                   variable=list(references)[column], time=float(times[rows[row]]))  # fmt: skip
+
+
+def _apart(answers: Array, reference: Array) -> Array:
+    """How far answers (n,) are from references; texts that differ are infinitely far."""
+    rows = np.arange(len(reference))
+    if reference.dtype != object:
+        return distances(answers, rows, reference, 0.0, 0) / np.maximum(np.abs(reference), 1.0)
+    texts = [each if isinstance(each, str) else each.hex() for each in answers]  # as in the file
+    return distances(np.array(texts, object), rows, reference, 0.0, 0)
 
 
 def _run(fmu: Fmu, experiment: Experiment) -> Recording:
@@ -157,14 +172,12 @@ def _run(fmu: Fmu, experiment: Experiment) -> Recording:
 
 def _scenario(fmu: Fmu, experiment: Experiment) -> Scenario:
     """Return the scenario that drives an FMU as an experiment does, but begins at 0."""
-    given = {n: v for n, v in experiment.parameters.items() if n not in experiment.stimuli}
+    given = {n: v for n, v in experiment.parameters.items() if n not in experiment.stimuli.values}
     inputs = {n for n in given if fmu.variable(n).variable.causality == "input"}
-    table, driven = InputTable(), dict(experiment.stimuli)
-    if driven:
-        times = tuple(driven.pop("time").tolist())
-        texts = {f"{_IT}.{n}": tuple(literal(fmu.variables[n], value) for value in values.tolist())
-                 for n, values in driven.items()}  # fmt: skip
-        table = InputTable(times, texts, fmu.label)
+    driven = experiment.stimuli
+    texts = {f"{_IT}.{n}": tuple(literal(fmu.variables[n], value) for value in values.tolist())
+             for n, values in driven.values.items()}  # fmt: skip
+    table = InputTable(tuple(driven.times.tolist()), texts, fmu.label) if texts else InputTable()
     return Scenario(
         name=_IT, table=None, duration=experiment.steps * experiment.step,
         step=experiment.step, fmus={_IT: str(fmu.path.absolute())},
@@ -182,9 +195,10 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     experiment = _first(fmu)
     if experiment.start != 0.0:
         raise InputError(f"{path}: startTime {experiment.start:g} of its experiment; must be 0")
-    criteria, values = [], list(experiment.references.items())[1:]
+    criteria, values = [], experiment.references.values
     rows, ticks = experiment.compared()
-    numbers = [(n, each[rows[-1]]) for n, each in values if rows.size and each.dtype != object]
+    last = {n: each[rows[-1]] for n, each in values.items() if rows.size}
+    numbers = [(n, value) for n, value in last.items() if values[n].dtype != object]
     judged = [(name, float(value)) for name, value in numbers if np.isfinite(value)]
     for name, value in judged[:MOST_COMPARED]:
         bound = experiment.tolerance * max(abs(value), 1.0)
@@ -201,7 +215,7 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     check_new([folder / path.name])
     write_scenario(scenario, folder)
     shutil.copy(path, folder / path.name)
-    total = sum(each.size for _, each in values)
+    total = sum(each.size for each in values.values())
     more = f"panda-cosim check {as_argument(path)} compares the rest"
     if not criteria:
         more = f"add [[success.signal]] to {folder / SCENARIO_FILE}, or every run is a success"
@@ -236,20 +250,21 @@ def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
     for element in _read(fmu, file).iter("Experiment"):
         parts = {part.tag: part.get("source", "") for part in element if part.get("source")}
         files = {tag: _member(fmu, file, source) for tag, source in parts.items()}
-        series = {n: _series(fmu, files[n]) for n in ("Stimuli", "References") if n in files}
+        stimuli, references = (
+            _series(fmu, files[name]) if name in files else Series()
+            for name in ("Stimuli", "References")
+        )
         settings = {**element.attrib}
         for transient in element.iter("TransientSimulation"):  # where the newest draft has them
             settings |= transient.attrib
         values = _parameters(fmu, files["Parameters"]) if "Parameters" in files else {}
-        yield replace(
-            _experiment(fmu, element.get("name", ""), settings, series.get("References", {})),
-            parameters=values, stimuli=series.get("Stimuli", {}),
-        )  # fmt: skip
+        experiment = _experiment(fmu, element.get("name", ""), settings, references)
+        yield replace(experiment, parameters=values, stimuli=stimuli)
 
 
 def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Series) -> Experiment:
     """Return an experiment; what it does not set, the FMU's default experiment does."""
-    default, times = fmu.description.defaultExperiment, references.get("time", np.zeros(0))
+    default, times = fmu.description.defaultExperiment, references.times
     spacing = float(np.diff(times).min()) if len(times) > 1 else 0.001
     last = float(times[-1]) if len(times) else 1.0
     numbers = {"startTime": 0.0, "stopTime": last, "stepSize": spacing}
@@ -276,23 +291,28 @@ def _member(fmu: Fmu, file: Path, source: str) -> Path:
 
 def _series(fmu: Fmu, file: Path) -> Series:
     """Read a CSV; a cell of an array has all its elements, bytes are hexadecimal digits."""
-    arrays, place = by_array(fmu.variables.values()), f"{fmu.label}: {file.name}"
+    place = f"{fmu.label}: {file.name}"
+    values: dict[str, Array] = {}
     table = InputTable.read(file, place)
-    series = {"time": np.array(table.times)}
     for name, cells in table.columns.items():
-        scalars = arrays.get(name) or [fmu.variable(name)]
-        kind = scalars[0].variable.kind
-        rows = [cell.split() if len(scalars) > 1 else [cell.strip()] for cell in cells]
+        scalars = _scalars(fmu, name)
+        kind, count = scalars[0].variable.kind, len(scalars)
+        rows = [cell.split() if count > 1 else [cell.strip()] for cell in cells]
         try:
-            parts = [[_cell(kind, word) for word in row] for row in rows]
-            values = np.array(parts, object if kind in TEXTS else float)
-            values = values.reshape(len(rows), len(scalars))
+            parts = np.array([[_cell(kind, word) for word in row] for row in rows],
+                             object if kind in TEXTS else float)  # fmt: skip
+            columns = parts.reshape(len(rows), count).T
         except ValueError as error:
             what = "text" if kind in TEXTS else "number"
-            what = f"{len(scalars)} {what}s" if len(scalars) > 1 else f"a {what}"
+            what = f"{count} {what}s" if count > 1 else f"a {what}"
             raise InputError(f"{place}: {name}: must have {what} in each row") from error
-        series |= zip((scalar.name for scalar in scalars), values.T, strict=True)
-    return series
+        values |= zip((scalar.name for scalar in scalars), columns, strict=True)
+    return Series(np.array(table.times), values)
+
+
+def _scalars(fmu: Fmu, name: str) -> list[Scalar]:
+    """Return the elements of an array, or the one variable of that name."""
+    return by_array(fmu.variables.values()).get(name) or [fmu.variable(name)]
 
 
 def _cell(kind: str, word: str) -> float | str:
@@ -304,13 +324,11 @@ def _cell(kind: str, word: str) -> float | str:
 def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
     """Read a parameter set (SSV); one of an array has all its elements."""
     values: dict[str, Value] = {}
-    arrays = by_array(fmu.variables.values())
     for parameter in _read(fmu, file).iterfind(".//{*}Parameter"):
         name = parameter.get("name", "")
-        scalars = arrays.get(name) or [fmu.variable(name)]
+        scalars, place = _scalars(fmu, name), f"{fmu.label}: {file.name}: {name}"
         text = parameter[0].get("value", "") if len(parameter) else ""
         texts = text.split() if len(scalars) > 1 else [text]
-        place = f"{fmu.label}: {file.name}: {name}"
         if len(texts) != len(scalars):
             raise InputError(f"{place}: {len(texts)} values; must be {len(scalars)}")
         for scalar, each in zip(scalars, texts, strict=True):
@@ -339,9 +357,7 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
         driven = {name: values for (owner, name), values in fed.items() if owner == instance}
         every = math.ceil(recording.rows * len(driven) / MOST_CELLS) or 1
         rows = np.unique([*range(0, recording.rows, every), recording.rows - 1])
-        stimuli = {
-            name: column[rows] for name, column in {"time": recording.time, **driven}.items()
-        }
+        stimuli = Series(recording.time[rows], {n: each[rows] for n, each in driven.items()})
         starts = {s.name: s.start for s in interface.scalars()}
         given = prepared.start_values().get(instance, {})
         experiments[instance] = Experiment(
@@ -349,7 +365,7 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
             scenario.step * multiples.get(instance, 1),
             description=f"{interface.model} as driven in the scenario {scenario.name}",
             parameters={n: v for n, v in given.items() if v != starts[n] and n not in driven},
-            stimuli=stimuli if driven else {},
+            stimuli=stimuli if driven else Series(),
         )  # fmt: skip
     return experiments
 
@@ -360,57 +376,60 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
     fmu = read_fmu(path)
     if (fmu.folder / FOLDER / MANIFEST).is_file():
         return _first(fmu)
-    driven = experiment or _experiment(fmu, "default", {}, {})
+    driven = experiment or _experiment(fmu, "default", {}, Series())
     recording = _run(fmu, driven)
-    outputs = [s for s in fmu.variables.values() if s.variable.causality == "output"]
-    names = [scalar.name for scalar in outputs if scalar.variable.kind not in TEXTS]
     every = math.ceil(recording.rows / MOST_REFERENCES)
-    answers = {name: recording[f"{_IT}.{name}"][::every] for name in names}
-    whole = replace(driven, references={"time": recording.time[::every], **answers})
+    answers = {
+        scalar.name: recording[f"{_IT}.{scalar.name}"][::every]
+        for scalar in fmu.variables.values()
+        if scalar.variable.causality == "output" and scalar.variable.kind not in TEXTS
+    }
+    whole = replace(driven, references=Series(recording.time[::every], answers))
     files = {
         MANIFEST: render("experiment.manifest.j2", it=whole),
         "reference.exp": render("experiment.exp.j2", it=whole),
-        "references.csv": csv_text(fmu, whole.references),
+        "references.csv": series_text(fmu, whole.references),
     }
     if whole.parameters:
         component = Component(path, path.name, fmu.fmi, fmu.variables, fmu.units, whole.parameters)
         files["parameters.ssv"] = parameter_set(whole.name, component)
-    if whole.stimuli:
-        files["stimuli.csv"] = csv_text(fmu, whole.stimuli)
+    if whole.stimuli.values:
+        files["stimuli.csv"] = series_text(fmu, whole.stimuli)
     with path.open("r+b") as file:
         add_members(file, {f"{FOLDER}/{name}": content for name, content in files.items()})
     return whole
 
 
-def csv_text(fmu: Fmu, series: Series) -> bytes:
+def series_text(fmu: Fmu, series: Series) -> bytes:
     """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
     # Its elements that have no values keep their start value.
-    arrays, times = by_array(fmu.variables.values()), series["time"]
-    columns = {"time": map(repr, times.tolist())}
-    for array in dict.fromkeys(fmu.variables[name].variable.name for name in list(series)[1:]):
-        values = ((s, series.get(s.name, np.full(len(times), s.start))) for s in arrays[array])
+    columns: list[Iterable[str]] = [map(repr, series.times.tolist())]
+    names = dict.fromkeys(fmu.variables[name].variable.name for name in series.values)
+    for scalars in (_scalars(fmu, name) for name in names):
+        values = ((s, series.values.get(s.name, np.full(len(series.times), s.start)))
+                  for s in scalars)  # fmt: skip
         texts = [[literal(scalar, value) for value in each.tolist()] for scalar, each in values]
-        columns[array] = map(" ".join, zip(*texts, strict=True))
-    head = ",".join(f'"{name}"' for name in columns)
-    lines = [head, *map(",".join, zip(*columns.values(), strict=True)), ""]
-    return "\n".join(lines).encode()
+        columns.append(map(" ".join, zip(*texts, strict=True)))
+    head = ",".join(f'"{name}"' for name in ("time", *names))
+    return f"{head}\n{csv_text(zip(*columns, strict=True))}".encode()
 
 
 def write_compatibility(path: Path, experiment: Experiment) -> None:
     """Write a folder with an FMU and the files that the FMI cross-check rules ask for."""
     fmu, name = read_fmu(path), path.stem
-    owner = {n: fmu.variables[n].variable.name for n in experiment.references if n != "time"}
+    references = experiment.references
+    owner = {name: fmu.variables[name].variable.name for name in references.values}
     first = [*dict.fromkeys(owner.values())][:MOST_COMPARED]  # whole arrays
-    compared = {n: v for n, v in experiment.references.items() if n == "time" or owner[n] in first}
+    compared = {name: each for name, each in references.values.items() if owner[name] in first}
     texts = {"it": experiment, "model": name, "about": fmu.description}
     files = {
         f"{name}.fmu": path.read_bytes(),
-        f"{name}_ref.csv": csv_text(fmu, compared),
+        f"{name}_ref.csv": series_text(fmu, Series(references.times, compared)),
         f"{name}_ref.opt": render("experiment.opt.j2", it=experiment),
         "ReadMe.txt": render("experiment.txt.j2", **texts),
     }
-    if experiment.stimuli:
-        files[f"{name}_in.csv"] = csv_text(fmu, experiment.stimuli)
+    if experiment.stimuli.values:
+        files[f"{name}_in.csv"] = series_text(fmu, experiment.stimuli)
     for member, content in files.items():
         with replacing(path.with_suffix("") / member) as partial:
             partial.write_bytes(content)
