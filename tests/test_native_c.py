@@ -12,9 +12,18 @@ from pathlib import Path
 import pytest
 
 from bounded import ran
-from fmu_instance import BACKENDS, MODELS, Unpacked, mujoco_library, unpacked
+from fmu_instance import (
+    BACKENDS,
+    MJCF,
+    MODELS,
+    Unpacked,
+    mujoco_library,
+    unpacked,
+    with_content,
+)
 from fmu_support import compiler, needs_compiler, sanitizes
 from panda_cosim.fmus.build import libraries as native
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu
 from panda_cosim.fmus.sources.python_fmu import python_library
 from panda_cosim.fmus.sources.targets import Kind
 
@@ -89,10 +98,18 @@ def drive_sanitized(
 @pytest.mark.parametrize(
     ("kind", "name", "version"),
     [("native", "plant", 2), ("native", "controller", 3), ("native", "trajectory", 2),
-     ("python", "controller", 3), ("python", "trajectory", 2)],
+     ("python", "controller", 3), ("python", "trajectory", 2), ("native", "mjcf", 2)],
 )  # fmt: skip
 def test_random_calls_leave_an_fmu_sound(layer, tmp_path, kind, name, version):
     drive_sanitized(layer, tmp_path, kind, name, version, SHORT, 1)
+
+
+@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
+def test_random_calls_leave_a_model_with_keyframes_and_mocap_bodies_sound(layer, tmp_path, version):
+    inputs = ["body m mocap_pos", "equality w active"]
+    fmu = model_fmu(MJCF.with_name("keyed.xml"), ModelOptions("home", inputs), "Other")
+    program = compile_drive(tmp_path, *SANITIZED, *sources(native.BACKENDS["mujoco"]), *layer)
+    drive(program, with_content(fmu, tmp_path / "fmu", version), SHORT, 3)
 
 
 @pytest.mark.long

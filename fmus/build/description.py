@@ -39,6 +39,8 @@ BASE_UNITS: dict[str, dict[str, str]] = {
     "N": {"kg": "1", "m": "1", "s": "-2"}, "N.m": {"kg": "1", "m": "2", "s": "-2"},
     "N.m/rad": {"kg": "1", "m": "2", "s": "-2", "rad": "-1"}, "N/m": {"kg": "1", "s": "-2"},
     "N.m.s/rad": {"kg": "1", "m": "2", "s": "-1", "rad": "-1"},
+    "J": {"kg": "1", "m": "2", "s": "-2"}, "V": {"kg": "1", "m": "2", "s": "-3", "A": "-1"},
+    "kg.m2/s": {"kg": "1", "m": "2", "s": "-1"},
 }  # fmt: skip
 # Units for people, with the factor from the unit of the values.
 DISPLAY_UNITS: Final = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.0 / math.pi),
@@ -118,7 +120,7 @@ def _model_description(fmu: NativeFmu, fmi: int, rows: Sequence[Described]) -> b
     return render(
         f"fmi{fmi}.xml.j2",
         fmu=fmu,
-        about=ABOUT,
+        about={"author": fmu.interface.author or None} if fmu.law else ABOUT,  # who uses us, or we
         version=version("panda-cosim"),
         date=DATE,
         log_categories=LOG_CATEGORIES,

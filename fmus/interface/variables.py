@@ -256,6 +256,7 @@ class Interface:
     terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # variables by name
     units: Units = field(default_factory=dict)  # that an FMU from elsewhere defines, by name
     is_model: bool = False  # whether it is a MuJoCo model
+    author: str = ""  # of a user's model, as its interface file says
     # Outputs, as scalars, of which an FMU from elsewhere says that they depend on no input.
     independent: frozenset[str] = frozenset()
 

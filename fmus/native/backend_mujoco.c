@@ -2,18 +2,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "mujoco_fields.h"
 #include "mujoco_model.h"
 
 static const unsigned STATE = mjSTATE_INTEGRATION;
-
-static bool is_runge_kutta(const mujoco_model *model) { return model->m->opt.integrator == mjINT_RK4; }
-
-/* Computes the outputs from qpos and qvel, and starts the next step. */
-static void derive(mujoco_model *model)
-{
-    if (is_runge_kutta(model)) mj.mj_forward(model->m, model->d);
-    else mj.mj_step1(model->m, model->d);
-}
 
 /* ---- models ---- */
 
@@ -25,17 +17,17 @@ static fmu_status load_scene(fmu *f, mujoco_model *model, const char *name)
     if (m->opt.timestep != f->table->step)
         return fmu_error(f, "%s has a timestep of %g s, the table a step of %g s", name, m->opt.timestep,
                          f->table->step);
-    return model->key < m->nkey ? FMU_OK : fmu_error(f, "%s has no keyframe %d", name, model->key);
+    return model->own_key < m->nkey ? FMU_OK : fmu_error(f, "%s has no keyframe %d", name, model->own_key);
 }
 
 static fmu_status create(fmu *f)
 {
     mujoco_model *model = f->model = calloc(1, sizeof *model);
     if (!model) return fmu_error(f, "out of memory");
-    model->key = -1;
+    model->own_key = -1;
     if (mujoco_open(f) != FMU_OK || sources_read(f, model) != FMU_OK) return FMU_ERROR;
     const char *key = fmu_get_option(f->table, "key", 0), *name;
-    if (key && !fmu_next_int(&key, &model->key)) return fmu_error(f, "the option 'key' is not a number");
+    if (key && !fmu_next_int(&key, &model->own_key)) return fmu_error(f, "the option 'key' is not a number");
     model->scenes = calloc(f->table->option_count + 1, sizeof *model->scenes);
     if (!model->scenes) return fmu_error(f, "out of memory");
     for (unsigned i = 0; (name = fmu_get_option(f->table, "model", i)) != NULL; i++)
@@ -96,14 +88,15 @@ static fmu_status make(fmu *f, void *unused)
     const int scene = chosen_scene(f, model);
     if (scene < 0 || scene >= model->scene_count)
         return fmu_error(f, "there are %d models, but model %d is chosen", model->scene_count, scene + 1);
-    model->key = chosen(f, model, SOURCE_KEYFRAME, model->key + 1) - 1; /* the first choice is qpos0 */
+    model->key = chosen(f, model, SOURCE_KEYFRAME, model->own_key + 1) - 1; /* the first choice is qpos0 */
     if (model->key >= model->scenes[scene]->nkey) return fmu_error(f, "there is no keyframe %d", model->key + 1);
     drop_copy(f, NULL);
     model->m = mj.mj_copyModel(NULL, model->scenes[scene]);
     model->d = model->m ? mj.mj_makeData(model->m) : NULL;
     if (!model->d) return fmu_error(f, "out of memory");
     if (sources_bind(f, model) != FMU_OK || start_from_parameters(f, model) != FMU_OK) return FMU_ERROR;
-    derive(model);
+    sources_follow_keyframe(f, model);
+    mj.mj_step1(model->m, model->d); /* outputs follow from qpos and qvel, and the next step begins */
     sources_clear_held(f, model);
     return FMU_OK;
 }
@@ -135,17 +128,13 @@ static fmu_status refuse_divergence(fmu *f, const mujoco_model *model, int64_t s
     return FMU_OK;
 }
 
-/* mj_step2 completes the step that mj_step1 started. The next mj_step1 then computes everything from the new
- * positions, so both together cost one mj_step; it does not change results of the completed step. */
+/* mj_step2 completes the step that mj_step1 started; Runge-Kutta takes a whole one. The next mj_step1 then
+ * computes everything from the new positions, so both together cost one mj_step; it does not change results
+ * of the completed step. */
 static void step_once(fmu *f, mujoco_model *model, bool is_last)
 {
-    if (is_runge_kutta(model)) {
-        mj.mj_step(model->m, model->d);
-        mj.mj_forward(model->m, model->d);
-        if (is_last) sources_get_contacts(f, model);
-        return;
-    }
-    mj.mj_step2(model->m, model->d);
+    if (model->m->opt.integrator == mjINT_RK4) mj.mj_step(model->m, model->d);
+    else mj.mj_step2(model->m, model->d);
     if (is_last) sources_get_contacts(f, model);
     mj.mj_step1(model->m, model->d);
 }
@@ -154,7 +143,7 @@ static fmu_status advance(fmu *f, void *count)
 {
     mujoco_model *model = f->model;
     const int64_t steps = *(const int64_t *)count;
-    sources_put_inputs(f, model);
+    if (sources_put_inputs(f, model)) mj.mj_step1(model->m, model->d);
     for (int64_t i = 1; i <= steps; i++) {
         step_once(f, model, i == steps);
         if (refuse_divergence(f, model, f->steps + i) != FMU_OK) return FMU_ERROR;
@@ -172,59 +161,59 @@ static fmu_status gather(fmu *f, void *unused)
 
 static fmu_status outputs(fmu *f) { return mujoco_guarded(f, gather, NULL); }
 
-/* ---- state: sleeping trees and MuJoCo's integration state ---- */
+/* ---- state: MuJoCo's integration state; if bodies may sleep, all data, as what sleeps is not derived again ---- */
 
-static size_t physics_size(const mujoco_model *model)
+static bool may_sleep(const mujoco_model *model) { return model->m->opt.enableflags & mjENBL_SLEEP; }
+
+static size_t state_size(fmu *f)
 {
+    const mujoco_model *model = f->model;
+    if (may_sleep(model)) return data_size(model->d);
     return (size_t)mj.mj_stateSize(model->m, (int)STATE) * sizeof(double);
 }
-
-static size_t asleep_size(const mujoco_model *model)
-{
-    return (size_t)model->m->ntree * sizeof *model->d->tree_asleep;
-}
-
-static size_t state_size(fmu *f) { return physics_size(f->model) + asleep_size(f->model); }
 
 static fmu_status get_state(fmu *f, void *bytes)
 {
     const mujoco_model *model = f->model;
-    double *physics = malloc(physics_size(model) + 1); /* aligned */
+    if (may_sleep(model)) return data_write(model->d, bytes), FMU_OK;
+    double *physics = malloc(state_size(f) + 1); /* aligned */
     if (!physics) return fmu_error(f, "out of memory");
     mj.mj_getState(model->m, model->d, physics, (int)STATE);
-    memcpy(bytes, physics, physics_size(model));
-    memcpy((char *)bytes + physics_size(model), model->d->tree_asleep, asleep_size(model));
+    memcpy(bytes, physics, state_size(f));
     free(physics);
     return FMU_OK;
 }
 
-/* What sleeps is not derived again, so all is derived awake first. */
-static fmu_status put_state(fmu *f, void *physics)
+typedef struct {
+    void *bytes; /* aligned */
+    size_t size;
+} saved_state;
+
+static fmu_status put_state(fmu *f, void *argument)
 {
     mujoco_model *model = f->model;
-    const bool may_sleep = model->m->opt.enableflags & mjENBL_SLEEP;
-    if (may_sleep && !mj.update_sleep) return fmu_error(f, "this MuJoCo cannot restore what sleeps");
-    if (may_sleep) {
-        mj.mj_resetData(model->m, model->d);
-        mj.mj_setState(model->m, model->d, physics, (int)STATE);
-        mj.mj_forward(model->m, model->d);
+    const saved_state *saved = argument;
+    mjData written;
+    if (may_sleep(model)) {
+        if (!data_read(saved->bytes, saved->size, model->d, &written))
+            return fmu_error(f, "the state is one of another model");
+        mj.mj_copyData(model->d, model->m, &written);
+    } else {
+        if (saved->size != state_size(f)) return fmu_error(f, "the state is one of another model");
+        mj.mj_setState(model->m, model->d, saved->bytes, (int)STATE);
+        mj.mj_step1(model->m, model->d);
     }
-    mj.mj_setState(model->m, model->d, physics, (int)STATE);
-    memcpy(model->d->tree_asleep, (char *)physics + physics_size(model), asleep_size(model));
-    if (may_sleep) mj.update_sleep(model->m, model->d);
     memset(model->d->warning, 0, sizeof model->d->warning);
-    derive(model);
     return FMU_OK;
 }
 
 static fmu_status set_state(fmu *f, const void *bytes, size_t size)
 {
-    if (size != state_size(f)) return fmu_error(f, "the state is one of another model");
-    void *physics = malloc(size + 1); /* aligned */
-    if (!physics) return fmu_error(f, "out of memory");
-    memcpy(physics, bytes, size);
-    const fmu_status status = mujoco_guarded(f, put_state, physics);
-    free(physics);
+    saved_state saved = {malloc(size + 1), size};
+    if (!saved.bytes) return fmu_error(f, "out of memory");
+    memcpy(saved.bytes, bytes, size);
+    const fmu_status status = mujoco_guarded(f, put_state, &saved);
+    free(saved.bytes);
     return status;
 }
 

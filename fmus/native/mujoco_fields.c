@@ -42,3 +42,37 @@ mjtNum *data_field(const mjModel *m, mjData *d, const char *name, size_t *size)
     if (!strcmp(name, "energy")) return *size = 2, d->energy;
     return NULL;
 }
+
+/* ---- all data as bytes: the struct, its buffer, the used part of its arena ---- */
+
+size_t data_size(const mjData *d) { return sizeof *d + (size_t)d->nbuffer + d->parena; }
+
+void data_write(const mjData *d, void *bytes)
+{
+    char *to = bytes;
+    memcpy(to, d, sizeof *d);
+    memcpy(to + sizeof *d, d->buffer, (size_t)d->nbuffer);
+    memcpy(to + sizeof *d + d->nbuffer, d->arena, d->parena);
+}
+
+bool data_read(const void *bytes, size_t size, const mjData *like, mjData *written)
+{
+    char *buffer = (char *)bytes + sizeof *written;
+    if (size < sizeof *written) return false;
+    memcpy(written, bytes, sizeof *written);
+    if (written->nbuffer != like->nbuffer || written->narena != like->narena || written->nplugin != like->nplugin ||
+        written->parena > (size_t)like->narena || size != data_size(written)) return false;
+    char *arena = buffer + written->nbuffer, *old = written->buffer; /* where its pointers point */
+#define X(type, field, rows, columns) \
+    if (written->field) written->field = (void *)(buffer + ((char *)written->field - old));
+    MJDATA_POINTERS
+#undef X
+    old = written->arena;
+#define X(type, field, rows, columns) \
+    if (written->field) written->field = (void *)(arena + ((char *)written->field - old));
+    MJDATA_ARENA_POINTERS
+#undef X
+    written->buffer = buffer;
+    written->arena = arena;
+    return true;
+}

@@ -31,7 +31,6 @@ static const char *bind_all(void *library)
     if (!library_bind(library, #name, &mj.name)) return #name;
     MUJOCO_FUNCTIONS(X)
 #undef X
-    library_bind(library, "mj_updateSleep", &mj.update_sleep); /* exported, but in no header */
     static const char OF_THREAD[] = "_mjPRIVATE_setTlsLogHandler"; /* MuJoCo's Python bindings use it, too */
     return library_bind(library, OF_THREAD, &mj.set_log_handler) ? NULL : OF_THREAD;
 }

@@ -10,7 +10,7 @@
     X(mj_version) X(mj_loadModelBuffer) X(mj_copyModel) X(mj_deleteModel) X(mj_makeData)             \
     X(mj_deleteData) X(mj_resetData) X(mj_resetDataKeyframe) X(mj_forward) X(mj_kinematics)          \
     X(mj_setConst) X(mj_step) X(mj_step1) X(mj_step2) X(mj_jacBody) X(mj_jacBodyCom) X(mj_jacGeom)   \
-    X(mj_jacSite) X(mj_fullM) X(mj_contactForce) X(mj_stateSize) X(mj_getState) X(mj_setState)       \
+    X(mj_jacSite) X(mj_fullM) X(mj_contactForce) X(mj_stateSize) X(mj_getState) X(mj_setState) X(mj_copyData)       \
     X(mju_dot) X(mju_rayGeom) X(mj_rayMesh) X(mj_rayHfield)                                          \
     X(mj_comPos) X(mj_makeM) X(mj_mulM) X(mj_comVel) X(mj_rne) X(mj_factorM) X(mj_solveM) X(mju_boxQP) X(mju_cholFactor) X(mju_cholSolve)              \
     X(mju_mulMatMatT) X(mju_mulMatTMat) X(mju_mulMatTVec) X(mju_mulMatVec) X(mju_norm) X(mju_norm3)  \
@@ -22,7 +22,6 @@ typedef struct {
     MUJOCO_FUNCTIONS(X)
 #undef X
     __typeof__(&mju_setLogHandler) set_log_handler; /* of the calling thread */
-    void (*update_sleep)(const mjModel *m, mjData *d); /* what follows from tree_asleep; NULL: unknown */
 } mujoco_functions;
 
 extern mujoco_functions mj;

@@ -7,7 +7,7 @@
 /* The first word of a variable's source; README.md describes them. */
 typedef enum {
     SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
-    SOURCE_CONTACT_BODIES, SOURCE_UNWANTED_CONTACTS, SOURCE_SUPPORT_CONTACTS, SOURCE_MOTORS, SOURCE_MODEL,
+    SOURCE_CONTACT_BODIES, SOURCE_UNWANTED_CONTACTS, SOURCE_SUPPORT_CONTACTS, SOURCE_MOTORS, SOURCE_EQ_ACTIVE, SOURCE_MODEL,
     SOURCE_SCENE, SOURCE_KEYFRAME, SOURCE_BODY_MASS, SOURCE_QPOS, SOURCE_QVEL, SOURCE_FREE_XY, SOURCE_FREE_YAW, SOURCE_ADDED,
     SOURCE_SCALED_MASS, SOURCE_SCALED_SERVO, SOURCE_SCALED_FORCE
 } source_kind;
@@ -23,6 +23,7 @@ typedef struct {
     int number_count;
     bool stand, clear;      /* of a free body */
     double *place;          /* of its elements in the current data or model */
+    double *followed;       /* an input's values of the keyframe that was chosen last; else NULL */
     double *weights;        /* of sensordata, for the sum of normal forces */
     int *ranks;             /* of geoms, which say whose contacts count */
 } source;
@@ -30,7 +31,8 @@ typedef struct {
 typedef struct {
     mjModel **scenes; /* as compiled */
     int scene_count;
-    int key;          /* keyframe to start from; -1: none */
+    int own_key;      /* keyframe that the table's start values are of; -1: qpos0 */
+    int key;          /* keyframe to start from */
     mjModel *m;       /* a copy, with the parameters */
     mjData *d;
     source *sources;
@@ -42,7 +44,8 @@ typedef struct {
 fmu_status sources_read(fmu *f, mujoco_model *model);
 void sources_free(mujoco_model *model);
 fmu_status sources_bind(fmu *f, mujoco_model *model); /* finds the elements in a new model */
-void sources_put_inputs(fmu *f, mujoco_model *model);
+bool sources_put_inputs(fmu *f, mujoco_model *model); /* whether the step that has begun must begin again */
+void sources_follow_keyframe(fmu *f, mujoco_model *model); /* inputs that were not set take its values */
 void sources_get_outputs(fmu *f, mujoco_model *model);
 void sources_get_contacts(fmu *f, mujoco_model *model); /* those known only at the end of a step */
 void sources_clear_held(fmu *f, mujoco_model *model);

@@ -21,6 +21,7 @@ static const struct {
     [SOURCE_UNWANTED_CONTACTS] = {"unwanted_contacts", "n*", false, true, false},
     [SOURCE_SUPPORT_CONTACTS] = {"support_contacts", "n*", false, true, false},
     [SOURCE_MOTORS] = {"motors", "n", true, false, false},
+    [SOURCE_EQ_ACTIVE] = {"eq_active", "n", true, false, false},
     [SOURCE_MODEL] = {"model", "fn", false, true, true},
     [SOURCE_SCENE] = {"scene", "", false, false, true},
     [SOURCE_KEYFRAME] = {"keyframe", "", false, false, true},
@@ -94,6 +95,10 @@ fmu_status sources_read(fmu *f, mujoco_model *model)
         source *s = &model->sources[model->source_count++];
         s->variable = v;
         if (!read_source(s)) return fmu_error(f, "%s: '%s' is not a source", v->name, v->source);
+        if (v->causality != FMU_INPUT) continue;
+        s->followed = calloc(v->size, sizeof *s->followed);
+        if (!s->followed) return fmu_error(f, "out of memory");
+        memcpy(s->followed, v->start, v->size * sizeof *v->start);
     }
     return FMU_OK;
 }
@@ -104,6 +109,7 @@ void sources_free(mujoco_model *model)
         free(model->sources[i].numbers);
         free(model->sources[i].weights);
         free(model->sources[i].ranks);
+        free(model->sources[i].followed);
     }
     free(model->sources);
     free(model->scratch);
@@ -180,6 +186,14 @@ static bool is_free_body(const mjModel *m, int body)
            m->jnt_type[m->body_jntadr[body]] == mjJNT_FREE;
 }
 
+/* Older versions have no `nactuator`: an actuator has one control there. */
+static mjtSize actuator_count(mujoco_model *model)
+{
+    size_t size = 0;
+    model_field(model->m, "actuator_biasprm", &size);
+    return (mjtSize)(size / mjNBIAS);
+}
+
 static bool bind(source *s, mujoco_model *model)
 {
     const mjModel *m = model->m;
@@ -188,7 +202,7 @@ static bool bind(source *s, mujoco_model *model)
     case SOURCE_DATA: case SOURCE_HELD: case SOURCE_MODEL: case SOURCE_ADDED: return bind_field(s, model);
     case SOURCE_SCALED_MASS: return are_within(s, m->nbody) && size == s->number_count;
     case SOURCE_SCALED_SERVO: case SOURCE_SCALED_FORCE:
-        return are_within(s, m->nu) && size == s->number_count;
+        return are_within(s, actuator_count(model)) && size == s->number_count;
     case SOURCE_JACOBIAN: return bind_jacobian(s, m);
     case SOURCE_MASS_MATRIX:
         return are_within(s, m->nv) && size == (mjtSize)s->number_count * s->number_count;
@@ -196,7 +210,8 @@ static bool bind(source *s, mujoco_model *model)
     case SOURCE_CONTACT_BODIES:
         return is_within(s->first, m->nbody) && are_within(s, m->nbody) && size == 1;
     case SOURCE_UNWANTED_CONTACTS: case SOURCE_SUPPORT_CONTACTS: return bind_ranks(s, m);
-    case SOURCE_MOTORS: return s->first >= 0 && s->first + size <= m->nu;
+    case SOURCE_MOTORS: return s->first >= 0 && s->first + size <= m->nu && actuator_count(model) == m->nu;
+    case SOURCE_EQ_ACTIVE: return is_within(s->first, m->neq) && size == 1;
     case SOURCE_SCENE: case SOURCE_KEYFRAME: return size == 1;
     case SOURCE_BODY_MASS: return is_within(s->first, m->nbody) && m->body_mass[s->first] > 0.0 && size == 1;
     case SOURCE_QPOS: return s->first >= 0 && s->first + size <= m->nq;
@@ -233,15 +248,48 @@ static void put_torques(const fmu *f, const mujoco_model *model, const source *s
     }
 }
 
-void sources_put_inputs(fmu *f, mujoco_model *model)
+/* Whether an input of mjData acts in the first half of a step, as poses do. */
+static bool acts_early(const source *s)
+{
+    return strcmp(s->field, "ctrl") != 0 && strcmp(s->field, "qfrc_applied") != 0 &&
+           strcmp(s->field, "xfrc_applied") != 0;
+}
+
+bool sources_put_inputs(fmu *f, mujoco_model *model)
+{
+    bool any = false;
+    for (int i = 0; i < model->source_count; i++) {
+        const source *s = &model->sources[i];
+        const double *from = f->values + s->variable->reference;
+        const size_t size = s->variable->size * sizeof *from;
+        if (s->variable->causality != FMU_INPUT) continue;
+        if (s->kind == SOURCE_EQ_ACTIVE) {
+            any |= model->d->eq_active[s->first] != (*from != 0.0);
+            model->d->eq_active[s->first] = *from != 0.0;
+        } else if (s->kind == SOURCE_MOTORS) {
+            put_torques(f, model, s);
+        } else {
+            any |= acts_early(s) && memcmp(s->place, from, size) != 0;
+            memcpy(s->place, from, size);
+        }
+    }
+    return any;
+}
+
+/* The table's start values are those of one keyframe. When another is chosen, inputs that still have these,
+ * or those of a keyframe that was chosen before, take its values, within their bounds. */
+void sources_follow_keyframe(fmu *f, mujoco_model *model)
 {
     for (int i = 0; i < model->source_count; i++) {
         const source *s = &model->sources[i];
-        if (s->variable->causality != FMU_INPUT) continue;
-        if (s->kind == SOURCE_MOTORS)
-            put_torques(f, model, s);
-        else
-            memcpy(s->place, f->values + s->variable->reference, s->variable->size * sizeof(double));
+        const fmu_variable *v = s->variable;
+        if (v->causality != FMU_INPUT || s->kind != SOURCE_DATA) continue;
+        for (unsigned k = 0; k < v->size; k++) {
+            double *value = f->values + v->reference + k;
+            if (*value != v->start[k] && *value != s->followed[k]) continue;
+            *value = model->key == model->own_key ? v->start[k] : fmin(fmax(s->place[k], v->minimum[k]), v->maximum[k]);
+            s->followed[k] = *value;
+        }
     }
 }
 

@@ -20,7 +20,7 @@ from ..errors import InputError, one_line, refuse
 from ..interface.plant import PLANT
 from ..interface.variables import Causality, Interface, Variable
 from ..reading import open_regular
-from .mjcf_sources import OBJECTS, TUNABLE, Sources, words_of
+from .mjcf_sources import OBJECTS, TUNABLE, Sources, unique, words_of
 
 SECTIONS: Final[Mapping[str, Causality]] = {
     "inputs": "input",
@@ -28,7 +28,7 @@ SECTIONS: Final[Mapping[str, Causality]] = {
     "parameters": "parameter",
 }
 # Keys of a file and of a variable, with their types.
-HEAD: Final = {"name": str, "description": str, "keyframe": str, "extends": str,
+HEAD: Final = {"name": str, "description": str, "author": str, "keyframe": str, "extends": str,
                **dict.fromkeys(SECTIONS, dict)}  # fmt: skip
 KEYS: Final = {"source": str, "unit": str, "description": str, "start": object, "min": object,
                "max": object, "tunable": bool}  # fmt: skip
@@ -53,6 +53,7 @@ class Description:
 
     name: str  # model name of the FMU
     description: str = ""  # one line
+    author: str = ""  # "": not told
     keyframe: str = ""  # to start at; "": qpos0
     extends: str = ""  # name of an interface that it takes over and adds to
     inputs: Rows = field(default_factory=dict)
@@ -65,21 +66,23 @@ class Description:
         return {section: getattr(self, section) for section in SECTIONS}
 
     def add(self, section: str, source: str) -> None:
-        """Add a variable, named after its source; a longer name if the first is taken."""
+        """Add a variable, named after its source; with a longer name if the first is taken."""
+        if any(source == keys["source"] for keys in self.sections[section].values()):
+            return
         name = variable_name(source)
         if section == "parameters" and name.endswith(("qpos", "qvel")):
             name = f"start_{name}"
-        if any(name in rows for rows in self.sections.values()):
-            name = re.sub(r"\W+", "_", source.strip(), flags=re.A)
-        self.sections[section][name] = {"source": source}
+        taken = [name for rows in self.sections.values() for name in rows]
+        longer = re.sub(r"\W+", "_", source.strip(), flags=re.A)
+        self.sections[section][unique(taken, name, longer)] = {"source": source}
 
 
 def variable_name(source: str) -> str:
     """Name of a variable by its source: hand_xpos for `body hand xpos`, gyro for `sensor gyro`."""
     words = words_of(source)
-    if len(words) > 1 and words[0] in OBJECTS:
+    if len(words) > 1 and words[0] in OBJECTS and words[1][:1] != "#":
         words = words[1:3]
-    name = re.sub(r"\W+", "_", "_".join(words), flags=re.A)
+    name = re.sub(r"_#|\W+", "_", "_".join(words), flags=re.A)
     return name if IDENTIFIER.fullmatch(name) else f"_{name}"
 
 
@@ -93,8 +96,8 @@ def default_description(model: Any, name: str) -> Description:
     for section, source, size in fields:
         if size:
             description.add(section, source)
-    for sensor in Sources(model).names("sensor"):
-        description.add("outputs", f"sensor {shlex.quote(sensor)}")
+    for i in range(model.nsensor):
+        description.add("outputs", f"sensor {shlex.quote(model.sensor(i).name or f'#{i + 1}')}")
     return description
 
 
@@ -117,15 +120,14 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
     """Format a description as TOML, with suggestions as commented lines."""
     whole = deepcopy(description)
     for section in SECTIONS:
-        present = [keys["source"] for keys in whole.sections[section].values()]
         for source in extra[section]:
-            if source not in present:
-                whole.add(section, source)
+            whole.add(section, source)
     lines = [
         "# One line per variable; `source` names it in the model. unit, description, start, min",
         "# and max are optional; parameters with `tunable = true` may change between steps.",
         f"name = {json.dumps(description.name)}",
         f"description = {json.dumps(description.description)}",
+        f"author = {json.dumps(description.author)}",
         f"keyframe = {json.dumps(description.keyframe)}  # empty: start at qpos0",
     ]
     for section, rows in whole.sections.items():
@@ -189,8 +191,12 @@ def interface(description: Description, model: Any) -> Interface:
     terminals = {"robot": tuple(v.name for v in variables if v.causality != "parameter")}
     if base is not None:
         variables, terminals = _extended(base, variables, sources), {**base.terminals}
-    rows = tuple(variables)
-    return Interface(description.name, description.description, rows, terminals, is_model=True)
+    taken = [variable.name for variable in variables]
+    for i, variable in enumerate(variables):
+        named = [(unique(taken, part), n, text) for part, n, text in variable.parts]
+        variables[i] = replace(variable, parts=tuple(named))
+    return Interface(description.name, description.description, tuple(variables), terminals,
+                     is_model=True, author=description.author)  # fmt: skip
 
 
 def _with_poses(description: Description, sources: Sources) -> Description:
@@ -240,6 +246,7 @@ def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> 
         variability="tunable" if keys.get("tunable") else row.variability,
         description=keys.get("description", row.description),
         details=() if "description" in keys else row.details,
+        parts=tuple((f"{name}_{part}", n, row.description) for part, n, _ in row.parts),
         start=None if row.causality == "output" else start,
         minimum=_numbers(place, "min", keys, row.size, row.minimum),
         maximum=_numbers(place, "max", keys, row.size, row.maximum),

@@ -7,18 +7,21 @@ or `body hand jacobian`. Looking it up in a model gives the form that the C back
 
 from __future__ import annotations
 
+import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import chain, count, groupby
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse
-from ..interface.variables import Causality, Variable
-from .mjcf_elements import FREE, dof_units, elements
+from ..errors import InputError, did_you_mean, refuse
+from ..interface.variables import Causality, Part, Variable
+from .mjcf_elements import FREE, Element, called, dof_units, elements
 
 Array = NDArray[np.float64]
 # Kinds of objects, and the model's field that has a number for each of them.
@@ -40,8 +43,18 @@ INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "moc
 TUNABLE: Final = ("model", "body_mass")  # first word of the sources that may change between steps
 OPTIONS: Final = ("gravity", "wind", "magnetic", "density", "viscosity")
 # `KIND FIELD FIRST COUNT`: elements of any field.
-RAW: Final = {"input": ("data",), "output": ("data", "held", "model"),
-              "parameter": ("model", "added")}  # fmt: skip
+RAW: Final[Mapping[Causality, Sequence[str]]] = {
+    "input": ("data",), "output": ("data", "held", "model"), "parameter": ("model", "added"),
+}  # fmt: skip
+# Properties of objects that are no plain elements of a field.
+SPECIAL: Final = {
+    ("input", "body"): ("force", "torque", "mocap_pos", "mocap_quat"),
+    ("input", "actuator"): ("ctrl",), ("input", "equality"): ("active",),
+    ("output", "body"): ("jacobian",), ("output", "site"): ("jacobian",),
+    ("output", "geom"): ("jacobian",),
+    ("parameter", "body"): ("mass", "added_mass", "free_xy", "free_yaw"),
+    ("parameter", "joint"): ("qpos", "qvel"),
+}  # fmt: skip
 # Sums of contact forces, and scales of properties, with their kind of object.
 CONTACTS: Final = {"contact_sensors": "sensor", "contact_bodies": "body",
                    "unwanted_contacts": "body", "support_contacts": "body"}  # fmt: skip
@@ -50,12 +63,12 @@ SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_forc
 Units = tuple[str, ...]
 _TEXTS: Final = {  # descriptions of sources whose own words say too little
     "gravity": "Acceleration of gravity",
-    "keyframe": "Keyframe that positions and velocities start at",
+    "keyframe": "Keyframe to start at; controls and poses that are not set are its, too",
 }
 _POSES: Final = {
-    "xpos": "Origin of the {} {}, world frame",
-    "xquat": "Orientation of the {} {}, world frame, (w, x, y, z)",
-    "xmat": "Rotation matrix of the {} {}, row by row, world frame",
+    "xpos": "Origin of {}, world frame",
+    "xquat": "Orientation of {}, world frame, (w, x, y, z)",
+    "xmat": "Rotation matrix of {}, row by row, world frame",
 }
 _SHOWN = 30  # names of a model in a message
 _LISTED = "`panda-cosim mjcf2fmu --help` lists the sources"
@@ -77,23 +90,47 @@ class Sources:
 
     def find(self, causality: Causality, source: str) -> Variable:
         """Look a source up; a name with spaces stands in quotes."""
-        text = _TEXTS.get(source, source)
-        match words_of(source):
-            case [kind, name, *rest] if kind in OBJECTS:
-                row = self._of_object(causality, kind, self.find_id(kind, name), *rest)
-                text = _POSES[rest[0]].format(kind, name) if rest and rest[0] in _POSES else source
-            case [kind, field, first, count] if kind in RAW[causality]:
-                row = self._raw(kind, field, first, count)
-            case [name, *rest]:
-                row = self._of_model(causality, name, *rest)
-            case _:
-                row = None
+        words = words_of(source)
+        row = self._found(causality, words)
         if row is None:
-            raise InputError(f"source {source!r}: no such {causality} of a MuJoCo model; {_LISTED}")
+            refuse("source", source, self._hint(causality, words))
+        text = _TEXTS.get(source, source)
+        if words[0] in OBJECTS:
+            called_so = called(getattr(self.model, words[0])(self.find_id(*words[:2])), words[0])
+            text = _POSES.get(words[2] if words[2:] else "", " ".join(["{}", *words[2:]]))
+            text = text.format(called_so)
         row = replace(row, causality=causality, description=text)
         if causality == "output":
             return replace(row, start=None, minimum=None, maximum=None)
         return replace(row, variability="fixed") if causality == "parameter" else row
+
+    def _found(self, causality: Causality, words: Sequence[str]) -> Variable | None:
+        match words:
+            case [kind, name, *rest] if kind in OBJECTS:
+                return self._of_object(causality, kind, self.find_id(kind, name), *rest)
+            case [kind, field, first, count] if kind in RAW[causality]:
+                return self._raw(kind, field, first, count)
+            case [name, *rest] if name not in OBJECTS:
+                return self._of_model(causality, name, *rest)
+        return None
+
+    def _hint(self, causality: Causality, words: Sequence[str]) -> str:
+        """What is valid instead of a source that does not exist."""
+        for other in filter(causality.__ne__, RAW):
+            with suppress(InputError):
+                if self._found(other, words):
+                    return f"must be an {causality}; it is an {other}"
+        if words and words[0] in OBJECTS:
+            properties = [*SPECIAL.get((causality, words[0]), ())]
+            if causality == "parameter":
+                properties += CHANGEABLE.get(words[0], ())
+            elif causality == "output" and hasattr(self.data, words[0]):
+                view = getattr(self.data, words[0])(0)
+                properties += [n for n in dir(view) if isinstance(getattr(view, n), np.ndarray)]
+            near = did_you_mean(words[2], properties) if words[2:] else ""
+            what = f"{causality} {words[0]} NAME {' | '.join(sorted(properties)) or '...'}"
+            return f"valid: {what}{near}"
+        return f"no such {causality} of a MuJoCo model; {_LISTED}"
 
     def _of_model(self, causality: Causality, name: str, *names: str) -> Variable | None:
         row: Variable | None = None
@@ -143,6 +180,10 @@ class Sources:
             case "input", "actuator", "ctrl":
                 row = self._property("data", kind, i, what)
                 row = row and self._limited(row)
+            case "input", "equality", "active":
+                is_active = bool(self.data.eq_active[i])
+                row = Variable("", (), "", "input", "discrete", "", is_active, kind="Boolean",
+                               source=f"eq_active {i}")  # fmt: skip
             case "input", "body", "force" | "torque":
                 row = self._elements("data", "xfrc_applied", 6 * i + 3 * (what == "torque"), 3)
             case "input", "body", "mocap_pos" | "mocap_quat" if self.model.body_mocapid[i] >= 0:
@@ -176,7 +217,7 @@ class Sources:
         whole = elements(self.model, field, values.size)[part]
         texts = tuple(element.text for element in whole)
         row = _values(f"{kind} {field} {first}", values[part], tuple(e.unit for e in whole))
-        return replace(row, details=texts if any(texts) else ())
+        return replace(row, details=texts if any(texts) else (), parts=_parts(whole))
 
     def _property(
         self, kind: str, of: str, i: int, what: str, count: int | None = None
@@ -265,9 +306,12 @@ class Sources:
         return [self.find_id(kind, name) for name in names]
 
     def find_id(self, kind: str, name: str) -> int:
-        """Return the id of an object of the model; refused if there is none of this name."""
+        """Return the id of an object by its name, or as `#2` by its number."""
         number = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
         i = int(mujoco.mj_name2id(self.model, number, name))
+        numbers = [f"#{n + 1}" for n in range(len(getattr(self.model, OBJECTS[kind])))]
+        if i < 0 and name in numbers:
+            i = numbers.index(name)
         if i < 0:
             valid = self.names(kind)
             listed = ", ".join(valid[:_SHOWN]) or "none"
@@ -297,7 +341,24 @@ def words_of(source: str) -> list[str]:
 
 def _at_start(row: Variable) -> Variable:
     """Positions or velocities of the start, instead of those of an instant."""
-    return replace(row, source=row.source.removeprefix("data "), details=())
+    return replace(row, source=row.source.removeprefix("data "), details=(), parts=())
+
+
+def _parts(whole: Sequence[Element]) -> tuple[Part, ...]:
+    """Arrays of one unit each, by joint or actuator, to be named after the variable."""
+    if len({element.unit for element in whole}) == 1 or not all(each.group for each in whole):
+        return ()
+    parts: dict[str, Part] = {}
+    for group, each in groupby(whole, lambda element: element.group):
+        name = unique(parts, re.sub(r"\W+", "_", group, flags=re.A))
+        parts[name] = (name, len(list(each)), "")
+    return tuple(parts.values())
+
+
+def unique(taken: Collection[str], *names: str) -> str:
+    """The first of these names that is not taken; if all are, one with a number."""
+    numbered = (f"{names[0]}_{i}" for i in count(2))
+    return next(name for name in chain(names, numbered) if name not in taken)
 
 
 def _matrix(source: str, shape: tuple[int, ...], units: Units) -> Variable:

@@ -92,12 +92,44 @@ def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str
 
 
 def _fmu(path: Path, model: Any, options: ModelOptions, stem: str) -> NativeFmu:
+    if model.nplugin:
+        _refuse_plugins(path)
     description = _described(model, options, stem)
     try:
         table = interface(description, model)
+        fmu = mujoco_fmu(table, {"model": model}, LAW, description.keyframe)
+        _refuse_shared_inputs(fmu.interface)
     except InputError as error:
         raise InputError(f"{options.interface or path}: {error}") from error
-    return mujoco_fmu(table, {"model": model}, LAW, description.keyframe)
+    return fmu
+
+
+def _refuse_plugins(path: Path) -> None:
+    """Refuse a model with plugins: their libraries know the MuJoCo of this Python alone."""
+    names = {"of unknown names"}
+    if path.suffix.lower() != MODEL_SUFFIX:
+        spec = mujoco.MjSpec.from_file(str(path))
+        parts = (*spec.actuators, *spec.sensors, *spec.bodies, *spec.geoms, *spec.meshes)
+        names = {p.plugin_name for p in (*spec.plugins, *(part.plugin for part in parts))} - {""}
+    raise InputError(
+        f"{path}: uses plugins, {', '.join(sorted(names))}, which FMUs cannot hold; must be "
+        "a model of MuJoCo's own elements"
+    )
+
+
+def _refuse_shared_inputs(table: Interface) -> None:
+    """Refuse two inputs for one element of MuJoCo's data, of which the last would win."""
+    by_place: dict[tuple[str, int], str] = {}
+    for variable in table.of("input"):
+        field, first = variable.source.rsplit(maxsplit=1)
+        for i in range(variable.size):
+            other = by_place.setdefault((field, int(first) + i), variable.name)
+            if other != variable.name:
+                what = variable.details[i] if variable.details else variable.source
+                raise InputError(
+                    f"inputs {other} and {variable.name} both set {what}; must be one of them: an "
+                    "interface file chooses all inputs"
+                )
 
 
 def _described(model: Any, options: ModelOptions, stem: str) -> Description:
@@ -121,9 +153,6 @@ def mujoco_fmu(
     stop_time: float = 0.0,
 ) -> NativeFmu:  # fmt: skip
     """Describe an FMU that steps a MuJoCo model."""
-    for name, model in models.items():
-        if model.nplugin:
-            raise InputError(f"{name}: uses {model.nplugin} plugins, which FMUs do not support")
     sources = [Sources(model, keyframe) for model in models.values()]
     key, step = sources[0].key, float(sources[0].model.opt.timestep)  # equal in all
     variables = tuple(_resolved(variable, sources) for variable in interface.variables)

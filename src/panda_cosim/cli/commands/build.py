@@ -232,13 +232,17 @@ def mjcf2fmu(  # noqa: PLR0913 - one for each option
     textures are included. Add variables with --input, --output and --parameter, or choose and name
     all of them in the TOML file that --print-interface writes. A SOURCE is one of:
 
-    - input: body NAME force | torque | mocap_pos | mocap_quat; actuator NAME ctrl; qfrc_applied
-    - output: body NAME xpos | xquat | xmat | subtree_com | jacobian [JOINT ...]; geom or site NAME
-      xpos | xmat | jacobian; joint NAME qpos | qvel; actuator NAME force; sensor NAME;
-      mass_matrix [JOINT ...]; contact_bodies BODY BODY ...; any field of mjData, such as qacc
+    - input: body NAME force | torque | mocap_pos | mocap_quat; actuator NAME ctrl; equality NAME
+      active; qfrc_applied
+    - output: body NAME xpos | xquat | xmat | subtree_com | cvel | jacobian [JOINT ...]; geom or
+      site NAME xpos | xmat | jacobian; joint NAME qpos | qvel | qacc; tendon NAME length |
+      velocity; actuator NAME force | length | velocity; sensor NAME; mass_matrix [JOINT ...];
+      contact_bodies BODY BODY ...; any field of mjData, such as qacc
     - parameter: body NAME mass | added_mass | free_xy | free_yaw; geom NAME friction; joint NAME
       qpos | qvel | damping | armature | frictionloss; actuator NAME gain | bias; equality NAME
       solref | solimp | data; qpos; qvel; gravity; wind; keyframe
+
+    An object without a name has its number: "sensor #2" is the second sensor.
 
     ```
     panda-cosim mjcf2fmu humanoid.xml --output "body torso xpos" --parameter "body torso mass"
