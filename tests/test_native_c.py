@@ -81,7 +81,7 @@ def drive(program: Path, fmu: Unpacked, calls: int, seed: int, *before: str) -> 
     assert done.returncode == 0, done.stderr.decode(errors="replace")[-4000:]
     counts = done.stdout.decode().split()
     assert int(counts[0]) > calls / 4
-    assert int(counts[8]) > calls / 40, "steps"
+    assert int(counts[8]) > calls / 100, "steps"
 
 
 def drive_sanitized(
