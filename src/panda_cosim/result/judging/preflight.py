@@ -7,7 +7,7 @@ the first command. A recording is read once, in blocks, so that a long one takes
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -32,6 +32,7 @@ Rates = Sequence[Array]  # positions (n, k) and their three derivatives
 Measure = tuple[str, Array, Array, Array | float]
 
 DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
+INTERFACES: Final = ("joint", "cartesian", "torque", "arm")
 BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
 AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
@@ -177,18 +178,9 @@ def preflight(recording: Recording, robot: str) -> Metrics:
     limits, judge, reference = robot_limits(robot), new_judge(), _reference(recording)
     lost = [new_judge() for _ in range(1, limits.lost_packets)]  # by the packets lost in a row
     arm = _Arm(recording, limits)
-    names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED) if n in recording]
-    kept: dict[str, Array] = {}
-    for time, *block in recording.in_blocks("time", *names):
-        signals = dict(zip(names, block, strict=True))
-        if not kept and recording.metadata.get("coupling") == "jacobi" and reference in signals:
-            computed = np.clip(np.arange(len(time)), 1, len(time) - 1)  # the first row is not yet
-            signals[reference] = signals[reference][computed]
-        if not kept:  # the robot stands still before
+    for time, signals in _windows(recording, reference):
+        if not judge.shares:
             judge.see(time[:1], _start_measures(signals, reference, limits))
-            kept = {name: np.repeat(signal[:1], BEFORE, axis=0) for name, signal in signals.items()}
-        signals = {name: np.concatenate((kept[name], signals[name])) for name in names}
-        kept = {name: signal[-BEFORE:] for name, signal in signals.items()}
         if reference in signals:
             rates = _rates(signals[reference][:, :7], 3)
             judge.see(time, _joint_measures(rates, limits))
@@ -205,6 +197,23 @@ def preflight(recording: Recording, robot: str) -> Metrics:
     return _result(robot, "joint" if reference else "torque", judge, lost)
 
 
+def _windows(recording: Recording, reference: str) -> Iterator[tuple[Array, dict[str, Array]]]:
+    """Yield instants block by block, and signals, which begin `BEFORE` rows earlier.
+
+    Before the first row, the robot stands still.
+    """
+    names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED) if n in recording]
+    is_late = recording.metadata.get("coupling") == "jacobi" and reference in names
+    kept: list[Array] = []
+    for time, *block in recording.in_blocks("time", *names):
+        before = kept or [np.repeat(signal[:1], BEFORE, axis=0) for signal in block]
+        signals = [np.concatenate(pair) for pair in zip(before, block, strict=True)]
+        if not kept and is_late:  # the first row has no command yet
+            signals[0][: BEFORE + 1] = block[0][:2][-1]
+        kept = [signal[-BEFORE:] for signal in signals]
+        yield time, dict(zip(names, signals, strict=True))
+
+
 def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metrics:
     """Return the section of summary.json."""
     firsts = (each.first.values() for each in lost if each.first)
@@ -212,11 +221,7 @@ def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metr
     findings = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
     findings.sort(key=_time_of)
     refused = [each for each in findings if each["necessary"]]
-    counts: dict[str, int | None] = {}  # None: a condition of the interface was not measured
-    for name in ("joint", "cartesian", "torque", "arm"):
-        needed = {key for key, check in CHECKS.items() if check.interface == name}
-        count = sum(each["interface"] == name for each in refused)
-        counts[name] = count if needed <= judge.shares.keys() else None
+    counts = {name: _count(name, refused, judge.shares) for name in INTERFACES}
     both = counts[own], counts["arm"]
     told = [each for each in refused if each["interface"] in (own, "arm") and None not in both]
     return {
@@ -230,6 +235,13 @@ def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metr
         "findings": findings,
         "late": {"lost_packets": late[0]} if late else {},
     }
+
+
+def _count(interface: str, refused: Iterable[Metrics], measured: Container[str]) -> int | None:
+    """Count what is refused over an interface; None: a condition of it was not measured."""
+    if any(key not in measured for key, check in CHECKS.items() if check.interface == interface):
+        return None
+    return [each["interface"] for each in refused].count(interface)
 
 
 def _time_of(refusal: Metrics) -> float:
