@@ -428,8 +428,8 @@ def test_a_short_recording_is_read_from_memory_while_its_file_is_made(tmp_path, 
 def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path):
     recorder = Recorder(tmp_path, [Column("time", "s"), Column("x")], {})
     recorder.append(np.zeros((100, 2)))
-    (tmp_path / storage.PARTIAL_FILE).mkdir()
+    (tmp_path / "recording.parquet").mkdir()
     with pytest.raises(SimulationError, match="recording failed after 100 rows"):
         recorder.close(complete=True)
-    (tmp_path / storage.PARTIAL_FILE).rmdir()
+    (tmp_path / "recording.parquet").rmdir()
     assert Recording.open(tmp_path).rows == 100

@@ -40,7 +40,7 @@ class MemoryRecorder:
         self._filled = 0  # rows in memory
         self._dropped = 0  # rows before these
         self._is_whole = True  # whether memory holds the recording
-        self.late: dict[str, object] = {}  # metadata that is known only at the end, `storage.LATE`
+        self.late: storage.Metadata = {}  # what is known only at the end, `storage.LATE`
         self._ended = False
 
     @property
@@ -120,7 +120,9 @@ class Recorder(MemoryRecorder):
         self._error: SimulationError | None = None
         self._file_made: Future[None] | None = None
         try:
-            self._make_place()
+            place.mkdir(parents=True, exist_ok=True)
+            for path in filter(Path.exists, (self._stream, self._parquet)):
+                raise InputError(f"{path}: already exists; must be a folder without a recording")
             self._file = self._stream.open("xb", buffering=0)
             self._last_flush = time.monotonic()
         except (OSError, ValueError) as error:  # ValueError: a null byte in the name
@@ -156,15 +158,18 @@ class Recorder(MemoryRecorder):
         super().end(complete=complete, reason=reason)
         failed_before = self._error is not None
         try:
-            self._end_stream(complete, reason)
-        except SimulationError:
+            self.flush()
+            self._mark_end(complete, reason)
+        except SimulationError as error:
+            with suppress(SimulationError):  # a short message may fit where the rows did not
+                self._mark_end(False, str(error))
             self._file.close()
             if not failed_before:
                 raise
-        else:
-            self._file_made = ThreadPoolExecutor(1).submit(self._make_parquet)
-            if not self._is_whole:  # it is read from the file
-                self._file_made.result()
+            return
+        self._file_made = ThreadPoolExecutor(1).submit(self._make_parquet)
+        if not self._is_whole:  # it is read from the file
+            self._file_made.result()
 
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
         """End the recording, and return its file: Parquet, or the stream if that failed."""
@@ -184,23 +189,9 @@ class Recorder(MemoryRecorder):
             raise
         return schema
 
-    def _make_place(self) -> None:
-        self._stream.parent.mkdir(parents=True, exist_ok=True)
-        for path in (self._stream, self._parquet):
-            if path.exists():
-                raise InputError(f"{path}: already exists; must be a folder without a recording")
-
-    def _end_stream(self, complete: bool, reason: str | None) -> None:
-        try:
-            self.flush()
-        except SimulationError as error:
-            with suppress(SimulationError):  # a short message may fit where the rows did not
-                self._mark_end(self._state(False, str(error)))
-            raise
-        self._mark_end(self._state(complete, reason))
-
-    def _mark_end(self, state: Mapping[str, object]) -> None:
+    def _mark_end(self, complete: bool, reason: str | None) -> None:
         self._error = None
+        state = self._state(complete, reason)
         self._write(storage.serialize_end(self._schema.result(), state))
 
     def _make_parquet(self) -> None:

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
 from ...fmus.reading import finite_number
 from ...task.files import read_integer
@@ -28,7 +29,6 @@ Metadata = dict[str, Any]
 FORMAT = 1  # of the recording; one of another number cannot be read
 STREAM_FILE = "recording.arrows"
 PARQUET_FILE = "recording.parquet"
-PARTIAL_FILE = f"{PARQUET_FILE}.part"  # while the one is made of the other
 METADATA_KEY = b"panda_cosim"
 BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
 # Types of columns, as Arrow names them, and NumPy's.
@@ -110,11 +110,9 @@ def write_parquet(source: Source, parquet: Path) -> None:
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
     schema = make_schema(source.columns, source.metadata)
-    partial = parquet.with_name(PARTIAL_FILE)
     try:
-        with (
-            partial.open("wb") as file,
-            pq.ParquetWriter(
+        with replacing(parquet) as partial, partial.open("wb") as file:
+            with pq.ParquetWriter(
                 file,
                 schema,
                 compression="zstd",
@@ -123,17 +121,13 @@ def write_parquet(source: Source, parquet: Path) -> None:
                 use_byte_stream_split=[c.name for c in source.columns if c.type == "double"],
                 write_statistics=False,
                 write_page_checksum=True,  # detects flipped bits
-            ) as writer,
-        ):
-            for block in source.blocks(schema.names):
-                writer.write_batch(make_batch(schema, block), row_group_size=BLOCK_ROWS)
-        with partial.open("rb+") as written:
-            os.fsync(written.fileno())  # before the stream is deleted
-        partial.replace(parquet)
+            ) as writer:
+                for block in source.blocks(schema.names):
+                    writer.write_batch(make_batch(schema, block), row_group_size=BLOCK_ROWS)
+            file.flush()
+            os.fsync(file.fileno())  # before the stream is deleted
     except pa.ArrowException as error:
         raise OSError(str(error)) from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def open_stream(path: Path) -> Source:

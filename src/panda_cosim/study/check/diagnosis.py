@@ -77,7 +77,8 @@ def check_folder(
     if folder.suffix != SYSTEM and not folder.is_dir():
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
-        scenario = read_checked(folder).changed(values or {})
+        read = system_scenario if folder.suffix == SYSTEM else Scenario.read
+        scenario = read(folder).changed(values or {})
         scenario = replace(scenario, preflight=robot or scenario.preflight)
         prepared = prepare(scenario, run_code=False)
         is_foreign = prepared.scenario.has_own_parts
@@ -101,11 +102,6 @@ def check_folder(
         remarks.append(f"mujoco: {engine} is not installed, but would be by a run; checked with "
                        f"{mujoco_version()}")  # fmt: skip
     return [*_diagnostics("hint", remarks), *diagnostics]
-
-
-def read_checked(path: Path) -> Scenario:
-    """Read a scenario's folder, or what runs the system of an .ssp file."""
-    return system_scenario(path) if path.suffix == SYSTEM else Scenario.read(path)
 
 
 def _diagnostics(level: Level, texts: Iterable[str]) -> list[Diagnostic]:
