@@ -10,6 +10,7 @@ import signal
 import sys
 import tempfile
 import traceback
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NoReturn
@@ -88,6 +89,20 @@ def initialize(slave: Any, values: Mapping[str, Any]) -> None:
     """Go through initialization, for a second."""
     slave.enter_initialization(values, 0.0, 1.0)
     slave.exit_initialization()
+
+
+def members(archive: Path) -> dict[str, bytes]:
+    """What is in an archive, an FMU for instance, by name."""
+    with zipfile.ZipFile(archive) as file:
+        return {name: file.read(name) for name in file.namelist()}
+
+
+def pack(archive: Path, content: Mapping[str, bytes | str]) -> Path:
+    """Write an archive; returns its path."""
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, member in content.items():
+            file.writestr(name, member)
+    return archive
 
 
 def compiler() -> str | None:

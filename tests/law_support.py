@@ -6,7 +6,7 @@ import ctypes
 import subprocess
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,9 +19,6 @@ from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.build.libraries import CONTROLLER_LAW, FLAGS, SOURCES
-
-if TYPE_CHECKING:
-    from fake_recording import FakeRecording
 
 Array = NDArray[np.float64]
 
@@ -116,17 +113,3 @@ def replay(law: Controller | LawInC, rows: Array) -> Array:
         law.update()
         out[:] = law.output_values
     return outputs
-
-
-def inputs_of(course: FakeRecording) -> Array:
-    """Return what the controller has read at each tick (n, 109)."""
-    rows = np.zeros((len(course.time), INPUTS.itemsize // 8))
-    named = rows.view(INPUTS)[:, 0]
-    for name in INPUTS.names or ():
-        if f"controller.{name}" in course:
-            named[name] = course[f"controller.{name}"]
-    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias", "actuator_force"):
-        named[name] = course[f"plant.{name}"]
-    for name in ("qpos", "qvel"):
-        named[name] = course[f"plant.{name}"][:, :7]
-    return rows

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fault_support import write_scenario
-from fmu_support import initialize
+from fmu_support import initialize, members, pack
 from panda_cosim.cli.app import app
 from panda_cosim.fmus.atomic import replacing
 from panda_cosim.fmus.errors import InputError, nearest
@@ -29,8 +28,8 @@ LIBRARY = "binaries/linux64/PandaPlant.so"
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
     """Members of the plant's FMU, without what only running it needs."""
-    with zipfile.ZipFile(build(("plant",), target=Target("python"))["plant"]) as archive:
-        return {name: archive.read(name) for name in archive.namelist() if name in (XML, LIBRARY)}
+    content = members(build(("plant",), target=Target("python"))["plant"])
+    return {name: content[name] for name in (XML, LIBRARY)}
 
 
 @pytest.fixture(scope="module")
@@ -126,19 +125,12 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
 }  # fmt: skip
 
 
-def pack(path: Path, members: dict[str, bytes]) -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in members.items():
-            archive.writestr(name, content)
-    return path
-
-
 @pytest.mark.parametrize("kind", BAD_FMUS)
 def test_a_bad_fmu_is_refused(tmp_path, plant, scenario, kind):
     change, expected = BAD_FMUS[kind]
-    members = dict(plant)
-    change(members)
-    bad = pack(tmp_path / "bad.fmu", members)
+    content = dict(plant)
+    change(content)
+    bad = pack(tmp_path / "bad.fmu", content)
     line = refused(tmp_path, "run", scenario, "--plant", bad, "--out", tmp_path / "run")
     assert re.search(expected, line)
 

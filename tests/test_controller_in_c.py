@@ -12,17 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from law_support import INPUTS, LawInC, compile_law, inputs_of, replay
-from panda_cosim import load_scenario
+from law_support import INPUTS, LawInC, compile_law, replay
 from panda_cosim.assets import franka
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import RANGES, REACTIONS, Gains, preset
 from panda_cosim.controller.signals import OUTPUTS
-from panda_cosim.fmus.interface.controller import CONTROLLER
-from panda_cosim.fmus.interface.parameters import grouped
-from panda_cosim.run.start import start_values
-from panda_cosim.task.scenario import shipped_scenarios
-from random_tasks import run_plain
 
 Array = NDArray[np.float64]
 
@@ -49,30 +43,6 @@ def _holds(name: str, column: int) -> bool:
     assert OUTPUTS.fields
     start = OUTPUTS.fields[name][1] // 8
     return bool(start <= column < start + OUTPUTS[name].itemsize // 8)
-
-
-def with_other_gains() -> list[str]:
-    """Shipped scenarios of our own parts, one for each set of gains."""
-    chosen: dict[str, str] = {}
-    for name in ("pick_and_place", *shipped_scenarios()):
-        scenario = load_scenario(name)
-        if not (scenario.has_own_parts or scenario.mismatch.has_sensors):
-            chosen.setdefault(repr(start_values(scenario).get("controller")), name)
-    return list(chosen.values())
-
-
-@pytest.mark.parametrize("name", with_other_gains())
-def test_the_gains_of_every_scenario_have_the_same_bits(library, name):
-    scenario = load_scenario(name)
-    gains = grouped(CONTROLLER, start_values(scenario)["controller"])
-    period = gains.pop("period")
-    course = run_plain(scenario)
-    updates = slice(None, None, round(period / 0.001))
-    outputs = [course[f"controller.{n}"].reshape(course.rows, -1) for n in OUTPUTS.names or ()]
-    expected = np.hstack(outputs)[updates]
-    check_same(
-        replay(LawInC(library, Gains(**gains), period), inputs_of(course)[updates]), expected
-    )
 
 
 def random_gains(rng: np.random.Generator) -> Gains:

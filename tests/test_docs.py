@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import runpy
 import shutil
 import signal
 import subprocess
@@ -194,32 +193,6 @@ def test_every_page_is_in_the_menu():
     menu = (ROOT / "zensical.toml").read_text(encoding="utf-8")
     pages = {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")}
     assert pages == set(re.findall(r'"([\w/-]+\.md)"', menu))
-
-
-def test_the_site_is_checked(tmp_path, monkeypatch):
-    pytest.importorskip("html5lib", reason="needs the extra docs")
-    monkeypatch.syspath_prepend(ROOT / ".ci")
-    check = runpy.run_path(str(ROOT / ".ci" / "build_site.py"))["check"]
-    head = "<!DOCTYPE html><title>T</title>"
-    page = tmp_path / "a.html"
-    page.write_text(f'{head}<p id="top"><a href="b.html#end">b</a> <a href="#top">top</a></p>')
-    (tmp_path / "b.html").write_text(f'{head}<h1 id="end">B</h1><a href="https://x.org">x</a>')
-    assert not [*check(tmp_path)]
-    for fault, message in {
-        "<p><b>bold</p>": "unexpected-end-tag",
-        '<a href="c.html">c</a>': "no such file: c.html",
-        '<a href="b.html#middle">b</a>': "no such place: b.html#middle",
-        '<img src="https://x.org/i.png" alt="i">': "needs the network",
-        '<i id="top"></i><i id="top"></i>': "two ids top",
-    }.items():
-        page.write_text(f"{head}{fault}")
-        assert any(message in problem for problem in check(tmp_path)), fault
-
-
-def test_a_page_of_the_gallery_has_a_title():
-    report = runpy.run_path(str(ROOT / ".ci" / "gallery.py"))["REPORT"]
-    page = report.render(title="T", text="For all", paths=["a.html"], lines=["panda-cosim run"])
-    assert page.startswith("---\nhide: [toc]\n---\n\n# T\n\nFor all\n")
 
 
 # README, reference and notebook say what is so: commands, scenario files, links.

@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmu_support import REFERENCE_FMUS, needs_compiler, needs_reference_fmus
+from fmu_support import needs_compiler
 from forked import command
 from panda_cosim import Recording
 from toy_fmu import library, toy_fmu
@@ -140,16 +140,3 @@ def test_a_value_that_is_not_finite_is_allowed_by_name(tmp_path):
     assert "is not finite" in told
     recording = Recording.open(tmp_path / "run")
     assert np.isnan(recording["f.rough"]).tolist() == [True, True, *[False] * 9]
-
-
-@needs_reference_fmus
-@pytest.mark.parametrize("fmi", ["fmi2", "fmi3"])
-def test_stair_ends_with_its_tenth_step_up(tmp_path, fmi):
-    """With the row of that instant, as in FMPy."""
-    text = f'[fmus]\nit = "{REFERENCE_FMUS / fmi / "Stair.fmu"}"\n'
-    told = run(tmp_path, text, step=1.5, code=3)
-    assert "the FMU asks to end the simulation" in told
-    recording = Recording.open(tmp_path / "run")
-    wanted = fmpy.simulate_fmu(REFERENCE_FMUS / fmi / "Stair.fmu", fmi_type="CoSimulation",
-                               stop_time=15.0, output_interval=1.5)  # fmt: skip
-    assert recording["it.counter"][-1] == wanted["counter"][-1] == 10

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmu_support import REFERENCE_FMUS, needs_compiler, needs_reference_fmus
+from fmu_support import REFERENCE_FMUS, members, needs_compiler, needs_reference_fmus, pack
 from forked import command
 from panda_cosim.result.recording import Recording
 from panda_cosim.run.execution import run_scenario
@@ -43,24 +42,21 @@ def box(tmp_path_factory):
 
 
 def table(path: Path, name: str) -> dict[str, np.ndarray]:
-    with zipfile.ZipFile(path) as archive:
-        text = archive.read(f"{FOLDER}/{name}").decode()
-    head, *rows = csv.reader(io.StringIO(text))
+    head, *rows = csv.reader(io.StringIO(members(path)[f"{FOLDER}/{name}"].decode()))
     return dict(zip(head, np.array(rows, float).T, strict=True))
 
 
 def changed(path: Path, to: Path, **changes: Callable[[str], str] | str | None) -> Path:
     """Copy an FMU with other members in its folder of experiments; None leaves one out."""
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(to, "w") as new:
-        for name in old.namelist():
-            change = changes.get(Path(name).stem.replace("-", "_"), str)
-            if not name.startswith(FOLDER) or callable(change):
-                text = old.read(name)
-                is_text = name.startswith(FOLDER) and change is not str
-                new.writestr(name, change(text.decode()) if is_text else text)  # type: ignore[operator]
-            elif change is not None:
-                new.writestr(name, change)
-    return to
+    content = members(path)
+    for name in [name for name in content if name.startswith(FOLDER)]:
+        change = changes.get(Path(name).stem.replace("-", "_"), str)
+        if change is None:
+            del content[name]
+        elif change is not str:
+            text = change(content[name].decode()) if callable(change) else change
+            content[name] = text.encode()
+    return pack(to, content)
 
 
 @pytest.mark.own_process
@@ -137,10 +133,8 @@ TIMES = ' startTime="0" stopTime="0.1" stepSize="0.002"'
 
 def with_files(path: Path, to: Path, **files: str) -> Path:
     changed(path, to, reference=files.pop("exp"), references=files.pop("csv"))
-    with zipfile.ZipFile(to, "a") as archive:
-        for name, text in files.items():
-            archive.writestr(f"{FOLDER}/{name}.ssv", text)
-    return to
+    more = {f"{FOLDER}/{name}.ssv": text for name, text in files.items()}
+    return pack(to, members(to) | more)
 
 
 @pytest.mark.parametrize("is_new", [False, True])
@@ -191,12 +185,11 @@ k = 0.5
 @needs_compiler
 def test_stimuli_are_what_the_master_fed(tmp_path):
     """The second FMU takes mN, in steps of 2 ms."""
-    toy = toy_fmu(tmp_path / "a.fmu", 2)
-    with zipfile.ZipFile(toy) as old, zipfile.ZipFile(tmp_path / "b.fmu", "w") as new:
-        for name in old.namelist():
-            text = old.read(name).replace(b'unit="N"', b'unit="mN"')
-            milli = b'<Unit name="mN"><BaseUnit kg="1" m="1" s="-2" factor="0.001"/></Unit>'
-            new.writestr(name, text.replace(b"<UnitDefinitions>", b"<UnitDefinitions>" + milli))
+    content = members(toy_fmu(tmp_path / "a.fmu", 2))
+    text = content["modelDescription.xml"].replace(b'unit="N"', b'unit="mN"')
+    milli = b'<Unit name="mN"><BaseUnit kg="1" m="1" s="-2" factor="0.001"/></Unit>'
+    text = text.replace(b"<UnitDefinitions>", b"<UnitDefinitions>" + milli)
+    pack(tmp_path / "b.fmu", content | {"modelDescription.xml": text})
     (tmp_path / "scenario.toml").write_text(COUPLED)
     command("build", "--scenario", tmp_path, "--out", tmp_path / "built", code=0)
     options = ("--no-video", "--no-view", "--out", tmp_path / "run")

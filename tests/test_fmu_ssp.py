@@ -13,6 +13,7 @@ import fmpy
 import pytest
 from lxml import etree
 
+from fmu_support import members, pack
 from panda_cosim.fmus.build.ssp import CONNECTORS_FILE, STRUCTURE_FILE, WrittenSystem, write_ssp
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
@@ -46,8 +47,7 @@ def ssp(ssps):
 
 
 def structure(ssp: Path, name: str = STRUCTURE_FILE) -> str:
-    with zipfile.ZipFile(ssp) as archive:
-        return archive.read(name).decode()
+    return members(ssp)[name].decode()
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0"])
@@ -55,8 +55,7 @@ def test_all_files_follow_the_schemas_of_their_version(ssps, version):
     if version not in SCHEMAS:
         pytest.skip("no pyssp_standard")
     schemas = {"ssd": "Description", "ssv": "ParameterValues"}
-    with zipfile.ZipFile(ssps[version]) as archive:
-        names = [name for name in archive.namelist() if name.endswith((".ssd", ".ssv"))]
+    names = [name for name in members(ssps[version]) if name.endswith((".ssd", ".ssv"))]
     assert {STRUCTURE_FILE, CONNECTORS_FILE, PARAMETERS} <= {*names}
     for name in names:
         document = etree.fromstring(structure(ssps[version], name).encode())
@@ -129,16 +128,11 @@ def test_it_is_read_as_it_was_written(tmp_path, fmi, flat):
 
 def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
     """Copy an SSP with another structure."""
-    target, is_changed = folder / "changed.ssp", False
-    with zipfile.ZipFile(ssp) as source, zipfile.ZipFile(target, "w") as archive:
-        for member in source.namelist():
-            content = source.read(member)
-            if member in (STRUCTURE_FILE, PARAMETERS):
-                content = change(content.decode()).encode()
-            is_changed |= content != source.read(member)
-            archive.writestr(member, content)
-    assert is_changed
-    return target
+    before = members(ssp)
+    texts = {name: change(before[name].decode()) for name in (STRUCTURE_FILE, PARAMETERS)}
+    after = before | {name: text.encode() for name, text in texts.items()}
+    assert after != before
+    return pack(folder / "changed.ssp", after)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,5 @@
 """The page of curves of a run."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,8 +11,6 @@ from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.pictures.panels import DPI, ROWS_DRAWN, thin
 from panda_cosim.show.pictures.plot import SIZE, VERDICTS, draw_run, plot_run
 
-REPOSITORY = Path(__file__).parents[1]
-MATPLOTLIBRC = "text.usetex: True\naxes.facecolor: red\nsavefig.facecolor: red\nlines.marker: o\n"
 PEAK = 0.0125  # [m] error of one row of the made-up run
 
 
@@ -133,36 +127,6 @@ def test_a_long_run_is_thinned_and_keeps_its_peaks():
     assert np.all(np.diff(rows) > 0)
     assert {123_457, 777_777} <= set(rows.tolist())
     np.testing.assert_array_equal(values[thin(values[:100], ROWS_DRAWN)][:100], values[:100])
-
-
-@pytest.mark.long
-def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path):
-    code = (
-        f"import sys; sys.path[:0] = {[str(REPOSITORY), str(REPOSITORY / 'tests')]!r}\n"
-        "from pathlib import Path\n"
-        "from test_plot import made_up_run\n"
-        "from regress_support import columns, record\n"
-        "from panda_cosim import analyze\n"
-        "from panda_cosim.study.analysis.plot import plot_analysis\n"
-        "from panda_cosim.show.pictures.plot import plot_run, plot_signals\n"
-        "plot_run(made_up_run(), 'run.png')\n"
-        "plot_signals(record(Path('run'), columns()), Path('signals.png'))\n"
-        "loops = analyze('pick_and_place')\n"
-        "plot_analysis(loops, [loops.margins], Path('loops.png'))\n"
-    )
-    pictures = []
-    for index, own in enumerate(("", MATPLOTLIBRC)):
-        here = tmp_path / str(index)
-        here.mkdir()
-        if own:
-            (here / "matplotlibrc").write_text(own)
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=here, capture_output=True, check=True, timeout=300
-        )
-        assert not done.stderr
-        pictures.append({path.name: path.read_bytes() for path in here.glob("*.png")})
-    assert set(pictures[0]) == {"run.png", "signals.png", "loops.png"}
-    assert pictures[0] == pictures[1]
 
 
 @pytest.mark.parametrize("name", [r"a $\frac$ b", "$x$ and $y$"])

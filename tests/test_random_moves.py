@@ -2,10 +2,7 @@
 
 import numpy as np
 import pytest
-from mink_moves import MinkController, described
-from random_moves import HOME, random_goals, run_move, run_moves
-
-from panda_cosim.controller.gains import Gains
+from random_moves import run_moves
 
 NEAR_SINGULARITIES = (2, 8, 13, 22)  # moves whose goals once were missed by 1.5 to 2.5 mm
 
@@ -58,16 +55,3 @@ def test_a_joint_at_its_end_is_refused():
 
 
 # The comparison with mink runs, and shows what each side is good at.
-
-
-@pytest.mark.long
-def test_both_follow_a_plain_move_and_the_table_counts():
-    goal = next(random_goals(1))
-    ours, theirs = (
-        run_move(1, HOME, goal, Gains()),
-        run_move(1, HOME, goal, Gains(), MinkController),
-    )
-    assert ours.ok
-    assert theirs.ok
-    assert min(ours.update_us, theirs.update_us) > 1.0
-    assert described("both", [ours, theirs]).startswith("| both | 2 | 0 | ")

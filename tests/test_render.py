@@ -40,7 +40,6 @@ from panda_cosim.show.pictures.video import find_ffmpeg, render_video
 from panda_cosim.task.criteria import HELD_FORCE
 from regress_support import record
 
-REPOSITORY = Path(__file__).parents[1]
 HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
 EXACT = 1e-12  # of rounding alone
 
@@ -175,30 +174,6 @@ def test_a_run_names_each_file_once_it_is_there_and_the_video_last(tmp_path):
     assert places == sorted(places)
     assert "--no-video skips it" in done.stdout
     assert " 15 fps" in ffmpeg_says(tmp_path / "run" / "video.mp4")
-
-
-FROM_THE_SIDE = """
-import mujoco, numpy as np
-from panda_cosim.plant.parameters import PlantParameters
-from panda_cosim.plant.scene import load_scene
-model = load_scene(PlantParameters(), drawn=True)
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
-camera = mujoco.MjvCamera()
-camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.4, 0, 0.2), 2.2, 90, -14
-renderer = mujoco.Renderer(model, 480, 640)
-renderer.update_scene(data, camera)
-floor = renderer.render()[360:470].astype(float).mean(axis=2)
-print(np.abs(np.diff(floor, 2, axis=1)).mean())
-"""
-
-
-@needs_gl
-def test_a_camera_from_the_side_sees_no_moire_on_the_floor(backend):
-    """With shadowclip 0.7, neighbouring pixels of the floor differ by 3 of 255, else by 0.2."""
-    environment = {**os.environ, "MUJOCO_GL": backend}
-    done = ran([sys.executable, "-c", FROM_THE_SIDE], env=environment)
-    assert float(done.stdout) < 0.5
 
 
 @needs_gl

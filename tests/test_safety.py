@@ -10,7 +10,6 @@ import sys
 import sysconfig
 import tempfile
 import time
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,7 @@ from hypothesis import strategies as st
 
 from bounded import ran
 from fault_support import STARTING_LAW, write_scenario
-from fmu_support import copy_libraries
+from fmu_support import copy_libraries, members, pack
 from live_support import asked, live, viewer
 from panda_cosim.fmus.atomic import cache_folder
 from panda_cosim.fmus.errors import InputError
@@ -33,11 +32,9 @@ def test_describing_an_fmu_runs_nothing_in_it(tmp_path, monkeypatch):
     mark, changed = tmp_path / "mark", tmp_path / "changed.fmu"
     leave_mark = f"import pathlib; pathlib.Path({str(mark)!r}).touch()\n".encode()
     source = build(("plant",), target=Target("python"))["plant"]
-    with zipfile.ZipFile(source) as old, zipfile.ZipFile(changed, "w") as new:
-        for name in old.namelist():
-            new.writestr(name, leave_mark * name.endswith(".py") + old.read(name))
-        for name in ("sitecustomize.py", "resources/x.pth", "conftest.py"):
-            new.writestr(name, leave_mark)
+    spoilt = {n: leave_mark * n.endswith(".py") + old for n, old in members(source).items()}
+    starters = ("sitecustomize.py", "resources/x.pth", "conftest.py")
+    pack(changed, spoilt | dict.fromkeys(starters, leave_mark))
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
     assert Fmu(changed).variable("qpos[1]").variable.causality == "output"
     assert not mark.exists()

@@ -268,23 +268,3 @@ def test_keys_without_influence_and_few_rows_have_no_correlation():
     assert influences({"falls": -result[:9]}, {}, result[:9]) == []
     each_once = {"word": np.arange(12.0)}
     assert influences(each_once, {"word": list("abcdefghijkl")}, result)[0].value == 0.0
-
-
-def test_names_of_words_change_no_figure(tmp_path):
-    other = {"nominal": "worn", "calibrated": "calibrated", "worn": "nominal"}
-
-    def renamed(values: Mapping[str, Any]) -> tuple[str, float | None]:
-        return worn(values | {PRESET: other[values[PRESET]]})
-
-    keys = CASES["words"][0]
-    vary = keys["vary"] | {PRESET: {"values": list(other.values())}}
-    one = Report(pretended(tmp_path / "one", Sweep(scenario=("push",), **keys), worn))
-    two = Report(
-        pretended(tmp_path / "two", Sweep(scenario=("push",), **keys | {"vary": vary}), renamed)
-    )
-    for margin, each in one.data["influences"].items():
-        assert [influence[0] for influence in each] == [
-            i[0] for i in two.data["influences"][margin]
-        ]
-        for before, after in zip(each, two.data["influences"][margin], strict=True):
-            assert before[1] == pytest.approx(after[1], abs=1e-12)

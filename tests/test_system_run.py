@@ -1,10 +1,8 @@
 """A coupled system from an .ssp file runs as the scenario that it was made from, bit for bit."""
 
-import zipfile
-
 import pytest
 
-from fmu_support import REFERENCE_FMUS, needs_reference_fmus
+from fmu_support import REFERENCE_FMUS, members, needs_reference_fmus, pack
 from forked import command as program
 from panda_cosim import Recording
 from panda_cosim.task.writer import make_scenario
@@ -124,16 +122,9 @@ def test_a_scenario_of_one_s_own_is_built_and_runs_as_before(tmp_path, kind, fmi
 
 
 def test_run_and_check_refuse_a_system_in_the_same_words(folder, tmp_path):
-    bad = tmp_path / "bad.ssp"
-    with (
-        zipfile.ZipFile(folder / "files" / "Panda.ssp") as source,
-        zipfile.ZipFile(bad, "w") as copy,
-    ):
-        for name in source.namelist():
-            content = source.read(name).replace(
-                b'startConnector="qvel[1]"', b'startConnector="qvl[1]"'
-            )
-            copy.writestr(name, content)
+    content, file = members(folder / "files" / "Panda.ssp"), "SystemStructure.ssd"
+    text = content[file].replace(b'startConnector="qvel[1]"', b'startConnector="qvl[1]"')
+    bad = pack(tmp_path / "bad.ssp", content | {file: text})
     run, check = program("run", bad, "--out", tmp_path / "run"), program("check", bad)
     assert (run.returncode, check.returncode) == (2, 2)
     assert (
