@@ -120,17 +120,21 @@ purpose = "short"
 scene = "tabletop"
 duration = {duration}
 """
-TABLE = """time,frame,x,y,z,grip
-0.0,home,0.0,0.0,0.0,0.08
-{duration},home,0.02,0.0,-0.02,0.08
-"""
+ROWS = ("0,home,0,0,0,0.08", "{duration},home,0.02,0,-0.02,0.08")
 
 
 def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
     """Write a scenario in which the hand moves a little."""
+    settings, *rows = (text.format(duration=duration) for text in (TOML, *ROWS))
+    return write_files(folder, settings + more, *rows)
+
+
+def write_files(folder: Path, settings: str, *rows: str) -> Path:
+    """Write a scenario's files, with these rows in the table or two that keep the hand at home."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / SCENARIO_FILE).write_text(TOML.format(duration=duration) + more)
-    (folder / TABLE_FILE).write_text(TABLE.format(duration=duration))
+    (folder / SCENARIO_FILE).write_text(settings)
+    table = ["time,frame,x,y,z,grip", *(rows or ("0,home,0,0,0,0.08", "1,home,0,0,0,0.08")), ""]
+    (folder / TABLE_FILE).write_text("\n".join(table))
     return folder
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+from fmu_support import pack
 from toy_fmu import library
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
@@ -19,9 +19,15 @@ STRUCTURE = """<?xml version="1.0" encoding="UTF-8"?>
  xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
  xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
  xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues">
-<ssd:System name={name}><ssd:Elements>{components}</ssd:Elements></ssd:System>
+<ssd:System name={name}><ssd:Elements>{components}</ssd:Elements>{connections}</ssd:System>
 {experiment}</ssd:SystemStructureDescription>
 """
+COMPONENT = """<ssd:Component name={name} source="resources/{file}"
+ type="application/x-fmu-sharedlibrary"><ssd:Connectors>{connectors}</ssd:Connectors>
+<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues>
+<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{parameters}</ssv:Parameters>
+</ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding></ssd:ParameterBindings>
+</ssd:Component>"""
 # Name, type, causality and value reference.
 Variable = tuple[str, str, str, int]
 
@@ -53,10 +59,7 @@ def odd_fmu(
     text = DESCRIPTION.format(
         flags=flags, experiment=experiment, variables="".join(lines), varies=varies
     )
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.writestr("binaries/linux64/odd.so", library())
-    return path
+    return pack(path, {"modelDescription.xml": text, "binaries/linux64/odd.so": library()})
 
 
 def odd_ssp(
@@ -66,31 +69,32 @@ def odd_ssp(
     parameters: Mapping[str, str] | None = None,
     experiment: str = '<ssd:DefaultExperiment stopTime="0.01"/>',
     name: str = "odd",
+    connections: Sequence[tuple[str, str, str, str]] = (),
 ) -> Path:
-    """Write a system of FMUs that are not connected, with parts of it by component."""
+    """Write a system of FMUs, with parts of it by component.
+
+    A connection is element and connector, and these of what it feeds.
+    """
+    inputs = {(to, end) for _, _, to, end in connections}
     components = []
     for component, fmu in fmus.items():
+        kinds = dict.fromkeys(outputs.get(component, ()), "output")
+        kinds |= {end: "input" for to, end in sorted(inputs) if to == component}
         connectors = "".join(
-            f'<ssd:Connector name={quoteattr(output)} kind="output"/>'
-            for output in outputs.get(component, ())
+            f'<ssd:Connector name={quoteattr(each)} kind="{kind}"/>' for each, kind in kinds.items()
         )
-        values = (
-            "<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues><ssv:ParameterSet "
-            'version="1.0" name="p"><ssv:Parameters>'
-            f"{(parameters or {}).get(component, '')}"
-            "</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>"
-            "</ssd:ParameterBindings>"
-        )
-        components.append(
-            f'<ssd:Component name={quoteattr(component)} source="resources/{fmu.name}" '
-            f'type="application/x-fmu-sharedlibrary"><ssd:Connectors>{connectors}</ssd:Connectors>'
-            f"{values}</ssd:Component>"
-        )
-    with zipfile.ZipFile(path, "w") as archive:
-        text = STRUCTURE.format(
-            name=quoteattr(name), components="".join(components), experiment=experiment
-        )
-        archive.writestr("SystemStructure.ssd", text)
-        for file in {fmu.name: fmu for fmu in fmus.values()}.values():
-            archive.writestr(f"resources/{file.name}", file.read_bytes())
-    return path
+        components.append(COMPONENT.format(
+            name=quoteattr(component), file=fmu.name, connectors=connectors,
+            parameters=(parameters or {}).get(component, ""),
+        ))  # fmt: skip
+    lines = "".join(
+        f'<ssd:Connection startElement="{of}" startConnector="{start}" endElement="{to}" '
+        f'endConnector="{end}"/>'
+        for of, start, to, end in connections
+    )
+    text = STRUCTURE.format(
+        name=quoteattr(name), components="".join(components), experiment=experiment,
+        connections=f"<ssd:Connections>{lines}</ssd:Connections>" if lines else "",
+    )  # fmt: skip
+    files = {f"resources/{fmu.name}": fmu.read_bytes() for fmu in fmus.values()}
+    return pack(path, {"SystemStructure.ssd": text, **files})

@@ -9,6 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from fault_support import write_files
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.design import Design, make_design
 from panda_cosim.study.sweep.packed import load_scenarios
@@ -25,7 +26,6 @@ start = 0.02
 duration = 0.05
 force = [0.0, 20.0, 0.0]
 """
-TABLE = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.1,home,0.0,0.0,0.005,0.08\n"
 MASS, NAME = "plant.block_mass", "plant.name<b>"
 HEAVY = 1.09  # [kg] from which rows fail
 FORCE = "push[1].force[2]"  # above about 25 N, tracking_max is missed
@@ -33,10 +33,7 @@ FORCE = "push[1].force[2]"  # above about 25 N, tracking_max is missed
 
 def short_scenario(folder: Path) -> Path:
     """Write a scenario of 0.1 s whose hand is pushed."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "scenario.toml").write_text(SETTINGS, encoding="utf-8")
-    (folder / "trajectory.csv").write_text(TABLE, encoding="utf-8")
-    return folder
+    return write_files(folder, SETTINGS, "0,home,0,0,0,0.08", "0.1,home,0,0,0.005,0.08")
 
 
 def short_sweep(folder: Path, samples: int = 12, **keys: Any) -> Sweep:

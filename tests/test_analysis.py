@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fault_support import write_files
 from fmu_support import in_process, members, pack
 from forked import command
 from panda_cosim import InputError, Options, Push, analyze, load_scenario, run_scenario
@@ -63,7 +64,6 @@ class Deaf:
     def update(self, time, qpos):
         return 0.0 * qpos
 """
-HOLD = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0,0.08\n"
 SYSTEM = 'duration = 0.1\n[fmus]\ncontroller = "laws.py:Pull"\nplant = "slide.xml"\n'
 
 
@@ -229,11 +229,11 @@ def test_late_readings_are_called_unstable_where_a_simulation_swings_up(
     tmp_path, coupling, delay, known
 ):
     """Delays beyond the margin and within; Jacobi adds two ticks. Known ones are borne longer."""
-    (tmp_path / "trajectory.csv").write_text(HOLD)
-    (tmp_path / "scenario.toml").write_text(
+    write_files(
+        tmp_path,
         f'duration = 1.0\ncoupling = "{coupling}"\n[mismatch]\ndelay = {delay}\n'
         f"[controller]\nreading_delay = {known}\n"
-        "[[push]]\nforce = [10, 10, 10]\nstart = 0.1\nduration = 0.05\n"
+        "[[push]]\nforce = [10, 10, 10]\nstart = 0.1\nduration = 0.05\n",
     )
     before, after = in_process(swing, str(tmp_path))
     one = in_process(measured, str(tmp_path), 0.05)
@@ -285,16 +285,6 @@ def test_shortly_before_a_contact_there_are_no_margins():
         "after 1.9 s; choose an instant at rest",
         one["reason"],
     )
-
-
-def test_inputs_without_effect_are_no_loops(tmp_path):
-    (tmp_path / "trajectory.csv").write_text(HOLD)
-    (tmp_path / "scenario.toml").write_text(
-        'duration = 1.0\nscene = "motors"\ngains = "impedance"\n'
-    )
-    one = in_process(measured, str(tmp_path), "start")
-    assert one["inputs"] == [f"plant.torque[{i}]" for i in range(1, 8)]  # `ctrl` is not in use
-    assert one["delay_margin_ms"] == pytest.approx(12.48, rel=AGREEMENT)
 
 
 WILD = {"controller.period": 0.01, "controller.kp": 4000.0}

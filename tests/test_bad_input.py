@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fault_support import write_scenario
+from fault_support import write_files, write_scenario
 from fmu_support import initialize, members, pack
 from panda_cosim.cli.app import app
 from panda_cosim.fmus.atomic import replacing
@@ -147,7 +147,6 @@ def test_each_fmu_is_quoted_with_its_own_words(scenario, tmp_path):
 
 # Keys and values: what scenario.toml says, whether there is a trajectory, and the message.
 
-TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0.01,0.08\n"
 SIGNAL = '[[success.signal]]\nsignal = "plant.qvel"\nreduce = "peak"\nbelow = 1.0\n'
 BAD_KEYS = [
     ('system = "no.ssp"\n', False, "no.ssp"),
@@ -181,20 +180,13 @@ BAD_KEYS = [
 ]
 
 
-def written(folder: Path, text: str, has_table: bool = True) -> Path:
-    """Write a scenario."""
-    folder.mkdir(exist_ok=True)
-    (folder / "scenario.toml").write_text(f"duration = 1.0\n{text}", encoding="utf-8")
-    if has_table:
-        (folder / "trajectory.csv").write_text(TABLE)
-    return folder
-
-
 @pytest.mark.parametrize(
     ("text", "has_table", "words"), BAD_KEYS, ids=[each[0][:40] for each in BAD_KEYS]
 )
 def test_a_bad_key_is_refused(tmp_path, text, has_table, words):
-    folder = written(tmp_path / "mine", text, has_table)
+    folder = write_files(tmp_path / "mine", f"duration = 1.0\n{text}")
+    if not has_table:
+        (folder / "trajectory.csv").unlink()
     line = refused(tmp_path, "run", folder, "--out", tmp_path / "run")
     assert str(folder) in line
     assert words in line

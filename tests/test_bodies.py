@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fault_support import write_files
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.model_fmu import model_part
@@ -26,7 +27,6 @@ POSE = [
     *(f"plant.cup_xquat[{i}]" for i in range(1, 5)),
 ]
 UNITS = {"time": "s", **dict.fromkeys(POSE[:3], "m"), **dict.fromkeys(POSE[3:], "1")}
-TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0.1,0.08\n"
 SCENE = """
 <mujoco>
   <include file="tabletop.xml"/>
@@ -106,8 +106,7 @@ def test_a_body_is_judged_at_another_instant(recording):
     ],
 )
 def test_bad_criteria_are_refused_in_a_line(tmp_path, text, told):
-    (tmp_path / "trajectory.csv").write_text(TABLE)
-    (tmp_path / "scenario.toml").write_text(f"duration = 1.0\n{text}\n")
+    write_files(tmp_path, f"duration = 1.0\n{text}\n")
     with pytest.raises(InputError, match=told):
         Scenario.read(tmp_path)
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from fault_support import write_files
 from panda_cosim import Run, load_scenario, shipped_scenarios
 from panda_cosim.cli.app import app
 from panda_cosim.fmus.errors import InputError
@@ -191,10 +192,7 @@ def test_what_is_in_the_way_is_named_first(place, bodies):
 )  # fmt: skip
 def test_a_criterion_on_what_never_happens_is_refused(tmp_path, success, message):
     """The hand stays where it is, and holds nothing."""
-    (tmp_path / "scenario.toml").write_text(f"duration = 0.2\n[success]\n{success}\n")
-    (tmp_path / "trajectory.csv").write_text(
-        "time,frame,x,y,z,grip\n0.0,home,0,0,0,0.08\n0.1,home,0,0,0,0.08\n"
-    )
+    write_files(tmp_path, f"duration = 0.2\n[success]\n{success}\n")
     wrong = [each.text for each in check_folder(tmp_path) if each.level == "wrong"]
     assert len(wrong) == bool(message)
     assert message in "".join(wrong)

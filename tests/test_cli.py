@@ -17,6 +17,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from bounded import ran
+from fault_support import write_files
 from forked import command as forked
 from panda_cosim import Recording, shipped_scenarios
 from panda_cosim.cli.app import app, load
@@ -28,14 +29,6 @@ from panda_cosim.fmus.sources.targets import build
 
 MODULES = "panda_cosim.cli.commands"
 PROGRAM = [sys.executable, "-m", "panda_cosim"]
-
-SCENARIO = """
-purpose = "Goes up a little"
-duration = 0.2
-[success]
-tracking_max = {tracking_max}
-"""
-TABLE = "time,frame,x,y,z,grip\n0.0,home,0,0,0,0.08\n0.2,home,0,0,0.002,0.08\n"
 
 
 def call(*arguments: object) -> Result:
@@ -66,10 +59,9 @@ def scenario(tmp_path):
 
 
 def make_scenario(folder: Path, tracking_max: float = 0.01) -> Path:
-    folder.mkdir()
-    (folder / "scenario.toml").write_text(SCENARIO.format(tracking_max=tracking_max))
-    (folder / "trajectory.csv").write_text(TABLE)
-    return folder
+    """Write a scenario in which the hand goes up a little."""
+    settings = f"duration = 0.2\n[success]\ntracking_max = {tracking_max}\n"
+    return write_files(folder, settings, "0,home,0,0,0,0.08", "0.2,home,0,0,0.002,0.08")
 
 
 @pytest.fixture(scope="module")

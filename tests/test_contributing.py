@@ -14,17 +14,14 @@ import numpy as np
 import pytest
 
 from bounded import ran
+from fault_support import write_files
 from fmu_support import copy_libraries, needs_compiler
-from forked import command
 from panda_cosim import Recording
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.task.writer import make_scenario
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-QUIET = ("--no-video", "--no-view", "--no-plot")
-SCENARIO = "duration = 0.05\n"
-TABLE = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.05,home,0.0,0.0,0.01,0.08\n"
+SCENARIO = ("duration = 0.05\n", "0,home,0,0,0,0.08", "0.05,home,0,0,0.01,0.08")
 
 
 def follow(diff: str, root: Path) -> None:
@@ -92,8 +89,7 @@ BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody>
 def test_an_output_of_the_plant_is_added_in_two_places_and_a_line_of_the_description_in_one(
     changed, tmp_path
 ):
-    (tmp_path / "scenario.toml").write_text(SCENARIO)
-    (tmp_path / "trajectory.csv").write_text(TABLE)
+    write_files(tmp_path, *SCENARIO)
     model = tmp_path / "ball.xml"
     model.write_text(BALL)
     build = ("-c", BUILD, tmp_path, tmp_path / "run", model)
@@ -159,9 +155,7 @@ EDITS = {
 def test_a_changed_line_of_python_acts_and_is_named(tmp_path):
     root = copy_of_project(tmp_path)
     scenario = tmp_path / "scenario"
-    scenario.mkdir()
-    (scenario / "scenario.toml").write_text(SCENARIO)
-    (scenario / "trajectory.csv").write_text(TABLE)
+    write_files(scenario, *SCENARIO)
 
     def act(name: str, *, is_played: bool = True) -> Any:
         """Run the scenario and, if asked, what `build` makes of it."""
@@ -219,31 +213,3 @@ def test_every_path_exists():
     paths -= {"src/panda_cosim/cli/commands/NAME.py"}
     assert paths
     assert not [path for path in paths if not (ROOT / path).exists()]
-
-
-@pytest.mark.long
-def test_a_changed_result_is_bisected(tmp_path):
-    """The commits of a repository change a law; the scenario and its reference stand outside."""
-    repository, scenario = tmp_path / "repository", tmp_path / "push"
-    make_scenario(repository / "law", ["law"])
-    law, scenario = repository / "law" / "my_law.py", make_scenario(scenario)[0].parent
-    part = '[fmus]\ncontroller = "../repository/law/my_law.py:ResolvedRate"\n'
-    (scenario / "scenario.toml").write_text(SCENARIO + part)
-    (scenario / "trajectory.csv").write_text(TABLE)
-    command("regress", scenario, "--update", code=0)
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-
-    def shell(words: str) -> str:
-        environment = os.environ | {"PATH": path}
-        done = ran(["sh", "-c", words], cwd=repository, env=environment)
-        return done.stdout
-
-    shell("git init -q; git config user.name a; git config user.email a@b")
-    first = law.read_text()
-    for number, gain in enumerate(("10.0", "10.00", "5.0", "5.00")):
-        law.write_text(first.replace("gain = 10.0", f"gain = {gain}"))
-        shell(f"git add -A; git commit -qm 'commit {number}'")
-    (script,) = re.findall(r"^git bisect run .*$", TEXT, re.MULTILINE)
-    shell("git bisect start HEAD HEAD~3")
-    assert "is the first bad commit" in shell(script)
-    assert shell("git log -1 --format=%s refs/bisect/bad").strip() == "commit 2"

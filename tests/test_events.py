@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
 
-from fmu_support import needs_compiler
+from fmu_support import needs_compiler, pack
 from forked import command
 from panda_cosim import Recording
 from toy_fmu import library, toy_fmu
@@ -37,10 +36,8 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 def events_fmu(path: Path, *, has_events: bool) -> Path:
     text = DESCRIPTION.format(events='hasEventMode="true"' if has_events else "")
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.writestr(f"binaries/{fmpy.platform_tuple}/events.so", library(SOURCE))
-    return path
+    binary = f"binaries/{fmpy.platform_tuple}/events.so"
+    return pack(path, {"modelDescription.xml": text, binary: library(SOURCE)})
 
 
 def run(folder: Path, text: str, *arguments: str, step: float = STEP, code: int = 0) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fmu_support import needs_compiler
+from fmu_support import needs_compiler, pack
 from panda_cosim import load_scenario
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
@@ -49,16 +48,14 @@ def start_fmu(path: Path, fmi: int, experiment: str = "", g: float = 1.0) -> Pat
         )
     token = "guid" if fmi == 2 else "instantiationToken"
     platform = fmpy.platform if fmi == 2 else fmpy.platform_tuple
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(
-            "modelDescription.xml",
-            f'<fmiModelDescription fmiVersion="{fmi}.0" modelName="start" {token}="start">'
-            f'<CoSimulation modelIdentifier="start"/>{experiment}'
-            f"<ModelVariables>{''.join(scalars)}</ModelVariables><ModelStructure/>"
-            "</fmiModelDescription>",
-        )
-        archive.writestr(f"binaries/{platform}/start.so", library(SOURCE))
-    return path
+    text = (
+        f'<fmiModelDescription fmiVersion="{fmi}.0" modelName="start" {token}="start">'
+        f'<CoSimulation modelIdentifier="start"/>{experiment}'
+        f"<ModelVariables>{''.join(scalars)}</ModelVariables><ModelStructure/>"
+        "</fmiModelDescription>"
+    )
+    binary = f"binaries/{platform}/start.so"
+    return pack(path, {"modelDescription.xml": text, binary: library(SOURCE)})
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from bounded import ran
+from fault_support import write_scenario
 from fmu_support import copy_libraries
 from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.fmus.build.libraries import BACKENDS
@@ -22,20 +23,11 @@ from panda_cosim.fmus.build.libraries import BACKENDS
 ROOT = Path(__file__).parents[1]
 SOURCES = ("assets", "plant", "controller", "fmus", "scenarios", "src")
 FILES = (".ci/build_backend.py", "pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "NOTICE")
-SETTINGS = "duration = 0.05\n"
-TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | environment
     return ran(list(map(str, command)), cwd=cwd, env=environment, code=None)
-
-
-def write_scenario(folder: Path) -> Path:
-    folder.mkdir(parents=True)
-    (folder / "scenario.toml").write_text(SETTINGS)
-    (folder / "trajectory.csv").write_text(TABLE)
-    return folder
 
 
 # --- Beside modules of the user's own, which have the names of our folders ---------------------
@@ -66,7 +58,7 @@ def own(tmp_path_factory):
     for name, text in OWN.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
-    write_scenario(folder / "short")
+    write_scenario(folder / "short", 0.05)
     return folder
 
 
@@ -196,8 +188,8 @@ LINES = [
 def run_commands(installed: Path, commands: list[str], cache: Path | None) -> None:
     """Run commands one after the other in an empty folder, each of which has to succeed."""
     work = installed / f"work{len(commands)}"
-    write_scenario(work / "short")
-    write_scenario(work / "suite" / "short")
+    write_scenario(work / "short", 0.05)
+    write_scenario(work / "suite" / "short", 0.05)
     environment = {} if cache is None else {"PANDA_COSIM_CACHE": str(cache)}
     for line in commands:
         program = installed / "venv" / "bin" / "panda-cosim"

@@ -159,20 +159,6 @@ def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.long
-def test_eight_first_starts_at_once(tmp_path):
-    scenario = write_scenario(tmp_path / "scenario", 0.02)
-    env = os.environ | {"PANDA_COSIM_CACHE": str(tmp_path / "cache")}
-    started = [
-        subprocess.Popen([*COMMAND, "run", scenario, "--out", tmp_path / f"{n}", *QUIET], env=env)
-        for n in range(8)
-    ]
-    assert [process.wait(300) for process in started] == [0] * 8
-    kept = {(tmp_path / f"{n}" / "recording.parquet").read_bytes() for n in range(8)}
-    assert len(kept) == 1
-    assert not list((tmp_path / "cache").rglob(".panda-cosim-*"))
-
-
 # The doctor: it finds what is missing, and says how to get it.
 
 

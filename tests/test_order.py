@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 
 from fmu_support import compiler
 from forked import command
+from odd_fmu import odd_ssp
 from panda_cosim import InputError, Recording, load_scenario
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
@@ -173,47 +173,20 @@ def test_it_is_shown(folder, tmp_path):
 
 
 ENDS = [("a", "b"), ("b", "c"), ("c", "a")]
-COMPONENT = (
-    '<ssd:Component name="{0}" source="resources/{0}.fmu"><ssd:Connectors>{1}</ssd:Connectors>'
-    "</ssd:Component>"
-)
-CONNECTORS = ['<ssd:Connector name="y[1,1]" kind="output"/>',
-              '<ssd:Connector name="y[2,1]" kind="output"/>',
-              '<ssd:Connector name="u[1,2]" kind="input"/>']  # fmt: skip
-
-
-def ssp(folder: Path, path: Path, names: Sequence[str], ends: Sequence[tuple[str, str]],
-        connectors: Sequence[str]) -> Path:  # fmt: skip
-    elements = "".join(COMPONENT.format(name, "".join(connectors)) for name in names)
-    lines = "".join(
-        f'<ssd:Connection startElement="{a}" startConnector="y[1,1]" endElement="{b}" '
-        'endConnector="u[1,2]"/>'
-        for a, b in ends
-    )
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(
-            "SystemStructure.ssd",
-            '<ssd:SystemStructureDescription version="1.0" name="x" '
-            'xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription">'
-            f'<ssd:System name="x"><ssd:Elements>{elements}</ssd:Elements>'
-            f"<ssd:Connections>{lines}</ssd:Connections></ssd:System>"
-            '<ssd:DefaultExperiment stopTime="0.02"/></ssd:SystemStructureDescription>',
-        )
-        for name in names:
-            archive.writestr(f"resources/{name}.fmu", (folder / f"{name}.fmu").read_bytes())
-    return path
 
 
 @pytest.mark.own_process
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_all_permutations_of_elements_give_the_same_bits(folder, tmp_path, coupling):
     found = set()
-    for i, (names, ends, rows_of) in enumerate(
-        zip(permutations("abc"), permutations(ENDS), permutations(CONNECTORS), strict=True)
-    ):
+    for i, (names, ends) in enumerate(zip(permutations("abc"), permutations(ENDS), strict=True)):
         made = tmp_path / str(i)
         made.mkdir()
-        ssp(folder, made / "x.ssp", names, ends, rows_of)
+        fmus = {name: folder / f"{name}.fmu" for name in names}
+        outputs = dict.fromkeys(names, ["y[1,1]", "y[2,1]"][:: (-1) ** i])
+        connections = [(a, "y[1,1]", b, "u[1,2]") for a, b in ends]
+        experiment = '<ssd:DefaultExperiment stopTime="0.02"/>'
+        odd_ssp(made / "x.ssp", fmus, outputs, None, experiment, connections=connections)
         found.add(rows(made, f'system = "x.ssp"\nduration = 0.02\ncoupling = "{coupling}"\n'))
     assert len(found) == 1
 

@@ -13,10 +13,10 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from bounded import ran
+from fault_support import write_files
 from forked import command
 from panda_cosim.fmus.atomic import TEMPORARY
 
-TABLE = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.15,home,0.0,0.005,0.0,0.06\n"
 HAND = '[[success.signal]]\nsignal = "plant.hand_xpos[3]"\nreduce = "min"\n'
 FAILING = "duration = 0.2\n[success]\ntracking_rms = 1e-9\n"
 EXPECTED = 'expect = "failure"\nexpect_reason = "no arm tracks to a nanometre"\n' + FAILING
@@ -34,9 +34,7 @@ SCENARIOS = {
 def mine(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mine")
     for name, settings in SCENARIOS.items():
-        (folder / name).mkdir()
-        (folder / name / "scenario.toml").write_text(settings)
-        (folder / name / "trajectory.csv").write_text(TABLE)
+        write_files(folder / name, settings, "0,home,0,0,0,0.08", "0.15,home,0,0.005,0,0.06")
     return folder
 
 

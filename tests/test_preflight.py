@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fake_recording import FakeRecording
+from fault_support import write_files
 from forked import command
 from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.assets.franka import HOME_Q
@@ -523,10 +524,8 @@ def test_refusals_are_a_criterion(fast):
 
 def test_what_retime_writes_for_a_robot_is_accepted_by_it(tmp_path):
     fast, new, fr3 = tmp_path / "fast", tmp_path / "new", ("--robot", "fr3")
-    fast.mkdir()
-    (fast / "scenario.toml").write_text("duration = 1.5\n")
-    table = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.6,home,0.1,0.2,-0.1,0.08\n"
-    (fast / "trajectory.csv").write_text(table)
+    rows = ("0,home,0,0,0,0.08", "0.6,home,0.1,0.2,-0.1,0.08")
+    write_files(fast, "duration = 1.5\n", *rows)
     assert command("check", fast, *fr3).returncode == 3
     command("retime", fast, "--keep-times", *fr3, "--out", new, code=0)
     assert load_scenario(new).robot == "fr3"

@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from fault_support import write_files
 from forked import command as cli
 from forked import script
 from panda_cosim import shipped_scenarios
@@ -26,16 +27,8 @@ pytestmark = pytest.mark.usefixtures("forked_workers")
 
 LARGEST = 500_000  # bytes of a reference; noise compresses badly
 
-SETTINGS = """
-purpose = "Moves a little"
-duration = 0.2
-[success]
-tracking_max = 0.005
-"""
-TABLE = """time,frame,x,y,z,grip
-0.0,home,0.0,0.0,0.0,0.08
-0.15,home,0.0,0.005,0.0,0.06
-"""
+SETTINGS = "duration = 0.2\n[success]\ntracking_max = 0.005\n"
+
 
 DIES = """
 import os, signal
@@ -78,11 +71,9 @@ def mine(tmp_path):
     return write_short(tmp_path / "mine" / "short").parent
 
 
-def write_short(folder: Path) -> Path:
-    folder.mkdir(parents=True)
-    (folder / "scenario.toml").write_text(SETTINGS)
-    (folder / "trajectory.csv").write_text(TABLE)
-    return folder
+def write_short(folder: Path, y: float = 0.005) -> Path:
+    """Write a scenario in which the hand moves a little."""
+    return write_files(folder, SETTINGS, "0,home,0,0,0,0.08", f"0.15,home,0,{y},0,0.06")
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +143,7 @@ def test_references_are_overwritten_only_if_asked_for(approved, tmp_path):
     folder = shutil.copytree(approved, tmp_path / "renamed")
     arguments = ("regress", "--scenarios", folder, "--update")
     assert "renamed: is unchanged" in cli(*arguments).stdout
-    (folder / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
+    write_short(folder, 0.006)
     before = (folder / REFERENCE_FILE).read_bytes()
     refused = script(CLOSED_INPUT, *map(str, arguments))
     assert refused.returncode == InputError.exit_code
@@ -163,7 +154,7 @@ def test_references_are_overwritten_only_if_asked_for(approved, tmp_path):
 
 def test_a_page_shows_the_differences_before_a_reference_is_overwritten(approved, tmp_path):
     folder = shutil.copytree(approved, tmp_path / "renamed")
-    (folder / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
+    write_short(folder, 0.006)
     before = (folder / REFERENCE_FILE).read_bytes()
     for answer, code in (("n", 1), ("y", 0)):
         keyboard, terminal = pty.openpty()
@@ -258,8 +249,7 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str
 def test_pytest_collects_a_folder_of_scenarios(approved, tmp_path):
     for name in ("same", "other"):
         shutil.copytree(approved, tmp_path / "mine" / name)
-    table = tmp_path / "mine" / "other" / "trajectory.csv"
-    table.write_text(TABLE.replace("0.005", "0.006"))
+    write_short(tmp_path / "mine" / "other", 0.006)
     tests = run_pytest(tmp_path, "-v", "--panda-jobs", "1", "--panda-scenarios", "mine", "mine")
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "1 failed, 1 passed" in tests.stdout

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest, norm
 
+from fault_support import write_files
 from panda_cosim import InputError, load_scenario
 from panda_cosim.study.sweep.definition import (
     Sweep,
@@ -21,7 +22,7 @@ from panda_cosim.study.sweep.definition import (
 from panda_cosim.study.sweep.design import keys_without_effect, make_design
 from panda_cosim.study.sweep.engine import check_sweep
 from panda_cosim.study.sweep.packed import load_scenarios
-from sweep_support import TABLE, short_scenario
+from sweep_support import short_scenario
 
 MASS = "plant.block_mass"
 UNIFORM = {MASS: {"uniform": [0.05, 0.5]}}
@@ -242,9 +243,7 @@ def test_a_vary_of_another_form_is_refused(text):
 
 
 def test_a_success_rate_without_criteria_is_refused(tmp_path):
-    (tmp_path / "bare").mkdir()
-    for file, text in (("scenario.toml", "duration = 0.1\n"), ("trajectory.csv", TABLE)):
-        (tmp_path / "bare" / file).write_text(text, encoding="utf-8")
+    write_files(tmp_path / "bare", "duration = 0.1\n")
     with pytest.raises(InputError, match="bare has no criteria, so it would always be met"):
         check_sweep(made(scenario=(str(tmp_path / "bare"),), min_success=0.9))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import dask_jobs
+from fault_support import write_files
 from fmu_support import in_process
 from forked import command
 from panda_cosim.fmus.errors import InputError
@@ -16,7 +17,7 @@ from panda_cosim.study.sweep import backend
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.report import promote_row, show_row
-from sweep_support import TABLE, rows_of, short_sweep
+from sweep_support import rows_of, short_sweep
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
 LAW = """\
@@ -44,11 +45,8 @@ below = -1.0
 
 def law_sweep(folder: Path, key: str, values: list[float]) -> Sweep:
     """Return a sweep of a scenario with a law of its own."""
-    folder.mkdir()
-    for name, text in {
-        "scenario.toml": SETTINGS, "trajectory.csv": TABLE, "hold.py": LAW,
-    }.items():  # fmt: skip
-        (folder / name).write_text(text, encoding="utf-8")
+    write_files(folder, SETTINGS)
+    (folder / "hold.py").write_text(LAW)
     vary = {key: {"values": values}}
     return Sweep(scenario=(str(folder),), vary=vary, design="grid")  # type: ignore[arg-type]
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from fault_support import write_files
 from fmu_support import REFERENCE_FMUS, members, needs_reference_fmus, pack
 from forked import command as program
 from panda_cosim import Recording
@@ -9,16 +10,13 @@ from panda_cosim.task.writer import make_scenario
 from parts_jobs import write_arm
 
 TOML = 'duration = 0.05\nscene = "tutorial"\ngains = "tutorial"\ninterpolation = "linear"\n'
-TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.05,home,0,0,-0.01,0.08\n"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with a scenario, and with the files that `build` makes of it."""
     folder = tmp_path_factory.mktemp("system")
-    (folder / "short").mkdir()
-    (folder / "short" / "scenario.toml").write_text(TOML)
-    (folder / "short" / "trajectory.csv").write_text(TABLE)
+    write_files(folder / "short", TOML, "0,home,0,0,0,0.08", "0.05,home,0,0,-0.01,0.08")
     program("build", "--out", folder / "files", "--scenario", folder / "short", code=0)
     made = {path.name for path in (folder / "files").iterdir()}
     assert made == {"PandaPlant.fmu", "PandaController.fmu", "PandaTrajectory.fmu", "Panda.ssp"}

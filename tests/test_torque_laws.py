@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from control_support import started
+from fault_support import write_files
 from forked import command
 from panda_cosim.assets.franka import TORQUE_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
@@ -59,11 +60,7 @@ def laws(tmp_path):
     (tmp_path / "clipped.py").write_text(
         "import numpy as np\ndef clipped(torque): return np.clip(torque, -80, 80)\n"
     )
-    (tmp_path / "hold").mkdir()
-    (tmp_path / "hold" / "scenario.toml").write_text("duration = 0.2\n")
-    (tmp_path / "hold" / "trajectory.csv").write_text(
-        "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.2,home,0,0,0,0.08\n"
-    )
+    write_files(tmp_path / "hold", "duration = 0.2\n")
     return tmp_path
 
 
@@ -278,11 +275,7 @@ def test_mismatch_needs_a_plant_that_extends_ours(tmp_path):
         "<mujoco><worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>"
         "<actuator><motor joint='j'/></actuator></mujoco>"
     )
-    (tmp_path / "scenario.toml").write_text(
-        'duration = 0.1\n[fmus]\nplant = "arm.xml"\n[mismatch]\npreset = "calibrated"\n'
-    )
-    (tmp_path / "trajectory.csv").write_text(
-        "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0,0\n"
-    )
+    model = '[fmus]\nplant = "arm.xml"\n[mismatch]\npreset = "calibrated"\n'
+    write_files(tmp_path, f"duration = 0.1\n{model}")
     done = command("check", tmp_path, code=2)
     assert "mismatch: only valid with the project's plant, or one that extends it" in done.stdout

@@ -185,25 +185,6 @@ def test_alignment_leaves_world_and_home_rows_alone(yaw):
     assert np.allclose(aligned.positions[1], expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("time", "position", "grip"),
-    [
-        (0.0, HOME, 0.08),
-        (1.0, (0.365, -0.2, 0.25), 0.08),
-        (1.499, (0.365, -0.2, 0.1502), 0.08),
-        (1.5, (0.365, -0.2, 0.15), 0.0),
-        (3.75, (0.554499478, 0.0, 0.524502429), 0.0),
-        (5.0, (0.6, 0.35, 0.38), 0.08),
-        (6.5, HOME, 0.08),
-    ],
-)
-def test_the_tutorial_goes_where_the_published_one_goes(time, position, grip):
-    commands = load_scenario("tutorial").trajectory(START).sample([time])[0]
-    assert np.allclose(commands[POSITION], position, rtol=0, atol=1e-12)
-    assert np.allclose(commands[QUATERNION], DOWN, rtol=0, atol=1e-12)
-    assert commands[GRIP] == grip
-
-
 def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path):
     from fmpy.util import read_csv  # noqa: PLC0415  # heavy
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from forked import command
-from panda_cosim import InputError, Recording, Scenario, Session, load_scenario, run_scenario
+from panda_cosim import InputError, Recording, Scenario, Session, run_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.fmus.interface.controller import COMMANDS, POSTURE_COMMANDS
@@ -197,9 +197,3 @@ def test_rows_that_cannot_end_early_are_refused():
     table = TrajectoryTable((first, *good.table.rows[1:]))
     with pytest.raises(InputError, match="row 1, column until: the hand must move"):
         prepare(replace(good, table=table))
-
-
-def test_the_guarded_scenario_is_the_calibrated_one_with_a_guarded_descent():
-    plain, guarded = load_scenario("calibrated"), load_scenario("calibrated_guarded")
-    assert (plain.mismatch, plain.success) == (guarded.mismatch, guarded.success)
-    assert plain.controller == guarded.controller

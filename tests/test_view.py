@@ -31,7 +31,6 @@ from panda_cosim.result.recording import Recording
 from panda_cosim.show.view import columns, run
 from panda_cosim.show.view.columns import Thinning, encode
 from panda_cosim.show.view.model import describe as describe_model
-from panda_cosim.show.view.page import Inline
 from panda_cosim.show.view.run import Shown, describe
 from panda_cosim.task.scenario import shipped_scenarios
 from view_support import MODEL, decoded, run_scenario_outside
@@ -180,13 +179,6 @@ def test_criteria_and_limits_say_what_they_mean():
     assert [row["words"] for row in rows] == [DEFINITIONS["success.max_slip"].text, ""]
     (limit,) = run.limits_of(Summary(limits={"torque_share": [0.5]}))
     assert limit["words"] == DEFINITIONS["limits.torque_share"].text
-
-
-def test_a_notebook_gets_a_frame_with_the_page():
-    inline = Inline("<p title=\"a 'b'\">&amp;</p>", 500)
-    html = inline._repr_html_()
-    assert html.count("<") == 2
-    assert 'srcdoc="&lt;p title=&quot;a &#x27;b&#x27;&quot;&gt;&amp;amp;&lt;/p&gt;"' in html
 
 
 def test_columns_of_different_units_are_not_in_one_plot():

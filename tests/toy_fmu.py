@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import zipfile
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -14,7 +13,7 @@ import fmpy
 import fmpy.fmi2
 import fmpy.fmi3
 
-from fmu_support import compiler
+from fmu_support import compiler, pack
 
 SOURCE = Path(__file__).parent / "c_fmu" / "toy.c"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
@@ -42,11 +41,10 @@ def library(source: Path = SOURCE) -> bytes:
 def toy_fmu(path: Path, fmi: int, more: str = "") -> Path:
     """Write the FMU, in FMI 3.0 with more variables if any; returns the path."""
     platform = fmpy.platform if fmi == 2 else fmpy.platform_tuple
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", _fmi2() if fmi == 2 else _fmi3(more))
-        archive.writestr(f"binaries/{platform}/toy.so", library())
-        archive.writestr("resources/empty.txt", "")
-    return path
+    text = _fmi2() if fmi == 2 else _fmi3(more)
+    binary = f"binaries/{platform}/toy.so"
+    content = {"modelDescription.xml": text, binary: library(), "resources/empty.txt": ""}
+    return pack(path, content)
 
 
 def _fmi2() -> str:
