@@ -83,6 +83,21 @@ def replacing(path: str | Path) -> Iterator[Path]:
             raise _refused(path, error) from error
 
 
+def write_whole(path: str | Path, content: str | bytes) -> None:
+    """Write a file, whole or not at all; text in UTF-8."""
+    with replacing(path) as partial:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def writing(place: Path) -> Iterator[None]:
+    """Refuse a place that cannot be written to, with the reason of the operating system."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written to: {error.strerror or error}") from error
+
+
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
     """Make a folder that is removed at the end, and held until then."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from fault_support import write_files
 from panda_cosim.study.sweep.definition import Sweep
-from panda_cosim.study.sweep.design import Design, make_design
+from panda_cosim.study.sweep.design import Design
 from panda_cosim.study.sweep.packed import load_scenarios
 from panda_cosim.study.sweep.row import Job, command
 from panda_cosim.study.sweep.store import Store, schema
@@ -80,7 +80,7 @@ def pretended(folder: Path, sweep: Sweep, outcome: Outcome, rows: Sequence[int] 
             twice that if it is not the second scenario.
         rows: Those that are there; none: all.
     """
-    design = make_design(sweep)
+    design = Design(sweep)
     definition = {name: getattr(sweep, name) for name in ("design", "seed", "samples", "criterion",
                                                           "goal")}  # fmt: skip
     criteria = ["margin", "margin.tracking_max", "margin.max_slip"]

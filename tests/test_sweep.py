@@ -19,7 +19,7 @@ from panda_cosim.study.sweep.definition import (
     shipped_sweeps,
     sweep_of,
 )
-from panda_cosim.study.sweep.design import keys_without_effect, make_design
+from panda_cosim.study.sweep.design import Design, keys_without_effect
 from panda_cosim.study.sweep.engine import check_sweep
 from panda_cosim.study.sweep.packed import load_scenarios
 from sweep_support import short_scenario
@@ -119,7 +119,7 @@ def test_keys_and_ends_are_checked_before_anything_runs(key, low, message):
 def test_what_is_wrong_in_a_list_is_told_with_its_line(text, message, tmp_path):
     (tmp_path / "list.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
-        make_design(Sweep(scenario=("push",), design="list", file=tmp_path / "list.csv"))  # type: ignore[arg-type]
+        Design(Sweep(scenario=("push",), design="list", file=tmp_path / "list.csv"))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("design", ["random", "latin-hypercube", "sobol"])
@@ -133,7 +133,7 @@ def test_what_is_wrong_in_a_list_is_told_with_its_line(text, message, tmp_path):
 )
 def test_samples_have_their_distribution(design, given, cumulative):
     sweep = made(vary={"x": given, "y": {"uniform": [0, 1]}}, design=design, samples=512, seed=5)
-    drawn = np.asarray(make_design(sweep).columns["x"])
+    drawn = np.asarray(Design(sweep).columns["x"])
     assert kstest(cumulative(drawn), "uniform").pvalue > 0.01
 
 
@@ -148,7 +148,7 @@ def test_a_normal_distribution_is_cut_off_at_its_limits():
 
 def test_a_grid_has_each_combination_once():
     sweep = sweep_of("push", ["plant.block_mass=0.05:2:4", "controller.kp=6,8", "align=true,false"])
-    design = make_design(sweep)
+    design = Design(sweep)
     rows = {tuple(design.values(i).items()) for i in range(len(design))}
     assert len(rows) == len(design) == 16
     assert design.values(0) == {MASS: 0.05, "controller.kp": 6.0, "align": True}
@@ -159,7 +159,7 @@ def test_a_list_is_read_from_csv_beside_the_definition(tmp_path):
     (tmp_path / "rows.csv").write_text("plant.block_mass,scene\n0.1,tabletop\n0.2,tutorial\n")
     path = tmp_path / "sweep.toml"
     path.write_text('scenario = "push"\ndesign = "list"\nfile = "rows.csv"\n')
-    design = make_design(load_sweep(path))
+    design = Design(load_sweep(path))
     assert [design.values(i) for i in range(2)] == [
         {MASS: 0.1, "scene": "tabletop"},
         {MASS: 0.2, "scene": "tutorial"},
@@ -168,7 +168,7 @@ def test_a_list_is_read_from_csv_beside_the_definition(tmp_path):
 
 @pytest.mark.parametrize("design", ["random", "sobol"])
 def test_more_samples_leave_the_first_as_they_are(design):
-    few, many = (make_design(made(design=design, samples=n, seed=9)) for n in (8, 32))
+    few, many = (Design(made(design=design, samples=n, seed=9)) for n in (8, 32))
     assert [few.values(i) for i in range(8)] == [many.values(i) for i in range(8)]
 
 
@@ -214,7 +214,7 @@ def test_the_order_of_keys_in_the_file_means_nothing(keys):
     def designed(order: list[str], **more: Any) -> list[dict[str, Any]]:
         values = {"align": {"values": [True, False]}}
         vary = {key: values.get(key, {"uniform": [0.0, 1.0]}) for key in order}
-        design = make_design(made(vary=vary, **more))
+        design = Design(made(vary=vary, **more))
         return [design.values(row) for row in range(len(design))]
 
     for more in ({}, {"design": "random"}, {"design": "grid", "samples": 0}):

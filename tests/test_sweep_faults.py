@@ -14,9 +14,9 @@ from fmu_support import in_process
 from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.study.sweep import backend
+from panda_cosim.study.sweep.again import promote_row, show_row
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.engine import sweep
-from panda_cosim.study.sweep.report import promote_row, show_row
 from sweep_support import rows_of, short_sweep
 
 pytestmark = pytest.mark.usefixtures("forked_workers")

@@ -12,10 +12,10 @@ import pytest
 from forked import command
 from panda_cosim import InputError, load_scenario
 from panda_cosim.result.recording import Recording
+from panda_cosim.study.sweep.again import promote_row, scenario_of
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.packed import Loaded, identity, pack
-from panda_cosim.study.sweep.report import promote_row, scenario_of
 from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep
 
@@ -97,7 +97,7 @@ def test_a_key_without_effect_is_told_on_the_command_line(tmp_path):
     told = "vary: mismatch.seed changes no start value, no input and no criterion"
     assert done.stderr.count(told) == 1
     assert "plant.block_mass changes" not in done.stderr
-    assert Store(tmp_path / "out").content["without_effect"] == ["mismatch.seed"]
+    assert Store(tmp_path / "out").content.without_effect == ["mismatch.seed"]
 
 
 def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path):

@@ -24,11 +24,12 @@ from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.result.recording import Recording
+from panda_cosim.study.sweep.again import promote_row, show_row
 from panda_cosim.study.sweep.backend import Local
 from panda_cosim.study.sweep.definition import load_sweep
-from panda_cosim.study.sweep.design import make_design
+from panda_cosim.study.sweep.design import Design
 from panda_cosim.study.sweep.engine import sweep
-from panda_cosim.study.sweep.report import promote_row, show_row, write_report
+from panda_cosim.study.sweep.report import write_report
 from panda_cosim.study.sweep.row import Task
 from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
@@ -109,7 +110,7 @@ def test_the_command_repeats_a_row_bit_for_bit(whole, tmp_path):
 
 def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus):
     definition = replace(load_sweep("random_box"), design="random", samples=2, seed=11)
-    design = make_design(definition)
+    design = Design(definition)
     tasks = [Task(i, 0, design.values(i)) for i in range(2)]
     both = [*tasks, *(replace(task, keep=True) for task in tasks)]
     rows: dict[bool, dict[int, dict[str, object]]] = {False: {}, True: {}}

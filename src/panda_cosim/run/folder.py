@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
+from ..fmus.atomic import writing
 from ..fmus.errors import InputError
 from ..task.files import MODEL_FILE, safe_name
 from ..task.scenario import Scenario
@@ -44,19 +45,15 @@ def default_folder(name: str) -> Path:
     stem = f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}"
     for count in itertools.count(1):
         folder = RUNS / (stem if count == 1 else f"{stem}-{count}")
-        try:
+        with writing(folder), suppress(FileExistsError):
             folder.mkdir(parents=True)
             return folder
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
     raise AssertionError("unreachable")
 
 
 def refuse_existing(folder: Path) -> None:
     """Refuse a folder that is not empty (nothing is overwritten) or cannot be made."""
-    try:
+    with writing(folder):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: already exists; must be a new or an empty folder")
         there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
@@ -64,8 +61,6 @@ def refuse_existing(folder: Path) -> None:
             raise InputError(f"{folder}: cannot be written to: {there} is not a folder")
         if not os.access(there, os.W_OK):
             raise InputError(f"{folder}: cannot be written to: no write permission for {there}")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
 
 
 # The scenario, with the files of its own FMUs.

@@ -29,6 +29,7 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
+from ..fmus.atomic import writing
 from ..fmus.errors import InputError, excerpt
 from ..fmus.interface.parameters import ParameterValue, expand
 from ..fmus.interface.variables import Scalar, Value
@@ -121,11 +122,8 @@ def append_action(path: Path, action: Action) -> None:
 
 
 def _write(path: Path, mode: str, content: Mapping[str, Any]) -> None:
-    try:
-        with path.open(mode, encoding="utf-8") as file:
-            file.write(json.dumps(content) + "\n")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written to: {error.strerror}") from error
+    with writing(path), path.open(mode, encoding="utf-8") as file:
+        file.write(json.dumps(content) + "\n")
 
 
 @dataclass(frozen=True)

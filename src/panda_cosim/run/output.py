@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from ..fmus.atomic import replacing
+from ..fmus.atomic import write_whole
 from ..fmus.build.libraries import package_version
 from ..fmus.errors import InputError
 from ..fmus.master.system import OpenSystem
@@ -77,8 +77,7 @@ class Output:
         summary = summarize(recording, self._prepared.scenario, statistics, end)
         if self._writes:
             text = json.dumps(summary.to_dict(), indent=2, allow_nan=False)
-            with replacing(self._place / SUMMARY_FILE) as path:
-                path.write_text(text + "\n", encoding="utf-8")
+            write_whole(self._place / SUMMARY_FILE, text + "\n")
         return summary
 
 

@@ -36,7 +36,6 @@ COMMANDS = {
 
 # Commands in a module of another name: MODULE:FUNCTION.
 ELSEWHERE = {
-    "compare": "render:compare_runs",
     "inputs": "new:inputs",
     "route": "retime:route",
     "view": "render:view",

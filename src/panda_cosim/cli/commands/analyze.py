@@ -12,7 +12,7 @@ from threading import Thread
 import numpy as np
 from pydantic_core import to_json
 
-from ...fmus.atomic import MARK, check_replaceable, replacing
+from ...fmus.atomic import MARK, check_replaceable, replacing, write_whole
 from ...fmus.master.step import SWITCHED
 from ...study.analysis.margins import Analysis, Margins, analyze
 from ...study.analysis.plot import plot_analysis
@@ -97,8 +97,7 @@ def command(  # noqa: PLR0913 - one for each option
         "remarks": first.remarks, "variants": variants, "model": model,
     }  # fmt: skip
     text = to_json(content, inf_nan_mode="null").decode()
-    with replacing(files[0]) as path:
-        path.write_text(marked_json(text), encoding="utf-8")
+    write_whole(files[0], marked_json(text))
     with replacing(files[1]) as path:
         plot_analysis(first, variants, path, MARK)
     with replacing(files[2]) as path:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from ...fmus.atomic import check_replaceable, replacing
+from ...fmus.atomic import check_replaceable, write_whole
 from ...fmus.sources.targets import Kind
 from ...study.benchmark import LABELS, RATIOS, BenchResult, bench
 from ...task.files import marked_json
@@ -37,8 +37,7 @@ def command(
     for item in tables(result):
         show(item)
     if json is not None:
-        with replacing(json) as path:
-            path.write_text(marked_json(result.to_json()), encoding="utf-8")
+        write_whole(json, marked_json(result.to_json()))
         show(str(json))
 
 

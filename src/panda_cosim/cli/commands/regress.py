@@ -10,7 +10,7 @@ from pathlib import Path
 
 import typer
 
-from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder
+from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder, writing
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
@@ -139,12 +139,17 @@ def command(  # noqa: PLR0913 - one for each option
         check_kept_runs(report / "runs", (each.name for each in (*suite.scenarios, *swept)))
     announce_python(kind)
     with ExitStack() as stack:
-        place = _folder_of_runs(report, stack)
+        parent = report or cache_folder()  # on the same disk, so that runs can be moved
+        with writing(parent):
+            place = stack.enter_context(temporary_folder(parent))
         outcomes = [*_run(suite, place), *(_sweep(each, place, suite.jobs) for each in swept)]
         rows = engine_rows(given, len(engines), outcomes) if engines else []
         outcomes = [*chain.from_iterable(rows)] or outcomes
         if report is not None:
-            _write_reports(outcomes, report, values, quiet=json)
+            write_report(outcomes, report / REPORT_FILE, values)
+            write_junit(outcomes, report / JUNIT_FILE)
+            if not json:
+                show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
             wrong = [outcome.run for outcome in outcomes if not outcome.ok]
             stack.callback(replace_kept_runs, report / "runs", wrong)  # once references are made
         if update:
@@ -155,23 +160,6 @@ def command(  # noqa: PLR0913 - one for each option
         _show_result(outcomes)
         _show_engines(engines, rows)
     raise typer.Exit(exit_code(outcomes))
-
-
-def _folder_of_runs(report: Path | None, stack: ExitStack) -> Path:
-    """Return a folder for the runs, beside the report's, so that they can be moved there."""
-    parent = report or cache_folder()
-    try:
-        return stack.enter_context(temporary_folder(parent))
-    except OSError as error:
-        raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
-
-
-def _write_reports(outcomes: list[Outcome], report: Path, values: Values, *, quiet: bool) -> None:
-    """Write the page and the JUnit file, and name them unless `quiet`."""
-    write_report(outcomes, report / REPORT_FILE, values)
-    write_junit(outcomes, report / JUNIT_FILE)
-    if not quiet:
-        show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
 
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
@@ -212,7 +200,7 @@ def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
 
 
 def _line(outcome: Outcome) -> str:
-    worst = outcome.comparison.worst if outcome.comparison else None
+    worst = outcome.worst
     share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
     if outcome.comparison is not None:
         share += f", {outcome.comparison.count}"
@@ -237,8 +225,8 @@ def _show_result(outcomes: list[Outcome]) -> None:
             for o in wrong
         ]
         show(table(("Scenario", "Verdict", "Why*"), rows))
-    runs = [outcome for outcome in outcomes if not isinstance(outcome.scenario, SuiteSweep)]
-    judged = [outcome.name for outcome in runs if outcome.verdict in ("holds", "missed")]
+    alone = [outcome for outcome in outcomes if outcome.verdict in ("holds", "missed")]
+    judged = [each.name for each in alone if isinstance(each.scenario, Scenario)]
     show(headline(outcomes), "bold red" if wrong else "bold green")
     pairs = [outcome.comparison.engines for outcome in outcomes if outcome.comparison]
     if pairs:

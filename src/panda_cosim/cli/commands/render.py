@@ -1,11 +1,11 @@
-"""`panda-cosim render`, `plot`, `view`, `compare` and `export`."""
+"""`panda-cosim render`, `plot`, `view` and `export`."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-from ...fmus.atomic import check_replaceable, replacing
+from ...fmus.atomic import check_replaceable
 from ...fmus.errors import InputError
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
@@ -16,12 +16,10 @@ from ...show.pictures.sheet import contact_sheet
 from ...show.pictures.video import check_video
 from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...show.view.run import Shown
-from ...study.compare.between_runs import RunComparison, compare
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
-from ...study.compare.wording import signal_names
-from ..console import as_cell, show, show_file, show_json, table, tell
-from ..options import CSV_FILE, JSON, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, argument, option
+from ..console import show, show_file, tell
+from ..options import CSV_FILE, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, option
 from ..outcome import PLOTTING, TILING, draw_video
 
 
@@ -132,67 +130,6 @@ def _other(first: Shown, against: str) -> Shown:
         return shown_reference(reference)
     name = path.resolve().name
     return shown_run(path, name=against if name == first.name else name)
-
-
-SHOWN = 8  # rows of a table
-PAGE = "compare.html"
-
-
-def compare_runs(
-    runs: list[Path] = argument(
-        "RUN RUN [RUN]...", "Folders of runs; the others are compared with the first."
-    ),
-    out: Path | None = option("--out -o DIR", f"Write {PAGE} there, with all details."),
-    json: bool = JSON,
-    overwrite: bool = OVERWRITE,
-) -> None:
-    """Compare runs: parameters, verdicts, metrics and signals.
-
-    Shows how the parameters, verdicts and signals of each run differ from the first run's. Signals
-    are ranked by the largest deviation as a multiple of the default tolerance of `regress`; it is
-    also shown as a share of the element's range. The page overlays the curves of all runs. Runs of
-    different lengths are compared where they overlap, and are never identical. Exit code 2: the
-    runs have nothing in common.
-
-    ```
-    panda-cosim run push --out runs/a
-    panda-cosim run push --set controller.kp=6 --out runs/b
-    panda-cosim compare runs/a runs/b --out report
-    ```
-    """
-    if len(runs) < 2:
-        raise InputError("RUN: only one; must be at least two runs")
-    comparison = compare(runs[0], *runs[1:])
-    if out is not None:
-        check_replaceable(out / PAGE, overwrite=overwrite)
-        with replacing(out / PAGE) as temporary:
-            temporary.write_text(comparison.to_html(), encoding="utf-8")
-    if json:
-        show_json(comparison.to_dict())
-        return
-    _show(comparison)
-    if out is not None:
-        show(str(out / PAGE))
-
-
-def _show(comparison: RunComparison) -> None:
-    equal = comparison.identical and not comparison.unmet
-    show(comparison.verdict, "bold green" if equal else "bold")
-    _show_names("Only some runs have", comparison.missing)
-    _show_names("Not compared, as their units or types differ:", comparison.other_units)
-    for title, each in comparison.tables.items():
-        first, *others = each.head
-        most = len(each.rows) if title == "Success criteria" else SHOWN
-        rows = [[as_cell(str(cell)) for cell in cells] for cells in each.rows[:most]]
-        if rows:
-            show(table((f"{first}*", *others), rows, right=others))
-        if len(each.rows) > most:
-            show(f"and {len(each.rows) - most} more", "dim")
-
-
-def _show_names(what: str, columns: tuple[str, ...]) -> None:
-    if columns:
-        show(f"{what} {signal_names(columns, SHOWN)}")
 
 
 def export(run: Path = RUN, file: Path = CSV_FILE, overwrite: bool = OVERWRITE) -> None:

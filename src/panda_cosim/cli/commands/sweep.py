@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import Literal
+from typing import Any, Literal
 
 import typer
 
@@ -17,13 +17,15 @@ from ...result.judging.criterion import miss_text
 from ...result.judging.verdicts import FAILED, MISSED, SUCCESS
 from ...run.folder import default_folder
 from ...study.compare.reference import REFERENCE_FILE
+from ...study.sweep.again import promote_row, show_row
 from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...study.sweep.engine import SweepResult, check_sweep
 from ...study.sweep.engine import sweep as run_sweep
-from ...study.sweep.report import REPORT_FILE, promote_row, show_row, write_report
+from ...study.sweep.report import REPORT_FILE, write_report
 from ...study.sweep.results import missing, share_bounds
 from ...study.sweep.row import STATUSES, UNJUDGED
 from ...study.sweep.store import Store
+from ...task.fields import check_rules
 from ..console import progress, show, show_file, show_json, table, tell, warn
 from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
 from ..outcome import write_case
@@ -92,20 +94,20 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim sweep random_box --min-success 0.99 --confidence 0.95
     ```
     """
-    if dask is not None and jobs is not None and dask != "local":
-        raise InputError(
-            "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
-        )
     definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
     engines = {"mujoco": Distribution("values", values=tuple(mujoco.split(",")))} if mujoco else {}
-    definition = replace(definition, vary={**definition.vary, **engines})
-    if min_success is not None:
-        definition = replace(definition, min_success=min_success)
-    if confidence is not None:
-        definition = replace(definition, confidence=confidence)
+    asked = {"min_success": min_success, "confidence": confidence}
+    given: Any = {name: value for name, value in asked.items() if value is not None}
+    definition = replace(definition, vary={**definition.vary, **engines}, **given)
+    check_rules({
+        "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers": (
+            jobs is not None and dask not in (None, "local")
+        ),
+        "--junit: needs --min-success, without which there is no verdict": (
+            junit is not None and not definition.min_success
+        ),
+    })  # fmt: skip
     if junit is not None:
-        if not definition.min_success:
-            raise InputError("--junit: needs --min-success, without which there is no verdict")
         check_replaceable(junit)
     check_sweep(definition, out)  # before anything is built
     announce_build()

@@ -18,7 +18,7 @@ from pathlib import Path
 from string import Template
 from typing import Any, Final
 
-from ...fmus.atomic import cache_folder, cached, replacing
+from ...fmus.atomic import cache_folder, cached, write_whole
 from ...fmus.build.libraries import code_digest, digest
 from ...fmus.errors import InputError, legible, shown
 from ...plant.parameters import BLOCK, PlantParameters
@@ -160,8 +160,7 @@ VIEW_FILE: Final = "view.html"
 
 def write_view(runs: Sequence[Shown], path: Path) -> Path:
     """Write the page."""
-    with replacing(path) as temporary:
-        temporary.write_text(view_page(runs), encoding="utf-8")
+    write_whole(path, view_page(runs))
     return path
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -46,23 +46,19 @@ def verdict_problems(summary: Summary, reference: Reference) -> list[str]:
     return [f"is {now}, the reference is {before} ({summary.detail})"]
 
 
-def signal_problems(recording: Recording, reference: Reference) -> list[str]:
+def signal_problems(recording: Recording, reference: Reference) -> Iterator[str]:
     """Check that the signals and their units are those of the reference."""
     missing = _words(name for name in reference.units if name not in recording.types)
     added = _words(name for name in recording.types if name not in reference.units)
-    problems = []
     for signal, words in missing.items():
         near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
-        problems.append(f"signal {words} is missing{near.rstrip('?')}")
-    problems += [f"signal {words} is new" for words in added.values()]
+        yield f"signal {words} is missing{near.rstrip('?')}"
+    yield from (f"signal {words} is new" for words in added.values())
     units, types = (recording.units, reference.units), (recording.types, reference.kinds)
     for what, (now, before) in (("unit", units), ("type", types)):
-        problems += [
-            f"{name} has the {what} {word!r}, the reference {before[name]!r}"
-            for name, word in now.items()
-            if before.get(name, word) != word
-        ]
-    return problems
+        for name, word in now.items():
+            if before.get(name, word) != word:
+                yield f"{name} has the {what} {word!r}, the reference {before[name]!r}"
 
 
 def _words(columns: Iterable[str]) -> dict[str, str]:
@@ -76,17 +72,15 @@ def _words(columns: Iterable[str]) -> dict[str, str]:
     }
 
 
-def value_problems(recording: Recording) -> list[str]:
+def value_problems(recording: Recording) -> Iterator[str]:
     """Check that every value is finite, in all columns, compared or not."""
-    problems = []
     time = recording.time
     for name in recording.columns:
         values = recording[name]
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
-            at, more = time[bad[0]], f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
-            problems.append(f"{name} is {values[bad[0]]} at {instant(at)} s{more}")
-    return problems
+            more = f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
+            yield f"{name} is {values[bad[0]]} at {instant(time[bad[0]])} s{more}"
 
 
 def time_problems(time: Array, reference: Reference) -> list[str]:

@@ -8,20 +8,19 @@ Between its own, a run's Reals are interpolated; all else keeps its value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from ...fmus.errors import InputError
 from ...result.judging.criterion import Criterion, bound_text, margin_text, quantity
 from ...result.judging.summary import Summary
-from ...result.judging.verdict import Verdict
 from ...result.recording import Recording
 from ...run.result import Run
 from . import differences
-from .differences import Extent, Row, SignalRow
+from .differences import Extent, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
 from .wording import DASH, multiple, numbers, percent, precise
 
@@ -32,12 +31,12 @@ SIGNALS: Final = "Signals that differ, the most default tolerances first"
 DIGITS: Final = 9  # of instants [s], so that rounding of k * dt makes no second one
 
 
-@dataclass(frozen=True)
 class RunComparison:
-    """Runs against the first of them.
+    """Runs against the first of them; `compare` makes it.
 
     Attributes:
         names: Names of the runs.
+        recordings: Their recordings.
         extents: What each run recorded.
         verdicts: What each run came to.
         begin: First of the instants, those of all runs, at which they were compared [s].
@@ -50,23 +49,35 @@ class RunComparison:
         signals: Columns of all runs that differ, the most default tolerances apart first.
         missing: Columns that only some runs have.
         other_units: Columns that are of another unit, or text in some runs; they are not compared.
-        recordings: Recordings of the runs.
     """
 
-    names: tuple[str, ...]
-    extents: tuple[Extent, ...]
-    verdicts: tuple[Verdict, ...]
-    begin: float
-    end: float
-    rows: int
-    columns: int
-    parameters: tuple[Row, ...]
-    criteria: tuple[Row, ...]
-    metrics: tuple[Row, ...]
-    signals: tuple[SignalRow, ...]
-    missing: tuple[str, ...]
-    other_units: tuple[str, ...]
-    recordings: tuple[Recording, ...] = field(repr=False)
+    def __init__(
+        self, names: Sequence[str], runs: Sequence[Recording], summaries: Sequence[Summary]
+    ) -> None:
+        self.names, self.recordings = tuple(names), tuple(runs)
+        instants, own = differences.joint_instants(names, [run.time for run in runs])
+        every = dict.fromkeys(name for run in runs for name in run.types if name != "time")
+        common = [name for name in every if all(name in run.types for run in runs)]
+        # The unit of a number, None of a text.
+        compared = [name for name in common if len({run.units.get(name) for run in runs}) == 1]
+        if not compared:
+            raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
+        self.missing = tuple(name for name in every if name not in common)
+        self.other_units = tuple(name for name in common if name not in compared)
+        self.extents = tuple(map(Extent.of, runs))
+        self.verdicts = tuple(summary.verdict for summary in summaries)
+        self.begin, self.end = float(instants[0]), float(instants[-1])
+        self.rows, self.columns = len(instants), len(compared)
+        settings = [differences.parameters_of(run) for run in runs]
+        self.parameters = tuple(differences.differing(settings))
+        judged = [{each.name: each for each in summary.criteria} for summary in summaries]
+        self.criteria = tuple(differences.side_by_side(judged))
+        metrics = differences.differing([dict(summary.numbers()) for summary in summaries])
+        self.metrics = tuple(sorted(metrics, key=lambda row: -row.relative))
+        self.signals = differences.signals_apart(compared, runs, instants, own)
+
+    def __repr__(self) -> str:
+        return f"<RunComparison of {', '.join(self.names)}: {self.verdict}>"
 
     @property
     def identical(self) -> bool:
@@ -79,7 +90,7 @@ class RunComparison:
         """Whether a run did not come to what its scenario expects."""
         return any(verdict.level == "bad" for verdict in self.verdicts)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain values, for JSON."""
         parts = ("extents", "parameters", "metrics", "signals")
         plain = ("begin", "end", "rows", "columns", "missing", "other_units")
@@ -161,39 +172,8 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     opened = [_opened(run) for run in (first, *others)]
     paths, recordings, summaries = (list(each) for each in zip(*opened, strict=True))
     short = [path.resolve().name for path in paths]
-    names = tuple(short if len(set(short)) == len(short) else map(str, paths))
-    instants, own = differences.joint_instants(names, [each.time for each in recordings])
-    compared, other_units, missing = _columns(recordings)
-    if not compared:
-        raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
-    judged = [{each.name: each for each in summary.criteria} for summary in summaries]
-    metrics = differences.differing([dict(summary.numbers()) for summary in summaries])
-    return RunComparison(
-        names=names,
-        extents=tuple(map(Extent.of, recordings)),
-        verdicts=tuple(summary.verdict for summary in summaries),
-        begin=float(instants[0]),
-        end=float(instants[-1]),
-        rows=len(instants),
-        columns=len(compared),
-        parameters=tuple(differences.differing([differences.parameters_of(r) for r in recordings])),
-        criteria=tuple(differences.side_by_side(judged)),
-        metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
-        signals=differences.signals_apart(compared, recordings, instants, own),
-        missing=missing,
-        other_units=other_units,
-        recordings=tuple(recordings),
-    )
-
-
-def _columns(runs: Sequence[Recording]) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
-    """Return the columns that can be compared, those of other units, and those not in all runs."""
-    every = dict.fromkeys(name for run in runs for name in run.types if name != "time")
-    common = [name for name in every if all(name in run.types for run in runs)]
-    # The unit of a number, None of a text.
-    compared = [name for name in common if len({run.units.get(name) for run in runs}) == 1]
-    other_units = (name for name in common if name not in compared)
-    return compared, tuple(other_units), tuple(name for name in every if name not in common)
+    names = short if len(set(short)) == len(short) else [str(path) for path in paths]
+    return RunComparison(names, recordings, summaries)
 
 
 def _opened(run: Run | str | Path) -> tuple[Path, Recording, Summary]:

@@ -73,30 +73,29 @@ class SignalRow:
     @property
     def texts(self) -> list[str]:
         """Largest distance and its time, for each other run."""
-        sizes = [measure(distance, self.unit) for distance in self.largest]
-        shown = [
-            f if math.isinf(d) else size
-            for d, f, size in zip(self.largest, self.found, sizes, strict=True)
+        found = zip(self.largest, self.found, self.times, strict=True)
+        return [
+            f"{text if math.isinf(size) else measure(size, self.unit)} at {instant(at)} s"
+            for size, text, at in found
         ]
-        return [f"{text} at {instant(t)} s" for text, t in zip(shown, self.times, strict=True)]
 
 
-def parameters_of(recording: Recording) -> dict[str, Any]:
+def parameters_of(recording: Recording) -> dict[str, object]:
     """Return the settings of a run: scenario, coupling, and each FMU's parameters."""
     metadata = recording.metadata
-    values: dict[str, Any] = {name: metadata[name] for name in SETTINGS if name in metadata}
+    values: dict[str, object] = {name: metadata[name] for name in SETTINGS if name in metadata}
     for instance, parameters in metadata.get("parameters", {}).items():
         values |= {f"{instance}.{name}": value for name, value in parameters.items()}
     return values
 
 
-def side_by_side(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
+def side_by_side(tables: Sequence[Mapping[str, object]]) -> list[Row]:
     """Return the rows of tables with one value for each name."""
     names = dict.fromkeys(name for table in tables for name in table)
     return [Row(name, tuple(table.get(name) for table in tables)) for name in names]
 
 
-def differing(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
+def differing(tables: Sequence[Mapping[str, object]]) -> list[Row]:
     """Return the rows of the tables whose values differ."""
     return [r for r in side_by_side(tables) if any(value != r.values[0] for value in r.values)]
 
@@ -154,20 +153,20 @@ def _apart(
     """Return how far other runs' columns are from the first, and range and size in all runs."""
     is_real = all(run.is_real(name) for run in runs)
     columns = [run[name] for run in runs]
-    found = zip(times, columns, strict=True)
-    first, *others = (on_times(instants, own, values, is_real) for own, values in found)
-    largest, at, rms, texts = [], [], [], []
+    first, *others = (
+        on_times(instants, own, values, is_real) for own, values in zip(times, columns, strict=True)
+    )
+    apart = []
     for other in others:
         distance = distances(other, slice(None), first, 0.0, 0)
         distance[first == other] = 0.0
         if first.dtype.kind == "f":
             distance[np.isnan(first) & np.isnan(other)] = 0.0
-        worst = int(np.argmax(distance))
-        largest.append(float(distance[worst]))
-        at.append(float(instants[worst]))
-        rms.append(float(np.sqrt(np.mean(distance**2))))
-        texts.append(f"{excerpt(other[worst])} instead of {excerpt(first[worst])}")
-    row = SignalRow(name, unit, tuple(largest), tuple(at), tuple(rms), tuple(texts))
+        worst, mean = int(np.argmax(distance)), float(np.sqrt(np.mean(distance**2)))
+        text = f"{excerpt(other[worst])} instead of {excerpt(first[worst])}"
+        apart.append((float(distance[worst]), float(instants[worst]), mean, text))
+    largest, at, rms, texts = zip(*apart, strict=True)
+    row = SignalRow(name, unit, largest, at, rms, texts)
     if name in runs[0].texts:
         return row, 1.0, 1.0
     finite = (values[np.isfinite(values)].astype(float, copy=False) for values in columns)

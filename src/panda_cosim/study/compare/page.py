@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from ...fmus.errors import TEXT_LENGTH, legible, shown
 from ...show.pictures.panels import thin
 from ...task.tolerances import signal_of
 from .wording import multiple
+
+if TYPE_CHECKING:
+    from .regress import Outcome
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -50,7 +53,7 @@ class Figure:
     name: str
     text: str  # how far they are apart
     meaning: str
-    curve: dict[str, Any]  # see `curve`
+    curve: dict[str, object]  # see `curve`
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ class Part:
     tables: Sequence[Table] = ()  # those without rows are left out
     note: str = ""
     figures: Sequence[Figure] = ()
-    view: dict[str, Any] | None = None  # `runs` for PandaView.show, `at` [s], `words` or `missing`
+    view: dict[str, object] | None = None  # `runs` for PandaView.show, and `at` [s]
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,8 @@ class Section:
 
     name: str
     state: str  # good, warn, bad or ""
-    parts: Sequence[Part] = ()
-    word: str = ""  # of the verdict
-    purpose: str = ""
-    problems: Sequence[str] = ()
-    reason: str = ""
-    seconds: float = 0.0
-    worst: float | None = None  # deviation / tolerance
+    parts: Sequence[Part]
+    outcome: Outcome | None = None  # of the run, if it has a reference or criteria of its own
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,6 @@ class Page:
     sections: Sequence[Section]
     settings: Sequence[str] = ()  # changed for these runs
     runs: str = ""  # in 3D: their elements, see `Views`
-    listed: bool = False  # whether a table of verdicts comes first
 
 
 def render(page: Page) -> str:
@@ -137,7 +134,7 @@ def curve(  # noqa: PLR0913 - all that a figure shows
     tube: tuple[Array, Array] | None = None,
     tolerance: float | None = None,
     points: int = POINTS,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return a column's curve for the page's code, `Curve` in curve.ts."""
     # Numbers are float32. All but the baseline are stored as differences from it, where it has a
     # value, so that a narrow tube around a large value keeps its digits.

@@ -10,17 +10,18 @@ time.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
     from ...task.scenario import Scenario
+    from ...task.values import Values
     from .regress import Outcome
 
 SCENARIO_FILE = "scenario.toml"
@@ -102,15 +103,8 @@ class JudgedItem(pytest.Item):
         outcome = self.outcome()
         if not outcome.ok:
             criteria = [f"  {line(criterion)}" for criterion in outcome.criteria]
-            raise DifferenceError("\n".join([f"{outcome.verdict}: {outcome.reason}", *criteria]))
-
-    def repr_failure(
-        self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
-    ) -> str | Any:
-        """Describe the differences and each criterion; anything else as usual."""
-        if isinstance(excinfo.value, DifferenceError):
-            return f"{self.name}: {excinfo.value}"
-        return super().repr_failure(excinfo, style)
+            said = f"{outcome.name}: {outcome.verdict}: {outcome.reason}"
+            pytest.fail("\n".join([said, *criteria]), pytrace=False)
 
     def reportinfo(self) -> tuple[Path, None, str]:
         """Return the test's name for pytest's report."""
@@ -123,10 +117,6 @@ class ScenarioItem(JudgedItem):
     def outcome(self) -> Outcome:
         """Wait for the scenario's run and compare it."""
         return _runs(self.session).outcome(self)
-
-
-class DifferenceError(Exception):
-    """The run does not match its reference, or misses its criteria."""
 
 
 class TestedRun:
@@ -146,19 +136,21 @@ class TestedRun:
         __tracebackhide__ = True
         summary = self._outcome.summary
         if summary.verdict.level != "good":
-            self._fail(f"expected {summary.expect} by criteria of its own")
+            _fail(self._outcome, f"expected {summary.expect} by criteria of its own")
 
     def assert_matches_reference(self) -> None:
         """Check that each signal stays within its tube around the scenario's reference."""
         __tracebackhide__ = True
         if self._outcome.verdict != "same":
-            self._fail("expected a reference that it matches")
+            _fail(self._outcome, "expected a reference that it matches")
 
-    def _fail(self, expected: str) -> None:
-        from .junit import details  # noqa: PLC0415 - see above
 
-        __tracebackhide__ = True
-        pytest.fail(f"{self._outcome.name}: {expected}\n{details(self._outcome)}", pytrace=False)
+def _fail(outcome: Outcome, said: str) -> None:
+    """Fail with a line, and below it the criteria, problems and signals."""
+    from .junit import details  # noqa: PLC0415 - only where there is a scenario
+
+    __tracebackhide__ = True
+    pytest.fail(f"{outcome.name}: {said}\n{details(outcome)}", pytrace=False)
 
 
 @pytest.fixture
@@ -169,7 +161,7 @@ def scenario_run(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[...
 
     numbers = count(1)
 
-    def run(scenario: str | Path, values: Mapping[str, Any] | None = None) -> TestedRun:
+    def run(scenario: str | Path, values: Values | None = None) -> TestedRun:
         changed = load_scenario(scenario).changed(values or {})
         outcome = _runs(request.session).run(changed, tmp_path / f"run-{next(numbers)}")
         if outcome.verdict == "failed":
@@ -194,7 +186,7 @@ class _Runs:
             self._folder = stack.enter_context(temporary_folder(cache_folder()))
             jobs = session.config.getoption("--panda-jobs")
             self._workers = stack.enter_context(Workers(jobs))
-            self.close = stack.pop_all().close
+            session.config.add_cleanup(stack.pop_all().close)
         for text in filter(None, [notice()]):
             warnings.warn(text, stacklevel=2)
         items = [item for item in session.items if isinstance(item, ScenarioItem)]
@@ -226,9 +218,3 @@ def _runs(session: pytest.Session) -> _Runs:
     if _RUNS not in session.config.stash:
         session.config.stash[_RUNS] = _Runs(session)
     return session.config.stash[_RUNS]
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """End running scenarios and remove their folder."""
-    if _RUNS in session.config.stash:
-        session.config.stash[_RUNS].close()

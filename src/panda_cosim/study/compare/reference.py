@@ -166,7 +166,7 @@ class Reference(Recording):
             if name == "time":
                 start = metadata.get("start_time", 0.0)  # only a system's
                 return np.asarray(start + metadata["step_size"] * np.arange(rows))
-            values = values_of(_read(file, name).combine_chunks())
+            values = values_of(file.read([name]).column(0).combine_chunks())
             if name not in quanta:
                 return values
             steps = values.astype(int).cumsum().cumsum()
@@ -193,16 +193,12 @@ def _schema(quanta: Mapping[str, float], kinds: Mapping[str, str]) -> Any:
     return pa.schema(fields)
 
 
-def _read(file: Any, name: str) -> Any:
-    return file.read([name]).column(0)
-
-
 def _open(path: Path) -> tuple[Any, dict[str, Any]]:
     """Return the file and the description of a reference, if both are whole."""
     try:
         file = pq.ParquetFile(literal(path), page_checksum_verification=True)
         for name in file.schema_arrow.names:
-            _read(file, name)
+            file.read([name])
         notes = file.metadata.metadata or {}
         if notes[CHECKSUM_KEY].decode() != checksum(notes[METADATA_KEY].decode()):
             raise ValueError("the checksum is wrong")

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt
+from ...fmus.errors import CosimError, InputError, located, refuse
 from ...result.judging.criterion import Criterion
 from ...result.judging.summary import Summary
 from ...result.judging.verdicts import NO_CRITERIA
@@ -23,7 +23,7 @@ from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ...task.tolerances import Tolerances
 from ..work import Workers
-from .against_reference import Comparison, compare_with_reference
+from .against_reference import Comparison, Deviation, compare_with_reference
 from .reference import Reference, how_to_make, reference_path
 
 if TYPE_CHECKING:
@@ -109,10 +109,19 @@ class Outcome:
 
     @property
     def reason(self) -> str:
-        """The problem in one line; empty if there is none."""
-        if self.comparison is not None and self.comparison.problems:
-            return "; ".join(self.comparison.problems)
-        return self.error
+        """The problems in one line; empty if there are none."""
+        return "; ".join(self.problems)
+
+    @property
+    def problems(self) -> Sequence[str]:
+        """What is wrong, one line each, the most important first."""
+        found = self.comparison.problems if self.comparison else ()
+        return found or tuple(filter(None, [self.error]))
+
+    @property
+    def worst(self) -> Deviation | None:
+        """The column that is furthest from its reference."""
+        return self.comparison.worst if self.comparison else None
 
     @property
     def summary(self) -> Summary:
@@ -135,39 +144,40 @@ def start(
     exact: bool = False,
 ) -> Future[Outcome]:
     """Queue a scenario to be run into a folder and compared; `exact`: bit for bit."""
-    if isinstance(scenario, Unusable):
-        refused: Future[Outcome] = Future()
-        refused.set_result(Outcome(scenario, "failed", run, 0.0, error=scenario.error))
-        return refused
     failed = partial(_failed, scenario, run, time.perf_counter())
     judge = partial(_outcome, run=run, options=options or Options(), exact=exact)
     limit = TIMEOUT + scenario.duration
     return workers.submit(judge, scenario, died=failed, late=failed, time_limit=limit)
 
 
-def _outcome(scenario: Scenario, *, run: Path, options: Options, exact: bool) -> Outcome:
+def _outcome(scenario: Scenario | Unusable, *, run: Path, options: Options, exact: bool) -> Outcome:
     """Run a scenario in this process; compare it or, without a reference, judge its criteria."""
+    if isinstance(scenario, Unusable):
+        return Outcome(scenario, "failed", run, 0.0, error=scenario.error)
     began = time.perf_counter()
     try:
         done = run_scenario(scenario, run, options)
     except CosimError as error:
         return _failed(scenario, run, began, str(error))
-    summary, path = done.summary, reference_path(scenario)
     judged = Outcome(
         scenario,
         done.verdict.suite,  # "failed" also if the scenario asks for what is not there
         run,
         time.perf_counter() - began,
-        error="" if summary.as_expected else summary.detail,
-        criteria=summary.criteria,
+        error="" if done.summary.as_expected else done.summary.detail,
+        criteria=done.summary.criteria,
     )
-    if judged.verdict == "failed":
-        return judged
+    return judged if judged.verdict == "failed" else _compared(judged, done.summary, exact)
+
+
+def _compared(judged: Outcome, summary: Summary, exact: bool) -> Outcome:
+    """Compare a run with its reference; without one, it stays as it was judged by its criteria."""
+    path = judged.reference_path
     if path.is_file():
         try:
-            recording, reference = Recording.open(run), Reference.read(path)
+            recording, reference = Recording.open(judged.run), Reference.read(path)
             comparison = compare_with_reference(
-                recording, summary, reference, scenario.regression, exact=exact
+                recording, summary, reference, judged.tolerances, exact=exact
             )
         except CosimError as refused:
             return replace(judged, verdict="no reference", error=str(refused))
@@ -180,7 +190,7 @@ def _outcome(scenario: Scenario, *, run: Path, options: Options, exact: bool) ->
     return judged
 
 
-def _failed(scenario: Scenario, run: Path, began: float, error: str) -> Outcome:
+def _failed(scenario: Scenario | Unusable, run: Path, began: float, error: str) -> Outcome:
     seconds = time.perf_counter() - began
     criteria = Summary.open(run).criteria
     return Outcome(scenario, "failed", run, seconds, None, error, criteria)
@@ -204,11 +214,9 @@ def with_values(
         if isinstance(scenario, Unusable):
             yield scenario
             continue
-        try:
+        with located(scenario.name):
             changed = scenario.changed(values)
             start_values(changed)
-        except InputError as error:
-            raise InputError(f"{scenario.name}: {error}") from error
         yield changed
 
 
@@ -258,9 +266,9 @@ def find_scenarios(
     chosen = [_choose(name, known, place) for name in names or known]
     own = {path: name for name, path in known.items()}
     scenarios = [read_scenario(path, own.get(path, "")) for path in chosen]
-    for name in (scenario.name for scenario in scenarios):
-        if sum(scenario.name == name for scenario in scenarios) > 1:
-            raise InputError(f"scenario {name!r}: is listed twice")
+    name, count = Counter(scenario.name for scenario in scenarios).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"scenario {name!r}: is listed twice")
     unusable = [scenario for scenario in scenarios if isinstance(scenario, Unusable)]
     if len(unusable) == len(scenarios):
         raise InputError(unusable[0].error)
@@ -272,14 +280,12 @@ def read_scenario(folder: Path, name: str = "") -> Scenario | Unusable:
     name = name or folder.resolve().name
     try:
         scenario = replace(Scenario.read(folder), name=name)
+        with located(folder / SCENARIO_FILE):
+            check_criteria(scenario)
+            start_values(scenario)
+            check_tolerances(scenario)
     except InputError as error:
         return Unusable(name, folder, str(error))
-    try:
-        check_criteria(scenario)
-        start_values(scenario)
-        check_tolerances(scenario)
-    except InputError as error:
-        return Unusable(name, folder, f"{folder / SCENARIO_FILE}: {error}")
     return scenario
 
 
@@ -297,14 +303,10 @@ def _scenarios_in(folder: Path) -> dict[str, Path]:
 
 
 def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
-    if name in known:
-        return known[name]
-    if (Path(name) / SCENARIO_FILE).is_file():
-        return Path(name)
-    raise InputError(
-        f"scenario {excerpt(name)}: neither one of {place} nor a folder with {SCENARIO_FILE}; "
-        f"valid: {', '.join(known)}{did_you_mean(name, known)}"
-    )
+    if name not in known and not (Path(name) / SCENARIO_FILE).is_file():
+        must = f"must be a folder with {SCENARIO_FILE}, or one of {place}: {', '.join(known)}"
+        refuse("scenario", name, must, known)
+    return known.get(name, Path(name))
 
 
 def candidate(outcome: Outcome) -> Reference:
@@ -326,10 +328,10 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
         return [f"replaces a reference that cannot be used: {error}"]
     if old.digests == new.digests and old.quanta == new.quanta:
         return []
-    lines = list(outcome.comparison.problems) if outcome.comparison else []
-    if outcome.comparison and not lines:
-        worst = outcome.comparison.worst
-        near = f"; furthest: {worst.described}" if worst is not None and worst.share > 0 else ""
+    compared, worst = outcome.comparison, outcome.worst
+    lines = list(compared.problems) if compared else []
+    if compared and not lines:
+        near = f"; furthest: {worst.described}" if worst and worst.share > 0 else ""
         lines = [f"stays within all tolerances{near}"]
     if old.quanta != new.quanta:
         lines.append("is rounded anew, as its tolerances have changed")

@@ -11,11 +11,11 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from ...fmus.atomic import replacing
+from ...fmus.atomic import write_whole
 from ...fmus.errors import InputError
 from ...result.judging.criterion import cells
 from ...result.recording import Recording
@@ -57,16 +57,14 @@ def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> Non
         sections=sections,
         runs=views.elements,
         settings=[f"{key} = {value}" for key, value in values.items()],
-        listed=True,
     )
-    with replacing(path) as temporary:
-        temporary.write_text(render(page), encoding="utf-8")
+    write_whole(path, render(page))
 
 
 def _rank(outcome: Outcome) -> tuple[int, float, str]:
     """Sort key of the verdicts: the worst first."""
-    worst = outcome.comparison.worst if outcome.comparison else None
-    return list(MEANINGS).index(outcome.verdict), -(worst.share if worst else 0.0), outcome.name
+    share = outcome.worst.share if outcome.worst else 0.0
+    return list(MEANINGS).index(outcome.verdict), -share, outcome.name
 
 
 def _about(outcomes: Sequence[Outcome]) -> str:
@@ -80,21 +78,10 @@ def _about(outcomes: Sequence[Outcome]) -> str:
 
 
 def _section(outcome: Outcome, views: Views) -> Section:
-    comparison = outcome.comparison
     criteria = Table(CRITERIA, [cells(criterion) for criterion in outcome.criteria])
-    compared = _compared(outcome, comparison, views) if comparison else []
-    worst = comparison.worst if comparison else None
-    return Section(
-        name=outcome.name,
-        state=outcome.meaning.level,
-        parts=[*([Part("Success criteria", [criteria])] if criteria.rows else []), *compared],
-        word="not compared" if outcome.verdict == "no reference" else outcome.verdict,
-        purpose=outcome.scenario.purpose,
-        problems=comparison.problems if comparison else [outcome.error] if outcome.error else [],
-        reason="; ".join(filter(None, (outcome.difference, outcome.reason))),
-        seconds=outcome.seconds,
-        worst=worst.share if worst else None,
-    )
+    compared = _compared(outcome, outcome.comparison, views) if outcome.comparison else []
+    parts = [*([Part("Success criteria", [criteria])] if criteria.rows else []), *compared]
+    return Section(outcome.name, outcome.meaning.level, parts, outcome)
 
 
 def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:
@@ -159,15 +146,15 @@ def _figure(
     return Figure(deviation.name, deviation.text, meaning, lines)
 
 
-def _changes(title: str, what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
+def _changes(title: str, what: str, *origins: Mapping[str, object]) -> Part:
     """Return what has changed from the reference, the most first, and what has not."""
     head = (what, "Reference", "This run")
-    changed: list[tuple[str, ...]] = []
-    same: list[tuple[str, ...]] = []
-    for row in sorted(side_by_side([before, now]), key=lambda row: -row.relative):
-        (changed if row.relative > 0.0 else same).append((row.name, *numbers(row.values)))
-    tables = [Table(head, changed), Table(head, same, f"{len(same)} unchanged")]
-    return Part(title, tables, note="" if changed else "None changed.")
+    rows = sorted(side_by_side(origins), key=lambda row: -row.relative)
+    cells = [(row.name, *numbers(row.values)) for row in rows]
+    count = sum(row.relative > 0.0 for row in rows)
+    same = Table(head, cells[count:], f"{len(cells) - count} unchanged")
+    note = "" if count else "None changed."
+    return Part(title, [Table(head, cells[:count]), same], note)
 
 
 def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
@@ -184,20 +171,16 @@ def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
 
 def replace_kept_runs(folder: Path, runs: Iterable[Path]) -> None:
     """Remove the previous report's runs, and move those of this one, on the same disk, here."""
-    for file in map(Path, _kept_files(folder)):
-        (folder / file).unlink(missing_ok=True)
+    for name in (*_kept_files(folder), MANIFEST_FILE):
+        (folder / name).unlink(missing_ok=True)
         with suppress(OSError):  # it holds something else
-            for parent in file.parents:
+            for parent in Path(name).parents:
                 (folder / parent).rmdir()
-    (folder / MANIFEST_FILE).unlink(missing_ok=True)
-    with suppress(OSError):  # likewise
-        folder.rmdir()
     files = [(run, file) for run in runs for file in run.rglob("*") if file.is_file()]
     moves = {file: Path(run.name, file.relative_to(run)) for run, file in files}
     if moves:
-        with replacing(folder / MANIFEST_FILE) as temporary:
-            listed = [place.as_posix() for place in moves.values()]
-            temporary.write_text(json.dumps(listed, indent=1), encoding="utf-8")
+        listed = [place.as_posix() for place in moves.values()]
+        write_whole(folder / MANIFEST_FILE, json.dumps(listed, indent=1))
     for file, place in moves.items():
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
         file.replace(folder / place)

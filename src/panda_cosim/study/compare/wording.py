@@ -21,22 +21,21 @@ def signal_names(columns: Iterable[str], most: int = 5) -> str:
 
 def numbers(values: Sequence[object]) -> list[str]:
     """Format numbers with four digits, or with as many as it takes to tell them apart."""
-    texts = [number(value) for value in values]
-    for digits in range(5, 18):
+    for digits in range(4, 18):
+        texts = [number(value, digits) for value in values]
         written = zip(values, texts, strict=True)
         if all(a == b or s != t for (a, s), (b, t) in combinations(written, 2)):
             break
-        texts = [number(value, digits=digits) for value in values]
     return texts
 
 
-def number(value: object, sign: str = "", digits: int = 4) -> str:
-    """Format a number with four digits; return anything else unchanged."""
+def number(value: object, digits: int) -> str:
+    """Format a number with so many digits; return anything else unchanged."""
     if value is None:
         return DASH
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
-    return f"{value:{sign}.{digits}g}"
+    return f"{value:.{digits}g}"
 
 
 def measure(value: float, unit: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -14,7 +15,7 @@ import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 from pydantic import PlainValidator
 
-from ...fmus.errors import InputError, excerpt
+from ...fmus.errors import InputError, excerpt, located, refuse
 from ...fmus.interface.parameters import literal
 from ...task.fields import (
     Choice,
@@ -63,12 +64,10 @@ class Distribution:
         if self.kind == "log-uniform":
             return np.asarray(first * (second / first) ** u)
         if self.kind == "normal":
-            mean, deviation = first, second
-            if self.limits is None:
-                return np.asarray(mean + deviation * scipy.special.ndtri(u))
-            low, high = scipy.special.ndtr((np.array(self.limits) - mean) / deviation)
-            drawn: Array = mean + deviation * scipy.special.ndtri(low + (high - low) * u)
-            return np.clip(drawn, *self.limits)
+            limits = self.limits or (-math.inf, math.inf)
+            low, high = scipy.special.ndtr((np.array(limits) - first) / second)
+            drawn: Array = first + second * scipy.special.ndtri(low + (high - low) * u)
+            return np.clip(drawn, *limits)
         picked = np.minimum((u * len(self.values)).astype(int), len(self.values) - 1)
         return [self.values[i] for i in picked]
 
@@ -107,17 +106,16 @@ def read_distribution(section: object) -> Distribution:
     (kind,) = named
     if kind == "values":
         return Distribution(kind, values=_choices(section[kind]))
-    numbers = _pair(kind, section[kind])
+    numbers, limits = _pair(kind, section[kind]), None
+    if "limits" in section:
+        if kind != "normal":
+            raise ValueError(f"limits: only valid with normal, not with {kind}")
+        limits = _pair("limits", section["limits"])
+        low, high = scipy.special.ndtr((np.array(limits) - numbers[0]) / numbers[1])
+        if not high - low > 1e-9:
+            raise ValueError(f"limits: hold a share of {high - low:.1g} of the distribution")
     steps = Whole(2, MAX_STEPS).check("steps", section.get("steps", _STEPS))
-    if "limits" not in section:
-        return Distribution(kind, numbers, steps=steps)
-    if kind != "normal":
-        raise ValueError(f"limits: only valid with normal, not with {kind}")
-    limits = _pair("limits", section["limits"])
-    low, high = scipy.special.ndtr((np.array(limits) - numbers[0]) / numbers[1])
-    if not high - low > 1e-9:
-        raise ValueError(f"limits: hold a share of {high - low:.1g} of the distribution")
-    return Distribution(kind, numbers, (), limits, steps)
+    return Distribution(kind, numbers, limits=limits, steps=steps)
 
 
 def _choices(values: object) -> tuple[float | bool | str, ...]:
@@ -223,26 +221,22 @@ class Sweep:
         """
         path = Path(path)
         keys = read_toml(path, _MAX_BYTES)
-        try:
+        with located(path):
             check_keys("", keys, field_names(cls))
             return cls(**_from_folder(keys, path.parent))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
 
 
 def _from_folder(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Read the paths of a file as relative to its folder; names of shipped scenarios stay."""
-    shipped = shipped_scenarios()
 
     def placed(name: Any) -> Any:
-        is_folder = isinstance(name, str) and name not in shipped and (folder / name).is_dir()
-        return str(folder / name) if is_folder else name
+        is_folder = isinstance(name, str) and (folder / name).is_dir()
+        return str(folder / name) if is_folder and name not in shipped_scenarios() else name
 
     resolved = dict(keys)
     if isinstance(file := keys.get("file"), str):
         resolved["file"] = folder / file
-    if "scenario" in keys:
-        names = keys["scenario"]
+    if (names := keys.get("scenario")) is not None:
         resolved["scenario"] = [*map(placed, names)] if isinstance(names, list) else placed(names)
     return resolved
 
@@ -257,16 +251,14 @@ def load_sweep(name_or_file: str | Path) -> Sweep:
     shipped = shipped_sweeps()
     path = shipped.get(str(name_or_file), Path(name_or_file))
     if not path.is_file():
-        raise InputError(
-            f"sweep {excerpt(str(name_or_file))}: no file of that name; must be a sweep's TOML "
-            f"file, one of {', '.join(shipped)}, or a scenario with --vary KEY=LOW:HIGH:STEPS"
-        )
+        must = f"must be a TOML file, one of {', '.join(shipped)}, or a scenario with --vary"
+        refuse("sweep", str(name_or_file), f"{must} KEY=LOW:HIGH:STEPS", shipped)
     return Sweep.read(path)
 
 
 def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
     """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`."""
-    varied: dict[str, dict[str, Any]] = {}
+    varied: dict[str, dict[str, object]] = {}
     for text in vary:
         key, values = _parse_vary(text)
         if key in varied:
@@ -275,16 +267,14 @@ def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
     return Sweep(scenario=(scenario,), vary=varied, design="grid")  # type: ignore[arg-type]
 
 
-def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
+def _parse_vary(text: str) -> tuple[str, dict[str, object]]:
     key, values = (part.strip() for part in text.partition("=")[::2])
     parts = values.split(":")
     with suppress(ValueError):
         if key and len(parts) == 3:
             low, high, steps = parts
             return key, {"uniform": [float(low), float(high)], "steps": int(steps)}
-    if key and values and len(parts) == 1 and not _RANGE.fullmatch(values):
-        return key, {"values": [literal(part.strip()) for part in values.split(",")]}
-    raise InputError(
-        f"--vary {excerpt(text)}: must be KEY=LOW:HIGH:STEPS or KEY=V1,V2,..., such as "
-        "plant.block_mass=0.05:2:100"
-    )
+    if not key or not values or len(parts) > 1 or _RANGE.fullmatch(values):
+        must = "must be KEY=LOW:HIGH:STEPS or KEY=V1,V2,..., such as plant.block_mass=0.05:2:100"
+        refuse("--vary", text, must)
+    return key, {"values": [literal(part.strip()) for part in values.split(",")]}

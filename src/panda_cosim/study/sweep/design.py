@@ -12,7 +12,6 @@ import math
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,17 +40,22 @@ FIRST: Final = 10  # rows of a search that are drawn at random
 _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
 
-@dataclass(frozen=True, eq=False)
 class Design:
-    """The values of all rows."""
+    """The values of all rows of a sweep.
 
-    columns: Columns  # of a search only the ends, as its points follow later
-    count: int  # rows of one scenario
-    scenarios: int = 1  # one after the other
+    Attributes:
+        columns: Values by key; of a search only the ends, as its points follow later.
+        count: Number of rows of one scenario; those of several come one after the other.
+    """
+
+    def __init__(self, sweep: Sweep) -> None:
+        self.columns = _columns(sweep)
+        self.count = sweep.samples or len(next(iter(self.columns.values())))
+        self._scenarios = len(sweep.scenario)
 
     def __len__(self) -> int:
         """Return the number of rows of all scenarios."""
-        return self.count * self.scenarios
+        return self.count * self._scenarios
 
     def values(self, index: int) -> Values:
         """Return the values of a row by key, as plain numbers, switches or text."""
@@ -63,24 +67,18 @@ class Design:
         return index // self.count
 
 
-def make_design(sweep: Sweep) -> Design:
-    """Return the values of all rows of a sweep."""
-    columns: Columns
-    if sweep.design == "list":
-        assert sweep.file is not None  # Sweep has checked it
-        columns = _read_list(sweep.file)
-    elif sweep.design == "grid":
+def _columns(sweep: Sweep) -> Columns:
+    if sweep.file is not None:
+        return _read_list(sweep.file)
+    if sweep.design == "search":
+        return {key: each.extremes() for key, each in sweep.vary.items()}
+    if sweep.design == "grid":
         axes = [distribution.grid() for distribution in sweep.vary.values()]
         if (size := math.prod(map(len, axes))) > MAX_SAMPLES:
             raise InputError(f"the grid has {size} points; must be at most {MAX_SAMPLES}")
-        columns = dict(zip(sweep.vary, zip(*itertools.product(*axes), strict=True), strict=True))
-    elif sweep.design == "search":
-        columns = {key: each.extremes() for key, each in sweep.vary.items()}
-        return Design(columns, sweep.samples)
-    else:
-        u = _probabilities(sweep)
-        columns = {key: each.quantiles(u[:, i]) for i, (key, each) in enumerate(sweep.vary.items())}
-    return Design(columns, len(next(iter(columns.values()))), len(sweep.scenario))
+        return dict(zip(sweep.vary, zip(*itertools.product(*axes), strict=True), strict=True))
+    u = _probabilities(sweep)
+    return {key: each.quantiles(u[:, i]) for i, (key, each) in enumerate(sweep.vary.items())}
 
 
 def _probabilities(sweep: Sweep) -> Array:
@@ -129,10 +127,8 @@ def check_design(sweep: Sweep, columns: Columns, scenarios: Sequence[Loaded]) ->
     for loaded in scenarios:
         for key, column in {**columns, **ends}.items():  # the numbers of the file, if it has them
             for value in _extremes(column):
-                try:
+                with located(f"vary: scenario {loaded.label}"):
                     start_values(loaded.scenario.changed({key: value}))
-                except InputError as error:
-                    raise InputError(f"vary: scenario {loaded.label}: {error}") from None
 
 
 def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str]:
@@ -195,7 +191,7 @@ class Search:
     """A search, with the rows so far."""
 
     def __init__(self, sweep: Sweep, store: Store) -> None:
-        self._margin = margin_column(sweep.criterion, store.content["columns"])
+        self._margin = margin_column(sweep.criterion, store.content.columns)
         with needing("optuna", "search", 'design "search"'):
             import optuna  # noqa: PLC0415 - an extra
         optuna.logging.set_verbosity(optuna.logging.WARNING)

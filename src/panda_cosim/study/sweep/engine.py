@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import scipy  # its modules are loaded as they are used, which takes time
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Target, build
@@ -27,10 +28,9 @@ from ..compare.regress import Outcome, Unusable, Verdict
 from ..work import cores
 from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
-from .design import Design, Search, check_design, keys_without_effect, make_design
+from .design import Design, Search, check_design, keys_without_effect
 from .packed import Loaded, load_scenarios, pack, scenario_names
 from .report import write_report
-from .results import lower_bound
 from .row import Done, Job, Task, margin_column
 from .store import Store, origin, schema
 
@@ -119,7 +119,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword
             idle = keys_without_effect(design, scenarios)
             store.write({"origin": begun_with, **columns, "without_effect": idle})
         store.keep_scenarios(job.scenarios)
-        for key in store.content["without_effect"]:
+        for key in store.content.without_effect:
             remark(f"vary: {key} changes no start value, no input and no criterion")
         for change in store.changed_scenarios():
             remark(change)
@@ -144,7 +144,8 @@ def judge_rate(definition: Sweep, counts: Mapping[str, int], rows: int) -> Crite
     name, rate = "success rate", good / rows
     if confidence:
         name += f" (lower bound at {confidence:.6g} confidence)"
-        rate = lower_bound(good, rows, confidence)
+        test = scipy.stats.binomtest(good, rows, alternative="greater")
+        rate = float(test.proportion_ci(confidence, "exact").low)
     return Criterion.judge(name, 100.0 * rate, 100.0 * definition.min_success, "%", "above")
 
 
@@ -153,7 +154,7 @@ def check_sweep(
 ) -> tuple[tuple[Loaded, ...], Design]:
     """Load a sweep's scenarios, as its folder keeps them, and make its design; nothing is run."""
     kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition.scenario))
-    scenarios, design = load_scenarios(definition, kept), make_design(definition)
+    scenarios, design = load_scenarios(definition, kept), Design(definition)
     check_design(definition, design.columns, scenarios)
     for each in scenarios:
         if definition.min_success and each.scenario.success == Success():
@@ -164,7 +165,7 @@ def check_sweep(
     return scenarios, design
 
 
-def _columns(definition: Sweep, design: Design, runs: Iterable[Done | None]) -> dict[str, Any]:
+def _columns(definition: Sweep, design: Design, runs: Iterable[Done | None]) -> dict[str, object]:
     """Return the table's keys and columns, from a run of each scenario unvaried."""
     rows = [done.row for done in runs if done is not None]
     rows.sort(key=lambda row: -int(row["index"]))
@@ -198,7 +199,7 @@ def _fill(
     missing = np.setdiff1d(np.arange(len(design)), there).tolist()
     rest = (Task(index, design.scenario(index), design.values(index)) for index in missing)
     tasks = rest if search is None else search.tasks()
-    columns = schema(design.values(0), store.content["columns"])
+    columns = schema(design.values(0), store.content.columns)
     new, part = 0, []
     began = flushed = time.monotonic()
     try:
@@ -223,7 +224,7 @@ def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:
     """Run the worst rows once more, to keep their recordings."""
     if not definition.keep.startswith("worst:"):
         return
-    keys, labels = store.content["keys"], list(store.content["nominal"])
+    keys, labels = store.content.keys, list(store.content.nominal)
     tasks = [
         Task(row["index"], labels.index(row["scenario"]), {k: row[k] for k in keys}, keep=True)
         for row in store.worst(int(definition.keep.partition(":")[2]), keys)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ...fmus.atomic import cache_folder, temporary_folder
+from ...fmus.atomic import cache_folder, temporary_folder, write_whole
+from ...fmus.build.libraries import digest
 from ...fmus.errors import InputError
 from ...run.folder import with_files
 from ...run.system.assembly import assemble
@@ -62,7 +62,7 @@ def pack(loaded: Loaded) -> Loaded:
     assembly = assemble(loaded.scenario)
     with temporary_folder(cache_folder()) as folder:
         scenario = with_files(loaded.scenario, assembly, folder)
-        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+        files = read_files(folder)
     return replace(loaded, scenario=replace(scenario, folder=None), files=files)
 
 
@@ -70,17 +70,24 @@ def unpack(loaded: Loaded, folder: Path) -> Loaded:
     """Write the files of a scenario's FMUs into a folder, where the scenario looks for them."""
     if not loaded.files:
         return loaded
-    folder.mkdir()
-    for name, content in loaded.files.items():
-        (folder / name).write_bytes(content)
+    write_files(folder, loaded.files)
     return replace(loaded, scenario=replace(loaded.scenario, folder=folder), files={})
 
 
 def identity(packed: Loaded) -> str:
     """Return the SHA-256 of all that a packed scenario consists of, but its name."""
-    content = hashlib.sha256(settings_text(packed.scenario).encode())
-    if packed.scenario.table is not None:
-        content.update(packed.scenario.table.text.encode())
-    for name, data in sorted(packed.files.items()):
-        content.update(f"{name} {len(data)} ".encode() + data)
-    return content.hexdigest()
+    scenario = packed.scenario
+    tables = (table.text for table in (scenario.table, scenario.input_table) if table is not None)
+    return digest(settings_text(scenario), *tables, packed.files)
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    """Return the contents of all files in a folder, at any depth, by path."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, by path."""
+    for name, content in files.items():
+        write_whole(folder / name, content)

@@ -1,15 +1,10 @@
-"""One HTML page on a sweep's results. Beyond a few thousand rows, plots show a sample.
-
-A row can be run again: to show it in 3D beside the unvaried scenario, or as a scenario.
-"""
+"""One HTML page on a sweep's results. Beyond a few thousand rows, plots show a sample."""
 
 from __future__ import annotations
 
 import math
 import re
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
 from shlex import quote
@@ -19,13 +14,11 @@ from urllib.parse import quote as quote_address
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.atomic import cache_folder, replacing, temporary_folder
-from ...fmus.errors import InputError, legible, printable
+from ...fmus.atomic import write_whole
+from ...fmus.errors import legible, printable
 from ...fmus.interface.tables import INTERFACES
 from ...result.judging.definitions import DEFINITIONS, Definition
 from ...result.judging.summary import SUMMARY_FILE
-from ...run.execution import run_scenario
-from ...run.folder import SCENARIO_FOLDER, refuse_existing
 from ...show.view.page import (
     TITLE,
     VIEW_FILE,
@@ -35,8 +28,6 @@ from ...show.view.page import (
     shown_run,
     write_view,
 )
-from ...task.scenario import Scenario
-from ..compare.reference import REFERENCE_FILE, Reference
 from .definition import SAMPLED
 from .results import Results, heat_map, influences, marginal, missing, share_bounds
 from .row import MARGIN, UNJUDGED, command, margin_column
@@ -55,30 +46,28 @@ def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
     """Write the page about the sweep in a folder; by default, report.html there."""
     store = Store(folder)
     path = store.folder / REPORT_FILE if path is None else Path(path)
-    text = page(store, path.parent)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_whole(path, page(store, path.parent))
     return path
 
 
 def page(store: Store, beside: Path) -> str:
     """Return the page as HTML; links are relative to the folder that it stands in."""
-    results, content = Results.read(store), store.content
-    definition, lacking = content["origin"]["definition"], missing(store)
+    results, content = Results(store), store.content
+    definition, lacking = content.origin["definition"], list(missing(store))
     is_sample = definition["design"] in SAMPLED
     has_bounds = is_sample and not lacking
     order = influences(results.values, results.labels, results.margins[MARGIN])
     keys = list(dict.fromkeys((*(each.key for each in order), *results.values)))
     total, good = len(results.bad), int((~results.bad).sum())
-    data = _data(store, results, keys, beside, bounds=has_bounds)
+    data = _data(results, keys, beside, bounds=has_bounds)
     if is_sample:
-        data["influences"] = dict(_influences(store, results, bounds=has_bounds))
-    title = f"Sweep of {', '.join(content['nominal'])}"
+        data["influences"] = dict(_influences(results, bounds=has_bounds))
+    title = f"Sweep of {', '.join(content.nominal)}"
     body = rendered(
         TEMPLATE,
         title=title,
-        definition=definition,
-        versions=content["origin"]["versions"],
+        content=content,
+        results=results,
         lacking=lacking,
         total=total,
         good=good,
@@ -87,8 +76,6 @@ def page(store: Store, beside: Path) -> str:
         interval=share_bounds(good, total) if has_bounds else None,
         counts=store.count(),
         unjudged=UNJUDGED,
-        idle=content["without_effect"],
-        missed=results.missed,
         shown=len(data["index"]),
         estimated=ESTIMATED,
     )
@@ -113,16 +100,14 @@ def _unit(key: str) -> str:
     return "" if unit == "1" else unit
 
 
-def _rows(
-    store: Store, chosen: NDArray[np.int64], worst: Sequence[int], beside: Path
-) -> dict[str, Any]:
+def _rows(results: Results, chosen: list[int], worst: list[int], beside: Path) -> dict[str, object]:
     """Return how the drawn rows ended, what repeats them, and links to them in 3D."""
-    content = store.content
-    keys, given = content["keys"], content["origin"]["definition"]["scenario"]
-    names = dict(zip(content["nominal"], given, strict=True))
-    rows = store.rows(chosen.tolist(), ["status", "missed", "error", "scenario", *keys])
+    store, content = results.store, results.content
+    keys, given = content.keys, content.origin["definition"]["scenario"]
+    names = dict(zip(content.nominal, given, strict=True))
+    rows = store.rows(chosen, ["status", "missed", "error", "scenario", *keys])
     views = {}
-    for index in chosen.tolist():
+    for index in chosen:
         run = store.run_folder(index)
         if index in worst and (run / SUMMARY_FILE).exists() and not (run / VIEW_FILE).exists():
             write_view([shown_run(run, name=f"row {index}")], run / VIEW_FILE)
@@ -146,20 +131,18 @@ def _rows(
     }
 
 
-def _data(
-    store: Store, results: Results, keys: Sequence[str], beside: Path, *, bounds: bool
-) -> dict[str, Any]:
+def _data(results: Results, keys: Sequence[str], beside: Path, *, bounds: bool) -> dict[str, Any]:
     """Return what the page draws."""
-    definition = store.content["origin"]["definition"]
-    first, *others = store.content["nominal"].values()
-    worst = [row["index"] for row in store.worst(OPENED, ())]
+    definition = results.content.origin["definition"]
+    first, *others = results.content.nominal.values()
+    worst = [row["index"] for row in results.store.worst(OPENED, ())]
     chosen = np.union1d(_sample(results), np.flatnonzero(np.isin(results.index, worst)))
     return {
         "keys": keys,
         "labels": results.labels,
         "metrics": {name: _metric(name) for name in (*results.margins, *results.metrics)},
         "units": {key: _unit(key) for key in keys},
-        "points": {name: _rounded(c) for name, c in _columns(store, results, keys, chosen)},
+        "points": {name: _rounded(c) for name, c in results.columns(keys, chosen)},
         "index": results.index[chosen].tolist(),
         "bad": results.bad[chosen].astype(int).tolist(),
         "total": len(results.bad),
@@ -170,27 +153,15 @@ def _data(
         "influences": None,
         "search": definition["design"] == "search" and definition["goal"],
         "searched": margin_column(definition["criterion"], results.margins),
-        **_rows(store, results.index[chosen], worst, beside),
+        **_rows(results, results.index[chosen].tolist(), worst, beside),
     }
 
 
-def _columns(
-    store: Store, results: Results, keys: Sequence[str], rows: NDArray[np.intp]
-) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield values, margins and metrics of some rows (n,) by name, each (n,)."""
-    yield from ((key, results.values[key][rows]) for key in keys)
-    yield from ((name, margin[rows]) for name, margin in results.margins.items())
-    table = store.table([*results.metrics, "index"], results.index[rows].tolist())
-    yield from ((name, table[name].to_numpy()) for name in results.metrics)
-
-
-def _influences(
-    store: Store, results: Results, *, bounds: bool
-) -> Iterator[tuple[str, list[tuple[Any, ...]]]]:
+def _influences(results: Results, *, bounds: bool) -> Iterator[tuple[str, list[tuple[Any, ...]]]]:
     """Yield the influences on each margin and metric: key, value and its bounds."""
     rows = _evenly(np.arange(len(results.bad)), min(len(results.bad), ESTIMATED))
     values = {key: column[rows] for key, column in results.values.items()}
-    for name, column in _columns(store, results, (), rows):
+    for name, column in results.columns((), rows):
         each = influences(values, results.labels, column)
         yield name, [(e.key, e.value, *((e.low, e.high) if bounds else (None, None))) for e in each]
 
@@ -210,71 +181,3 @@ def _evenly(rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
 
 def _rounded(column: NDArray[Any]) -> list[float | None]:
     return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in column.tolist()]
-
-
-def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
-    """Return which scenario a row is of, and that scenario as swept, unvaried and varied."""
-    content = store.content
-    row = store.row(index)
-    number = list(content["nominal"]).index(row["scenario"])
-    nominal = store.kept(number)
-    return number, nominal, nominal.changed({key: row[key] for key in content["keys"]})
-
-
-def show_row(folder: str | Path, index: int) -> Path:
-    """Run a row of a sweep and its unvaried scenario, unless done before, for a 3D view."""
-    store = Store(folder)
-    number, nominal, changed = scenario_of(store, index)
-    place = store.folder / "shown"
-    row_folder = store.run_folder(index)
-    if not (row_folder / SUMMARY_FILE).exists():
-        row_folder = _run(changed, place / f"{index:07d}")
-    nominal_folder = _run(nominal, place / f"nominal-{number}")
-    runs = [
-        shown_run(row_folder, name=f"row {index}"),
-        shown_run(nominal_folder, name=f"{nominal.name} unvaried"),
-    ]
-    return write_view(runs, place / f"{index:07d}" / VIEW_FILE)
-
-
-def _run(scenario: Scenario, folder: Path) -> Path:
-    if not (folder / SUMMARY_FILE).exists():
-        shutil.rmtree(folder, ignore_errors=True)  # leftovers of a killed call
-        run_scenario(scenario, folder)
-    return folder
-
-
-def promote_row(
-    folder: str | Path, index: int, new: str | Path, *, known_limit: bool = False
-) -> list[Path]:
-    """Make a scenario of a row in a new folder; return its files."""
-    # A row with success gets a reference. One without fails in `regress`, by its criteria, until it
-    # is mended; a known limit expects the failure instead, and has a reference of it.
-    store, new = Store(folder), Path(new)
-    _, _, changed = scenario_of(store, index)
-    refuse_existing(new)
-    row = store.row(index)
-    promoted = replace(changed, **_keys(row, known_limit), name=new.resolve().name)
-    with temporary_folder(cache_folder()) as scratch:
-        run = run_scenario(promoted, scratch / "run")
-        kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs
-        shutil.copytree(kept, new, dirs_exist_ok=True)
-        if run.summary.as_expected:
-            reference = Reference.of(run.recording, run.summary, promoted.regression)
-            with replacing(new / REFERENCE_FILE) as path:
-                reference.write(path, run.recording)
-    return sorted(new.iterdir())
-
-
-def _keys(row: Mapping[str, Any], known_limit: bool) -> dict[str, Any]:
-    """Return the key `purpose` and, for a known limit, those that expect the failure."""
-    index, status = row["index"], row["status"]
-    if status == "unmeasured":
-        raise InputError(f"row {index}: {row['error']}; must have a verdict")
-    keys: dict[str, Any] = {"purpose": f"Row {index} of a sweep of {row['scenario']}"}
-    if known_limit:
-        if status != "missed":
-            raise InputError(f"--expect failure: row {index}: status {status}; must be missed")
-        reason = f"found by a sweep: {row['missed']} is missed"
-        keys |= {"expect": "failure", "expect_reason": reason}
-    return keys

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -21,7 +21,6 @@ from .row import MARGIN
 from .store import Store
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Labels = Mapping[str, Sequence[str]]
 
 CONFIDENCE: Final = 0.95
@@ -39,12 +38,6 @@ def share_bounds(count: int, total: int) -> tuple[float, float]:
         return 0.0, 1.0
     bounds = scipy.stats.binomtest(count, total).proportion_ci(CONFIDENCE, "exact")
     return float(bounds.low), float(bounds.high)
-
-
-def lower_bound(count: int, total: int, confidence: float) -> float:
-    """Return the one-sided lower bound of a probability by Clopper and Pearson."""
-    test = scipy.stats.binomtest(count, total, alternative="greater")
-    return float(test.proportion_ci(confidence, "exact").low)
 
 
 @dataclass(frozen=True)
@@ -102,47 +95,52 @@ def number_text(value: float) -> str:
     return repr(value + 0.0).removesuffix(".0")
 
 
-@dataclass(frozen=True, eq=False)
 class Results:
-    """The columns that the page needs (n,); margins are -inf if not measured, NaN if of others."""
+    """The columns of a sweep's table that its page needs, each (n,).
 
-    values: Mapping[str, Array]  # varied, by key; words as their numbers in `labels`
-    labels: Mapping[str, list[str]]  # words by key, the scenarios' names among them
-    margins: Mapping[str, Array]  # by column
-    metrics: list[str]  # columns of the summary's other numbers, and of events
-    bad: NDArray[np.bool_]  # failed, or missed a criterion
-    index: NDArray[np.int64]
-    missed: Mapping[str, int]  # number of rows by first missed criterion
-    is_grid: bool
+    Attributes:
+        store: The sweep's folder.
+        content: Of its sweep.json.
+        values: Varied values by key; words as their numbers in `labels`.
+        labels: Words by key, the scenarios' names among them.
+        margins: Margins by column; -inf if not measured, NaN if of another scenario.
+        metrics: Columns of the summary's other numbers, and of events.
+        bad: Whether a row failed, or missed a criterion.
+        index: Numbers of the rows.
+        missed: Number of rows by the first criterion that they missed.
+        is_grid: Whether the values are those of a grid.
+    """
 
-    @classmethod
-    def read(cls, store: Store) -> Results:
-        """Read them."""
-        content = store.content
-        names = [name for name in content["columns"] if name.split(".")[0] == MARGIN]
-        keys = content["keys"] + (["scenario"] if len(content["nominal"]) > 1 else [])
+    def __init__(self, store: Store) -> None:
+        self.store, self.content = store, store.content
+        content = self.content
+        names = [name for name in content.columns if name.split(".")[0] == MARGIN]
+        keys = content.keys + (["scenario"] if len(content.nominal) > 1 else [])
         table = store.table(list({*keys, *names, "status", "missed", "index", "scenario"}))
-        values, labels = {}, {}
+        self.values: dict[str, Array] = {}
+        self.labels: dict[str, list[str]] = {}
         for key in keys:
             column = table[key]
             if str(column.type) == "double":
-                values[key] = column.to_numpy()
+                self.values[key] = column.to_numpy()
             else:
                 words, codes = np.unique(column.cast("string").to_numpy(), return_inverse=True)
-                values[key], labels[key] = codes.astype(np.float64), words.tolist()
-        bad = np.asarray(table["status"].to_numpy() != "success", dtype=bool)
-        outcomes = zip(table["status"].to_pylist(), table["missed"].to_pylist(), strict=True)
-        missed = Counter(name for status, name in outcomes if status == "missed" and name)
-        return cls(
-            values,
-            labels,
-            {name: _margins(table, name, content["nominal"]) for name in names},
-            [name for name in content["columns"] if name.startswith(("summary.", "event."))],
-            bad,
-            table["index"].to_numpy(),
-            dict(missed.most_common()),
-            content["origin"]["definition"]["design"] == "grid",
-        )
+                self.values[key], self.labels[key] = codes.astype(np.float64), words.tolist()
+        self.margins = {name: _margins(table, name, content.nominal) for name in names}
+        self.metrics = [n for n in content.columns if n.startswith(("summary.", "event."))]
+        status = table["status"].to_numpy()
+        self.bad = np.asarray(status != "success", dtype=bool)
+        missed = table["missed"].to_numpy()[status == "missed"]
+        self.missed = dict(Counter(filter(None, missed)).most_common())
+        self.index: NDArray[np.int64] = table["index"].to_numpy()
+        self.is_grid = content.origin["definition"]["design"] == "grid"
+
+    def columns(self, keys: Sequence[str], rows: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
+        """Yield values, margins and metrics of some rows (n,) by name, each (n,)."""
+        yield from ((key, self.values[key][rows]) for key in keys)
+        yield from ((name, margin[rows]) for name, margin in self.margins.items())
+        table = self.store.table([*self.metrics, "index"], self.index[rows].tolist())
+        yield from ((name, table[name].to_numpy()) for name in self.metrics)
 
 
 def _margins(table: Any, name: str, nominal: Mapping[str, Collection[str]]) -> Array:
@@ -155,26 +153,25 @@ def _margins(table: Any, name: str, nominal: Mapping[str, Collection[str]]) -> A
     return column
 
 
-def missing(store: Store) -> list[str]:
+def missing(store: Store) -> Iterator[str]:
     """Say which rows an unfinished sweep lacks; nothing if it is complete."""
     content = store.content
-    axes: dict[str, Sequence[Any]] = {"scenario": list(content["nominal"])}
-    if content["origin"]["definition"]["design"] == "grid":
-        vary = content["origin"]["vary"]
+    axes: dict[str, Sequence[Any]] = {"scenario": list(content.nominal)}
+    if content.origin["definition"]["design"] == "grid":
+        vary = content.origin["vary"]
         axes |= {key: list(Distribution(**each).grid()) for key, each in vary.items()}
     table = store.table(["index", *axes])
-    absent = np.setdiff1d(np.arange(content["rows"]), table["index"].to_numpy())
+    absent = np.setdiff1d(np.arange(content.rows), table["index"].to_numpy())
     if not len(absent):
-        return []
+        return
     among = "" if np.ptp(absent) < len(absent) else "among "
     span = f"{among}rows {absent[0]} to {absent[-1]}"
-    lacking = [f"{len(absent)} of {content['rows']} rows are missing: {span}."]
+    yield f"{len(absent)} of {content.rows} rows are missing: {span}."
     for key, axis in axes.items():
         there = set(table[key].unique().to_pylist())
         lost = [place for place, value in enumerate(axis) if value not in there]
         if lost:
-            lacking.append(f"No row has {key} = {_span(lost, axis)}.")
-    return lacking
+            yield f"No row has {key} = {_span(lost, axis)}."
 
 
 def _span(places: Sequence[int], axis: Sequence[Any]) -> str:
@@ -195,33 +192,42 @@ def value_names(values: Sequence[Any]) -> list[str]:
     return names
 
 
-@dataclass(frozen=True, eq=False)
 class Axis:
-    """The parts of a value's range: each value by itself, or bins."""
+    """The parts of a value's range: each value by itself if they are few or of a grid, else bins.
 
-    starts: Array  # where each part begins (m,)
-    ends: Array  # a row at an inner edge of two bins is in the upper one (m,)
-    names: list[str]  # what is in each part
-    ticks: list[str]  # what is written beside it: the value, or both ends of all bins
-    part: NDArray[np.intp]  # of each row (n,)
+    Attributes:
+        starts: Where each part begins (m,).
+        ends: Where it ends (m,); a row at an inner edge of two bins is in the upper one.
+        names: What is in each part.
+        ticks: What is written beside it: the value, or both ends of all bins.
+        part: The part of each row (n,).
+    """
 
-    @classmethod
-    def of(cls, results: Results, key: str, bins: int) -> Axis:
-        """Divide a value's range: a part for each value if they are few or of a grid, else bins."""
+    def __init__(self, results: Results, key: str, bins: int) -> None:
         column = results.values[key]
-        values, part = np.unique(column, return_inverse=True)
+        values, self.part = np.unique(column, return_inverse=True)
         few = results.is_grid or 2 * len(values) <= len(column) or len(values) == 1
         if key in results.labels or (few and len(values) <= MOST_VALUES):
             half = _half_widths(values)
-            names = results.labels.get(key) or value_names(values.tolist())
-            return cls(values - half, values + half, names, names, part)
+            self.starts, self.ends = values - half, values + half
+            self.names = self.ticks = results.labels.get(key) or value_names(values.tolist())
+            return
         edges = np.linspace(values[0], values[-1], bins + 1)  # inner ones of few digits
         edges[1:-1] = np.round(edges[1:-1], math.ceil(1 - math.log10(np.ptp(values) / bins)))
-        part = np.clip(np.searchsorted(edges, column, "right") - 1, 0, bins - 1)
-        texts = [f"{v:.3g}" for v in edges[[0, -1]]]
-        texts[1:1] = [number_text(v) for v in edges[1:-1].tolist()]
-        names = [f"{low} to {high}" for low, high in pairwise(texts)]
-        return cls(edges[:-1], edges[1:], names, [texts[0], *[""] * (bins - 2), texts[-1]], part)
+        self.starts, self.ends = edges[:-1], edges[1:]
+        self.part = np.clip(np.searchsorted(edges, column, "right") - 1, 0, bins - 1)
+        first, last = (f"{value:.3g}" for value in edges[[0, -1]])
+        texts = [first, *map(number_text, edges[1:-1].tolist()), last]
+        self.names = [f"{low} to {high}" for low, high in pairwise(texts)]
+        self.ticks = [first, *[""] * (bins - 2), last]
+
+    def counts(self, results: Results, within: Axis | None = None) -> dict[str, list[int]]:
+        """Return rows and failures in each part, or in those of another axis within each."""
+        part, parts = self.part, len(self.names)
+        if within is not None:
+            part, parts = part * len(within.names) + within.part, parts * len(within.names)
+        rows = {"rows": part, "bad": part[results.bad]}
+        return {name: np.bincount(each, minlength=parts).tolist() for name, each in rows.items()}
 
 
 def _half_widths(values: Array) -> Array:
@@ -233,34 +239,25 @@ def _half_widths(values: Array) -> Array:
     return half
 
 
-def marginal(results: Results, key: str, *, bounds: bool) -> dict[str, Any]:
+def marginal(results: Results, key: str, *, bounds: bool) -> dict[str, object]:
     """Return rows and failures by value; with the bounds of their share, if rows are samples."""
-    axis = Axis.of(results, key, int(np.clip(len(results.bad) / IN_A_BIN, *BINS)))
-    parts = len(axis.names)
-    rows = np.bincount(axis.part, minlength=parts).tolist()
-    bad = np.bincount(axis.part[results.bad], minlength=parts).tolist()
-    shares = map(share_bounds, bad, rows) if bounds else ()
+    axis = Axis(results, key, int(np.clip(len(results.bad) / IN_A_BIN, *BINS)))
+    counts = axis.counts(results)
+    shares = map(share_bounds, counts["bad"], counts["rows"]) if bounds else ()
     return {
         "starts": axis.starts.tolist(),
         "ends": axis.ends.tolist(),
         "names": axis.names,
         "ticks": axis.ticks,
         "each": axis.ticks == axis.names,
-        "rows": rows,
-        "bad": bad,
+        **counts,
         "bounds": [[round(low, 4), round(high, 4)] for low, high in shares],
     }
 
 
-def heat_map(results: Results, first: str, second: str) -> dict[str, Any]:
+def heat_map(results: Results, first: str, second: str) -> dict[str, object]:
     """Return rows and failures in the cells of two values, those of `first` one after the other."""
     bins = int(np.clip(math.sqrt(len(results.bad) / IN_A_BIN), *CELLS))
-    x, y = (Axis.of(results, key, bins) for key in (first, second))
-    cell, cells = x.part * len(y.names) + y.part, len(x.names) * len(y.names)
-    return {
-        "keys": [first, second],
-        "names": [x.names, y.names],
-        "ticks": [x.ticks, y.ticks],
-        "rows": np.bincount(cell, minlength=cells).tolist(),
-        "bad": np.bincount(cell[results.bad], minlength=cells).tolist(),
-    }
+    x, y = (Axis(results, key, bins) for key in (first, second))
+    names, ticks = [x.names, y.names], [x.ticks, y.ticks]
+    return {"keys": [first, second], "names": names, "ticks": ticks, **x.counts(results, y)}

@@ -14,7 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from ...fmus.errors import CosimError, InputError, did_you_mean, excerpt, one_line
+from ...fmus.atomic import write_whole
+from ...fmus.errors import CosimError, one_line, refuse
 from ...fmus.interface.parameters import ParameterValue
 from ...result.judging.summary import Summary
 from ...result.judging.verdicts import VERDICTS
@@ -24,7 +25,7 @@ from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.stopping import StopRequest
 from ..work import processor
-from .packed import Loaded, unpack
+from .packed import Loaded, read_files, unpack, write_files
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
 # As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is
@@ -69,16 +70,14 @@ class Done:
 
 def unpack_job(job: Job, folder: Path) -> None:
     """Write a job and its files into a folder, where `run_rows` finds them."""
-    for name, content in job.fmus.items():
-        (folder / f"{name}.fmu").write_bytes(content)
+    write_files(folder, {f"{name}.fmu": content for name, content in job.fmus.items()})
     scenarios = (unpack(each, folder / f"scenario-{i}") for i, each in enumerate(job.scenarios))
     for engine, other in job.engines.items():
-        (folder / engine).mkdir()
         unpack_job(other, folder / engine)
     fmus = dict.fromkeys(job.fmus, b"")
     kept = replace(job, scenarios=tuple(scenarios), fmus=fmus, engines={})
     kept = replace(kept, engines=dict.fromkeys(job.engines, kept))
-    (folder / JOB_FILE).write_bytes(pickle.dumps(kept))
+    write_whole(folder / JOB_FILE, pickle.dumps(kept))
 
 
 def run_rows(work: tuple[Path, Sequence[Task]]) -> list[Done]:
@@ -130,11 +129,7 @@ def _run(folder: Path, task: Task, *, writes: bool) -> Done:
         reason = f"unexpected {type(error).__name__}: {one_line(error)}"
         row |= {"status": "failed", "error": reason}
     row["wall_s"] = time.perf_counter() - began
-    files = {
-        path.relative_to(place).as_posix(): path.read_bytes()
-        for path in sorted(place.rglob("*"))
-        if path.is_file()
-    }
+    files = read_files(place)
     shutil.rmtree(place, ignore_errors=True)
     return Done(task, row, files)
 
@@ -176,10 +171,7 @@ def margin_column(criterion: str, columns: Collection[str]) -> str:
     name = f"{MARGIN}.{criterion}" if criterion else MARGIN
     if name not in columns:
         valid = [c.partition(".")[2] for c in columns if c.startswith(f"{MARGIN}.")]
-        raise InputError(
-            f"criterion: value {excerpt(criterion)}; must be one of {', '.join(valid) or 'none'}"
-            f"{did_you_mean(criterion, valid)}"
-        )
+        refuse("criterion", criterion, f"must be one of {', '.join(valid) or 'none'}", valid)
     return name
 
 

@@ -14,7 +14,7 @@ import platform
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, requires
@@ -29,14 +29,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from ...fmus.atomic import held, replacing
+from ...fmus.atomic import held, replacing, write_whole, writing
 from ...fmus.build.libraries import code_digest, package_version
 from ...fmus.errors import InputError, one_line
 from ...task.files import read_text
 from ...task.scenario import Scenario, load_scenario
 from ...task.writer import write_scenario
 from .definition import Sweep
-from .packed import Loaded, identity, pack, scenario_names
+from .packed import Loaded, identity, pack, scenario_names, write_files
 from .row import Done, Row
 
 SWEEP_FILE: Final = "sweep.json"
@@ -51,29 +51,27 @@ _TOOLS: Final = re.compile(r'extra == "(test|docs|importers)"')  # extras that n
 _MAX_BYTES: Final = 64 * 1024 * 1024
 
 
-class _Content(BaseModel, strict=True, extra="allow"):
+Origin = dict[str, Any]  # sections of plain values, see `origin`
+
+
+class Content(BaseModel, strict=True):
     """What sweep.json must have."""
 
     format: Literal[2]
-    origin: dict[str, Any]
-    keys: list[str]
+    origin: Origin
+    keys: list[str]  # that are varied
     rows: int
     columns: list[str]
-    nominal: dict[str, Any]
-    without_effect: list[str]
-
-
-Origin = dict[str, Any]
+    nominal: dict[str, Row]  # of each scenario, its row without varied values
+    without_effect: list[str]  # keys
 
 
 def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) -> Origin:
     """Return all that the rows depend on, as plain values; for files, their SHA-256."""
-    definition = asdict(sweep)
-    for name in ("keep", "min_success", "confidence"):  # change no row
-        del definition[name]
+    no_matter = ("keep", "min_success", "confidence")  # they change no row
+    definition = {name: value for name, value in asdict(sweep).items() if name not in no_matter}
     vary = definition.pop("vary")
-    file = definition["file"]
-    definition["file"] = _sha256(Path(file).read_bytes()) if file is not None else None
+    definition["file"] = _sha256(sweep.file.read_bytes()) if sweep.file is not None else None
     definition["scenario"] = scenario_names(sweep.scenario)
     plain: Origin = json.loads(json.dumps({
         "definition": definition,
@@ -123,13 +121,13 @@ class Store:
         self.results = self.folder / "results"
 
     @property
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Content:
         """Content of sweep.json."""
         path = self.folder / SWEEP_FILE
         if not path.exists():
             raise InputError(f"{path}: no such file; must be in the folder of a sweep")
         try:
-            return _Content.model_validate_json(read_text(path, _MAX_BYTES)).model_dump()
+            return Content.model_validate_json(read_text(path, _MAX_BYTES))
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]
             place = "".join(f"{part}: " for part in problem["loc"])
@@ -137,9 +135,9 @@ class Store:
 
     def kept_scenarios(self, names: Sequence[str]) -> list[Path]:
         """Return the folders of the scenarios as they were swept; none if others were."""
-        if not (self.folder / SWEEP_FILE).exists() or not (self.folder / KEPT).exists():
+        if not (self.folder / KEPT).exists():
             return []
-        same = self.content["origin"]["definition"]["scenario"] == list(names)
+        same = self.content.origin["definition"]["scenario"] == list(names)
         return [self.kept_scenario(i, name) for i, name in enumerate(names)] if same else []
 
     def kept_scenario(self, number: int, name: str) -> Path:
@@ -148,7 +146,7 @@ class Store:
 
     def kept(self, number: int) -> Scenario:
         """Return a scenario as it was swept; what it would run must be what ran then."""
-        name, swept = list(self.content["origin"]["scenarios"].items())[number]
+        name, swept = list(self.content.origin["scenarios"].items())[number]
         scenario = load_scenario(folder := self.kept_scenario(number, name))
         if scenario.has_own_parts and identity(pack(Loaded(name, "", scenario))) != swept:
             raise InputError(f"{folder}: has changed; must be as it was swept, for its FMUs to run")
@@ -163,14 +161,13 @@ class Store:
         for number, each in enumerate(packed):
             folder = partial.kept_scenario(number, each.name)
             write_scenario(each.scenario, folder)
-            _write_files(folder, each.files)
+            write_files(folder, each.files)
         (partial.folder / KEPT).rename(self.folder / KEPT)
         partial.folder.rmdir()
 
-    def changed_scenarios(self) -> list[str]:
-        """Return a remark on each scenario that is no longer as it was swept."""
-        remarks = []
-        for number, (name, swept) in enumerate(self.content["origin"]["scenarios"].items()):
+    def changed_scenarios(self) -> Iterator[str]:
+        """Yield a remark on each scenario that is no longer as it was swept."""
+        for number, (name, swept) in enumerate(self.content.origin["scenarios"].items()):
             try:
                 if identity(pack(Loaded(name, "", load_scenario(name)))) == swept:
                     continue
@@ -178,8 +175,7 @@ class Store:
             except InputError:
                 change = "cannot be used any more"
             place = self.kept_scenario(number, name)
-            remarks.append(f"scenario {name}: {change} since the sweep began, which uses {place}")
-        return remarks
+            yield f"scenario {name}: {change} since the sweep began, which uses {place}"
 
     def begin(self, begun_with: Origin) -> bool:
         """Return whether the folder holds this sweep already; refuse one that holds another."""
@@ -189,7 +185,7 @@ class Store:
                     f"{self.folder}: already exists; must be a new folder, or that of this sweep"
                 )
             return False
-        if changed := list(changes(self.content["origin"], begun_with)):
+        if changed := list(changes(self.content.origin, begun_with)):
             raise InputError(
                 f"{self.folder}: holds another sweep: {'; '.join(changed)}; repeat that one, or "
                 "choose another folder with --out"
@@ -199,14 +195,9 @@ class Store:
     @contextmanager
     def claimed(self) -> Iterator[None]:
         """Keep other sweeps out of the folder: they would run and write the same rows again."""
-        with ExitStack() as stack:
-            try:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                is_ours = stack.enter_context(held(self.folder))
-            except OSError as error:
-                raise InputError(
-                    f"{self.folder}: cannot be written to: {error.strerror}"
-                ) from error
+        with writing(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        with held(self.folder) as is_ours:
             if not is_ours:
                 raise InputError(
                     f"{self.folder}: another sweep is running there; let it end, or choose "
@@ -218,11 +209,10 @@ class Store:
                 with suppress(OSError):  # it holds the sweep
                     self.folder.rmdir()
 
-    def write(self, content: Mapping[str, Any]) -> None:
+    def write(self, content: Mapping[str, object]) -> None:
         """Write sweep.json."""
-        with replacing(self.folder / SWEEP_FILE) as path:
-            text = json.dumps({"format": FORMAT, **content}, indent=1, allow_nan=False)
-            path.write_text(text + "\n", encoding="utf-8")
+        text = json.dumps({"format": FORMAT, **content}, indent=1, allow_nan=False)
+        write_whole(self.folder / SWEEP_FILE, text + "\n")
         self.results.mkdir(exist_ok=True)
 
     def parts(self) -> list[Path]:
@@ -248,7 +238,7 @@ class Store:
         if done.files:
             folder = self.run_folder(done.task.index)
             shutil.rmtree(folder, ignore_errors=True)
-            _write_files(folder, done.files)
+            write_files(folder, done.files)
 
     def run_folder(self, index: int) -> Path:
         """Return the folder of a row's run, whether or not it exists."""
@@ -282,15 +272,14 @@ class Store:
         return self.table(["index"])["index"].to_numpy() if self.parts() else np.empty(0, np.int64)
 
     def row(self, index: int) -> Row:
-        """Return one row."""
-        rows = self.scan(filter=pc.field("index") == index).to_pylist()
-        if not rows:
-            known = self.done()
+        """Return one row, with all columns."""
+        known = self.done()
+        if index not in known:
             raise InputError(
                 f"{self.folder}: has no row {index}; must be one of its {len(known)} rows, from "
                 f"{known[0]} to {known[-1]}"
             )
-        return dict(rows[0])
+        return self.rows([index])[0]
 
     def count(self) -> dict[str, int]:
         """Return the number of rows by status."""
@@ -309,16 +298,17 @@ class Store:
         rank = np.where(np.isnan(margin), np.where(success, np.inf, -np.inf), margin)
         index = table["index"].to_numpy()
         chosen = index[np.lexsort((index, rank, success))][:number].tolist()
-        rows = {row["index"]: row for row in self.rows(chosen, ["scenario", *keys])}
-        return [rows[each] for each in chosen]
+        return self.rows(chosen, ["scenario", *keys])
 
-    def rows(self, indices: Sequence[int], columns: Sequence[str]) -> list[Row]:
-        """Return columns, the index among them, of some rows, in the order of their index."""
-        return list(self.table(["index", *columns], indices).to_pylist())
+    def rows(self, indices: Sequence[int], columns: Sequence[str] | None = None) -> list[Row]:
+        """Return some rows, with their index and the given columns or all, in the given order."""
+        names = None if columns is None else ["index", *columns]
+        found = {row["index"]: row for row in self.table(names, indices).to_pylist()}
+        return [found[index] for index in indices]
 
     def beyond_limits(self) -> int | None:
         """Return how many successes exceeded a limit of the robot; None: none was measured."""
-        shares = [name for name in self.content["columns"]
+        shares = [name for name in self.content.columns
                   if name.startswith("summary.limits.") and "_share" in name]  # fmt: skip
         if not shares:
             return None
@@ -327,13 +317,7 @@ class Store:
         return int(self.scan(columns=["index"], filter=success & exceeded).num_rows)
 
 
-def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    for name, content in files.items():
-        with replacing(folder / name) as path:
-            path.write_bytes(content)
-
-
-def schema(keys: Mapping[str, Any], columns: Sequence[str]) -> pa.Schema:
+def schema(keys: Mapping[str, object], columns: Sequence[str]) -> pa.Schema:
     """Return the schema of all parts, of one value of each key and the columns of a run."""
     types = {bool: pa.bool_(), str: pa.string(), float: pa.float64()}
     fields = {"index": pa.int64(), **{key: types[type(value)] for key, value in keys.items()}}
