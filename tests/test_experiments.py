@@ -215,11 +215,11 @@ def test_stimuli_are_what_the_master_fed(tmp_path):
      ({"references": "time,qpos[3]\n0,one\n"}, 2, "references.csv: qpos[3]: must have a number in"),
      ({"references": "time,qpos[3]\n0\n"}, 2, "references.csv: line 2: 1 values; must be 2"),
      ({"reference": lambda text: text.replace('stepSize="0.0005"', 'stepSize="0"')}, 2,
-      "stepSize '0'"),
+      "stepSize: value '0'"),
      ({"fmi_ls_manifest": lambda text: text.replace("reference.exp", "../../../x.exp")}, 2,
       "must be a file inside its archive"),
      ({"fmi_ls_manifest": lambda text: text[:60]}, 2, "x.fmu: fmi-ls-manifest.xml: not well"),
-     ({"reference": lambda text: text.replace('"1e-06"', '"none"')}, 2, "tolerance 'none'")],
+     ({"reference": lambda text: text.replace('"1e-06"', '"none"')}, 2, "tolerance: value 'none'")],
 )  # fmt: skip
 def test_where_nothing_can_be_compared_check_is_not_content(box, tmp_path, changes, code, words):
     done = command("check", changed(box, tmp_path / "x.fmu", **changes), code=code)

@@ -42,7 +42,7 @@ from panda_cosim.controller.touch import COLLISION
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
 from panda_cosim.task import rotations
-from panda_cosim.task.limits import shares, torque_rates
+from panda_cosim.task.limits import shares
 from panda_cosim.task.timing.stretched import stretched
 from panda_cosim.task.trajectory import Trajectory
 
@@ -220,7 +220,8 @@ def run_move(
         bool(y["singular"]),
         tuple(y["limit"].tolist()),
         _largest_share(motion),
-        float((np.abs(torque_rates(motion[3])) / TORQUE_RATE_MAX).max()),
+        # But for the first two ticks, in which the servos take up what they hold.
+        float(np.abs(np.diff(motion[3][2:], axis=0) / STEP_SIZE / TORQUE_RATE_MAX).max()),
         1e6 * busy / len(commands),
         slower,
         refused,

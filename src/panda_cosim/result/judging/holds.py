@@ -32,18 +32,18 @@ SHORT: Final = 0.05 - 1e-9  # [s] a shorter gap belongs to a hold, a shorter spa
 
 
 class Rows(Protocol):
-    """What is read of a recording."""
+    """What holds and pictures need of a recording."""
 
     @property
     def time(self) -> Array:
-        """Instants of the rows (n,) [s]."""
+        """Instants of the rows (n,) [s], increasing."""
 
     @property
     def columns(self) -> Sequence[str]:
         """Names of all columns."""
 
     def __getitem__(self, name: str) -> Array:
-        """A column's values (n,)."""
+        """A signal's values (n, ...)."""
 
 
 @dataclass(frozen=True)

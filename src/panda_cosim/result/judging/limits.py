@@ -8,8 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...assets.franka import ROBOTS, RobotLimits
-from ...task.limits import LIMITS_OF, METRICS, reference_rates, robot_of, saturated, torque_rates
+from ...fmus.errors import refuse
+from ...task.limits import LIMITS, LIMITS_OF, METRICS, robot_of
 from ..recording import Recording, by_rows
 from .summary import Metrics
 
@@ -19,6 +21,7 @@ Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long r
 HAND: Final = "plant.hand_xpos"
 FORCE: Final = "plant.actuator_force"  # of the servos [N.m, N]
 REFERENCE: Final = "controller.qvel_ref"
+SATURATED: Final = 1.0 - 1e-9  # share of its torque from which a servo has none left
 # Values 1 to 6 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk", "torque", "torque rate")
 _Q, _QD, _F = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]"
@@ -106,18 +109,36 @@ def _of(signal: str, first: int = 1, count: int = 7) -> Elements:
     return lambda recording: (recording[f"{signal}[{first + i}]"] for i in range(count))
 
 
-def _torque_rates(recording: Recording) -> Iterable[Array]:
+def _torque_rates(recording: Recording) -> Iterator[Array]:
+    """Yield the rates of the servos' torques [N.m/s]; 0 while the servos are switched on."""
+    # They are in row `on`, when a torque first differs from 0, and take up what they hold in that
+    # tick and the next.
     has_torque = by_rows(recording, lambda torque: torque[:, :7].any(axis=1), FORCE)
     on = int(np.append(has_torque, True).argmax())
-    return (torque_rates(torque, on) for torque in _of(FORCE)(recording))
+    for torque in _of(FORCE)(recording):
+        rates = np.zeros_like(torque)
+        rates[on + 2 :] = np.diff(torque[on + 1 :]) / STEP_SIZE
+        yield rates
 
 
 def _reference_rates(order: int) -> Elements:
-    """Return acceleration (0) or jerk (1) of the reference, held between updates."""
-    return lambda recording: (
-        reference_rates(velocity, recording.metadata)[order]
-        for velocity in _of(REFERENCE)(recording)
-    )
+    """Return acceleration (1) or jerk (2) of the reference, held between updates."""
+
+    def rates(recording: Recording) -> Iterator[Array]:
+        metadata, rows = recording.metadata, np.arange(recording.rows)
+        period = metadata.get("parameters", {}).get("controller", {}).get("period", STEP_SIZE)
+        if not (isinstance(period, int | float) and period > 0.0):
+            refuse("metadata: controller.period", period, "must be above 0 s")
+        ticks = max(round(period / STEP_SIZE), 1)
+        late = int(metadata.get("coupling") == "jacobi" and len(rows) > 1)  # [ticks] of the first
+        for velocity in _of(REFERENCE)(recording):
+            rate = velocity[late::ticks]  # 0 before there are enough updates
+            zeros = np.zeros(min(order, len(rate)))
+            for _ in range(order):
+                rate = np.diff(rate) / period
+            yield np.append(zeros, rate)[np.maximum(rows - late, 0) // ticks]
+
+    return rates
 
 
 # By metric: the signals that it needs, and the shares of the limit, joint by joint.
@@ -128,8 +149,8 @@ _USES: Final[Mapping[str, tuple[tuple[str, ...], Elements]]] = {
     "torque_rate_share": ((_F,), _share("torque rate", _torque_rates)),
     "finger_speed_share": ((_QD,), _share("finger speed", _of("plant.qvel", 8, 2))),
     "reference_velocity_share": ((_REF, _Q_REF), _velocities(REFERENCE, "controller.qpos_ref")),
-    "reference_acceleration_share": ((_REF,), _share("acceleration", _reference_rates(0))),
-    "reference_jerk_share": ((_REF,), _share("jerk", _reference_rates(1))),
+    "reference_acceleration_share": ((_REF,), _share("acceleration", _reference_rates(1))),
+    "reference_jerk_share": ((_REF,), _share("jerk", _reference_rates(2))),
 }
 
 
@@ -161,7 +182,8 @@ def first_limit(recording: Recording) -> Metrics | None:
     for time, *signals in recording.in_blocks("time", *names):
         by_name, kinds = dict(zip(names, signals, strict=True)), np.zeros((len(time), 7))
         if FORCE in by_name:
-            kinds[saturated(by_name[FORCE][:, :7], scale)] = 1 + KINDS.index("torque")
+            share = np.abs(by_name[FORCE][:, :7]) / (scale * LIMITS["torque"].bound)
+            kinds[share >= SATURATED] = 1 + KINDS.index("torque")
         if "controller.limit" in by_name:
             limit = by_name["controller.limit"]
             kinds = np.where(limit > 0.0, limit, kinds)

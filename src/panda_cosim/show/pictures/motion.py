@@ -5,7 +5,7 @@ Plain numpy; it needs neither a renderer nor a simulation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from textwrap import shorten
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ...result.judging.holds import Hold, find_holds, first_collision
+from ...result.judging.holds import Hold, Rows, find_holds, first_collision
 from ...result.recording.reader import shapes_of
 from ...task import rotations
 from ...task.files import model_file
@@ -40,23 +40,12 @@ REASON_LENGTH = 80  # characters of an error's message in a title
 APART = 0.05  # [s] least distance: closer moments look alike
 
 
-class Signals(Protocol):
+class Signals(Rows, Protocol):
     """Interface that pictures need of a recording; `result.recording.Recording` has it."""
-
-    @property
-    def time(self) -> FloatArray:
-        """Instants of the rows (n,) [s], increasing."""
-
-    @property
-    def columns(self) -> Sequence[str]:
-        """Names of all columns."""
 
     @property
     def metadata(self) -> Mapping[str, Any]:
         """Origin of the recording: scenario, scene, versions ..."""
-
-    def __getitem__(self, name: str) -> FloatArray:
-        """A signal's values (n, ...)."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from ...fmus.atomic import replacing
 from ...fmus.build.description import literal, render
 from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, refuse
 from ...fmus.interface.tables import Connection
 from ...fmus.interface.variables import Scalar, Value, by_array
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
@@ -267,15 +267,16 @@ def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Se
     default, times = fmu.description.defaultExperiment, references.times
     spacing = float(np.diff(times).min()) if len(times) > 1 else 0.001
     last = float(times[-1]) if len(times) else 1.0
-    numbers = {"startTime": 0.0, "stopTime": last, "stepSize": spacing}
-    texts = {key: getattr(default, key, None) or str(n) for key, n in numbers.items()}
-    texts["tolerance"] = str(TOLERANCE)  # not the default experiment's, which is its solver's
-    for key, text in {**texts, **{k: settings[k] for k in texts if k in settings}}.items():
+    numbers = {"startTime": 0.0, "stopTime": last, "stepSize": spacing, "tolerance": TOLERANCE}
+    for key, value in numbers.items():
+        # The default experiment's tolerance is its solver's.
+        preset = getattr(default, key, None) if key != "tolerance" else None
+        text = settings.get(key, preset) or str(value)
         number = finite_number(text)
         bound = " above 0" if key in ("stepSize", "tolerance") else ""
         if number is None or (bound and number <= 0.0):
-            place = f"{fmu.label}: experiment {name!r}"
-            raise InputError(f"{place}: {key} {text!r}; must be a finite number{bound}")
+            place = f"{fmu.label}: experiment {name!r}: {key}"
+            refuse(place, text, f"must be a finite number{bound}")
         numbers[key] = number
     start, stop, step, tolerance = numbers.values()
     return Experiment(name, start, stop, step, tolerance, references=references)
