@@ -28,7 +28,8 @@ import panda_cosim
 from panda_cosim.cli.app import load
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
 from panda_cosim.cli.commands.info import variables_markdown
-from panda_cosim.fmus.interface.tables import INTERFACES, SENSORS
+from panda_cosim.fmus.interface.sensors import SENSORS
+from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.definitions import DEFINITIONS
 
 ROOT = Path(__file__).parents[1]

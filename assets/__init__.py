@@ -26,11 +26,6 @@ def scene_file(scene: str) -> str:
     return f"{SCENES[0] if scene == ELASTIC else scene}.xml"
 
 
-def asset_path(name: str) -> Path:
-    """Return the path of the MJCF file `name`, for example "panda.xml"."""
-    return ASSETS / name
-
-
 @cache
 def asset_files() -> dict[str, bytes]:
     """Return the contents of all MJCF files by name, as MuJoCo takes them from memory."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assets.franka import CTRL_OPEN, OPENING_MAX
-from .gains import DEFAULT, Gains
+from .gains import Gains
 from .impedance import ImpedanceLaw
 from .reference_law import ReferenceLaw
 from .signals import INPUTS, OUTPUTS, Buffer, Law
@@ -44,7 +44,7 @@ class Controller:
 
     def __init__(
         self,
-        gains: Gains = DEFAULT,
+        gains: Gains | None = None,
         period: float = 0.001,
         input_values: Vector | None = None,
         output_values: Vector | None = None,
@@ -60,7 +60,7 @@ class Controller:
             for name, law in LAWS.items()
         }
         self._touch = Touch(self._x, self._y, self._state.touch, period)
-        self.gains = gains
+        self.gains = gains or Gains()
         self.reset()
 
     @property

@@ -11,17 +11,10 @@ from ..assets.franka import JOINT_DAMPING, ROBOTS, TORQUE_MAX, TORQUE_RATE_MAX
 from .gains import Gains
 from .ik import pose_error
 from .limits import clamp
-from .linalg import (
-    damped_factor,
-    geometric_mean,
-    inverse,
-    manipulability,
-    mat_mat_t,
-    mat_t_vec,
-    mat_vec,
-)
+from .linalg import damped_factor, geometric_mean, inverse, mat_mat_t, mat_t_vec, mat_vec
 from .model import ArmModel
 from .signals import KEPT, Late, Law, Layout, Vector
+from .singularity import manipulability
 
 # Added to the inverse of the hand's inertia, which bounds the inertia near singularities.
 COMPLIANCE: Final = 1e-3  # [1/kg, 1/(kg m^2)]
@@ -67,13 +60,8 @@ class ImpedanceLaw(Law):
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
-        self._gains, self._robot = gains, ROBOTS[gains.robot]
-        self._arm = ArmModel(gains.robot)
-        self._stiffness, self._offset_limit = (
-            np.array(gains.stiffness),
-            np.array(gains.offset_limit),
-        )
-        self._posture = np.array(gains.posture)
+        super().set_gains(gains)
+        self._arm, self._robot = ArmModel(gains.robot), ROBOTS[gains.robot]
         self._most = gains.limit_share * TORQUE_MAX
         self._step = gains.limit_share * TORQUE_RATE_MAX * self._period
         self._poses = Late(self._state.poses, gains.reading_delay, self._period)
@@ -95,10 +83,10 @@ class ImpedanceLaw(Law):
         inverse_inertia = mat_mat_t(moved, x.jac)
         inverse_inertia.reshape(-1)[::7] += COMPLIANCE
         inertia = inverse(inverse_inertia)
-        damping = 2.0 * gains.damping_ratio * geometric_mean(inertia, self._stiffness)
+        damping = 2.0 * gains.damping_ratio * geometric_mean(inertia, gains.stiffness)
 
         pose = self._poses.recall(np.concatenate((x.pos_cmd, x.quat_cmd)))
-        spring = self._stiffness * pose_error(pose[:3], pose[3:], x.hand_xpos, x.hand_xquat)
+        spring = gains.stiffness * pose_error(pose[:3], pose[3:], x.hand_xpos, x.hand_xquat)
         _shorten(spring[:3], gains.spring_force)
         _shorten(spring[3:], gains.spring_torque)
         twist_cmd = np.concatenate((x.vel_cmd, x.omega_cmd))
@@ -106,13 +94,13 @@ class ImpedanceLaw(Law):
         change = (twist_cmd - state.twist_before - turning) / self._period
         state.twist_before[:], state.jac_before[:] = twist_cmd, x.jac
         grown = state.offset + self._period * gains.offset_rate * spring
-        grown = clamp(grown, -self._offset_limit, self._offset_limit)
+        grown = clamp(grown, -gains.offset_limit, gains.offset_limit)
         rests = np.append(x.force_cmd != 0.0, [x.force_cmd.any()] * 3)
         state.offset[:] = np.where(rests, state.offset, grown)
         wrench = spring + mat_vec(damping, twist_cmd - mat_vec(x.jac, x.qvel)) + state.offset
         wrench[:3] += x.force_cmd
 
-        posture = x.posture_cmd if gains.follow_posture else self._posture
+        posture = x.posture_cmd if gains.follow_posture else gains.posture
         spare = gains.posture_stiffness * (posture - x.qpos) - gains.posture_damping * x.qvel
         wrench += mat_vec(inertia, change - mat_vec(moved, spare))
         torque = clamp(mat_t_vec(x.jac, wrench) + spare + bias, -self._most, self._most)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets.franka import PANDA, RobotLimits
+from ..assets.franka import PANDA
+from ..assets.limits import RobotLimits
 
 Vector = NDArray[np.float64]
 Box = NDArray[np.float64]  # rows lowest and highest joint velocity (2, 7) [rad/s]
@@ -41,6 +44,15 @@ def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
     return clamped
 
 
+class Motion(NamedTuple):
+    """The joint reference of the period before, (7,) each."""
+
+    q_ref: Vector  # [rad] of this period
+    qd: Vector  # [rad/s]
+    qdd: Vector  # [rad/s^2]
+    lag: Vector  # [rad] joint reference minus measured joint positions
+
+
 class JointLimits:
     """Bounds of the joint reference's velocity, per joint.
 
@@ -50,9 +62,7 @@ class JointLimits:
     by the jerk limit, which take precedence: they can always be kept.
 
     `share` of the limits may be used [1], and the joint reference be ahead of the measured joint by
-    `lead` [rad]. The methods take (7,) each: the joint velocities qd [rad/s], the joint reference
-    q_ref [rad], its velocity and acceleration in the period before [rad/s], [rad/s^2], and its lag,
-    the joint reference minus the measured joint positions [rad].
+    `lead` [rad]. Joint velocities qd are (7,) [rad/s].
     """
 
     def __init__(self, share: float, lead: float, period: float, robot: RobotLimits = PANDA):
@@ -76,15 +86,9 @@ class JointLimits:
             stop = np.maximum(stop, room)
         # A change may be taken back in steps alone, so that the speed goes on growing meanwhile.
         slack = self._change * self._change / self._step
-        self._near = np.stack(
-            (
-                self._speed - slack,
-                self._change,
-                self._step,
-                np.full(7, lead),
-                0.5 * (self._ends[1] - self._ends[0]) - stop,
-            )
-        )
+        rates = (self._speed - slack, self._change, self._step)
+        room = 0.5 * (self._ends[1] - self._ends[0]) - stop
+        self._near = np.stack((*rates, np.full(7, lead), room))
 
     def pull_from_ends(self, q_ref: Vector) -> Vector:
         """Joint velocities that lead away from the ends of the joints' ranges."""
@@ -93,33 +97,26 @@ class JointLimits:
         pull: Vector = up - down
         return pull
 
-    def inactive(
-        self, qd: Vector, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
-    ) -> bool:
+    def inactive(self, qd: Vector, before: Motion) -> bool:
         """Check cheaply that no limit is near; `velocity_box` then contains qd."""
-        change = qd - qd_before
-        turn = change - self._period * qdd_before  # at least as large as in `_changes`
-        sizes = np.abs(np.array((qd, change, turn, lag, q_ref - self._middle)))
+        change = qd - before.qd
+        turn = change - self._period * before.qdd  # at least as large as in `_changes`
+        sizes = np.abs(np.array((qd, change, turn, before.lag, before.q_ref - self._middle)))
         return bool(np.count_nonzero(sizes < self._near) == self._near.size)  # faster than `all`
 
-    def velocity_box(
-        self, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
-    ) -> Box:
+    def velocity_box(self, before: Motion) -> Box:
         """Return the joint velocities that are allowed in this period."""
+        q_ref, qd_before, qdd_before, lag = before
         box = _SIDES * self._stoppable(q_ref)
         excess = np.abs(lag) - self._lead
         if excess.max() > 0.0:
             self._come_back(box, excess, lag)
         low, high = qd_before + _SIDES * self._reachable(_SIDES * (box - qd_before))
         # Coming back, too, no faster than the speed can be kept from growing beyond its limit.
-        box = np.stack(
-            (
-                np.where(lag < 0.0, np.minimum(low, high), low),
-                np.where(lag > 0.0, np.maximum(high, low), high),
-            )
-        )
+        lowest = np.where(lag < 0.0, np.minimum(low, high), low)
+        highest = np.where(lag > 0.0, np.maximum(high, low), high)
         least, most = self._changes(qdd_before)
-        box = clamp(box, qd_before + least, qd_before + most)
+        box = clamp(np.stack((lowest, highest)), qd_before + least, qd_before + most)
         box[1] = np.maximum(box[1], box[0] + MIN_WIDTH)
         return box
 
@@ -155,22 +152,14 @@ class JointLimits:
         low[:] = np.where(behind, np.minimum(speed, high), low)
         high[:] = np.where(ahead, np.maximum(-speed, low), high)
 
-    def binding(  # noqa: PLR0913 - what `velocity_box` takes, and what came of it
-        self,
-        qd: Vector,
-        q_ref: Vector,
-        qd_before: Vector,
-        qdd_before: Vector,
-        lag: Vector,
-        box: Box,
-    ) -> Vector:
+    def binding(self, qd: Vector, before: Motion, box: Box) -> Vector:
         """Tell which limit binds each joint (7,): `POSITION` to `JERK`, or 0 for none."""
         low, high = box
-        least, most = self._changes(qdd_before)
-        by_change = (qd <= qd_before + least) | (qd >= qd_before + most)
-        full = np.abs(qd - qd_before) >= (1.0 - ROUNDING) * self._change
-        free = self._stoppable(q_ref).min(axis=0) >= self._speed
-        kinds = np.where(free & (np.abs(lag) <= self._lead), VELOCITY, POSITION)
+        least, most = self._changes(before.qdd)
+        by_change = (qd <= before.qd + least) | (qd >= before.qd + most)
+        full = np.abs(qd - before.qd) >= (1.0 - ROUNDING) * self._change
+        free = self._stoppable(before.q_ref).min(axis=0) >= self._speed
+        kinds = np.where(free & (np.abs(before.lag) <= self._lead), VELOCITY, POSITION)
         kinds = np.where(by_change, np.where(full, ACCELERATION, JERK), kinds)
         binds: Vector = np.where((qd <= low) | (qd >= high), kinds, 0.0)
         return binds

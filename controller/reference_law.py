@@ -16,17 +16,17 @@ from .ik import (
     pose_error,
     scaled_least_squares,
 )
-from .limits import JointLimits, clamp, within
-from .linalg import (
-    damped_factor,
+from .limits import JointLimits, Motion, clamp, within
+from .linalg import damped_factor
+from .model import ArmModel
+from .pid import PID_STATE, Pid
+from .signals import KEPT, Late, Law, Layout, Vector
+from .singularity import (
     find_weak_direction,
     manipulability,
     singular_damping,
     smallest_singular_value,
 )
-from .model import ArmModel
-from .pid import PID_STATE, Pid
-from .signals import KEPT, Late, Law, Layout, Vector
 
 
 class ReferenceLaw(Law):
@@ -66,21 +66,11 @@ class ReferenceLaw(Law):
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
-        self._gains, robot = gains, ROBOTS[gains.robot]
-        self._arm, self._q_min, self._q_max = ArmModel(gains.robot), robot.q_min, robot.q_max
-        self._posture, self._posture_gain = np.array(gains.posture), np.array(gains.posture_gain)
-        self._follow_gain = np.array(gains.posture_follow_gain)
-        self._servo_lag, self._servo_stiffness = (
-            np.array(gains.servo_lag),
-            np.array(gains.servo_stiffness),
-        )
-        self._gravity, self._inertia = (
-            np.array(gains.gravity_feedforward),
-            np.array(gains.inertia_feedforward),
-        )
+        super().set_gains(gains)
         period = self._period
+        self._arm, self._robot = ArmModel(gains.robot), ROBOTS[gains.robot]
         self._error_share = period / (gains.error_filter + period)
-        self._limits = JointLimits(gains.limit_share, gains.reference_lead, period, robot)
+        self._limits = JointLimits(gains.limit_share, gains.reference_lead, period, self._robot)
         self._pid = Pid(gains, period, self._state.pid)
         self._poses = Late(self._state.poses, gains.reading_delay, period)
         self._q_refs = Late(self._state.q_refs, gains.reading_delay, period)
@@ -126,20 +116,21 @@ class ReferenceLaw(Law):
         # Limits of the joint reference: where one binds, the hand slows down.
         dq = self._q_refs.recall(q_ref) - q
         y.limit[...] = 0.0
-        if not self._limits.inactive(qd, q_ref, qd_before, state.qdd_before, dq):
-            before = (q_ref, qd_before, state.qdd_before, dq)
-            box = self._limits.velocity_box(*before)
+        before = Motion(q_ref, qd_before, state.qdd_before, dq)
+        if not self._limits.inactive(qd, before):
+            box = self._limits.velocity_box(before)
             if not within(qd, box):
                 qd = scaled_least_squares(jac, error, qd, gains.ik_damping, damping, box)
-                y.limit[...] = self._limits.binding(qd, *before, box)
+                y.limit[...] = self._limits.binding(qd, before, box)
 
         # Feed-forward of servo lag, gravity and inertia, and the PID.
         qdd = (qd - qd_before) / self._period
-        torque = self._gravity * x.qfrc_bias + self._inertia * self._arm.inertia_force(q, qdd)
-        ctrl = q_ref + self._servo_lag * qd + torque / self._servo_stiffness + self._pid.update(dq)
+        inertia_force = self._arm.inertia_force(q, qdd)
+        torque = gains.gravity_feedforward * x.qfrc_bias + gains.inertia_feedforward * inertia_force
+        ctrl = q_ref + gains.servo_lag * qd + torque / gains.servo_stiffness + self._pid.update(dq)
 
         # Write the outputs, with each target clamped to its joint's range, and the state.
-        y.ctrl[:7], y.dq[...] = clamp(ctrl, self._q_min, self._q_max), dq
+        y.ctrl[:7], y.dq[...] = clamp(ctrl, self._robot.q_min, self._robot.q_max), dq
         y.qpos_ref[...], y.qvel_ref[...] = q_ref, qd
         q_ref += self._period * qd
         qd_before[...], state.qdd_before[...], state.twist_before[...] = qd, qdd, twist_cmd
@@ -148,8 +139,8 @@ class ReferenceLaw(Law):
         """Joint velocities d (7,) [rad/s], of which the task leaves the null space's part."""
         x, gains, q_ref = self._inputs, self._gains, self._state.q_ref
         if gains.follow_posture:
-            drift: Vector = x.posture_vel_cmd + self._follow_gain * (x.posture_cmd - q_ref)
+            drift: Vector = x.posture_vel_cmd + gains.posture_follow_gain * (x.posture_cmd - q_ref)
         else:
             pull = self._limits.pull_from_ends(q_ref)
-            drift = self._posture_gain * (self._posture - q_ref) + pull
+            drift = gains.posture_gain * (gains.posture - q_ref) + pull
         return drift

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from ..assets.fields import as_arrays
 from .model import ArmModel
 from .sensor_errors import SensorErrors
 from .signals import INPUTS, Buffer, Vector
@@ -32,9 +33,8 @@ class Sensors:
     """Encoders, the robot's own kinematics, a camera and the line to the controller.
 
     `update` reads `truth` of the layout `TRUTH` and writes `readings` of the layout `READINGS`; the
-    caller may bring their flat arrays (82,) and (131,). The errors may be changed between updates,
-    all but seed, delay and robot. Random numbers are a function of seed and tick, so the state is
-    the tick and what is on its way.
+    caller may bring their flat arrays (82,) and (131,). Random numbers are a function of seed and
+    tick, so the state is the tick and what is on its way.
     """
 
     def __init__(
@@ -43,30 +43,22 @@ class Sensors:
         truth_values: Vector | None = None,
         reading_values: Vector | None = None,
     ) -> None:
-        self.errors = errors or SensorErrors()
+        errors = errors or SensorErrors()
+        self.set_errors(errors)
         truth, now = Buffer(TRUTH, truth_values), Buffer(TRUTH)
         readings = Buffer(READINGS, reading_values)
         self.truth_values, self.truth = truth.values, truth.record
         self.reading_values, self.readings = readings.values, readings.record
         self._sent = readings.values[: truth.values.size]
         self._now_values, self._now = now.values, now.views  # measured in this tick
-        self._arm = ArmModel(self.errors.robot)
-        self._line = np.zeros((self.errors.delay, truth.values.size))  # readings on their way
+        self._arm = ArmModel(errors.robot)
+        self._line = np.zeros((errors.delay, truth.values.size))  # readings on their way
         self._tick, self._drawn_from = 0, -1
 
-    @property
-    def errors(self) -> SensorErrors:
-        """The errors of the measurements."""
-        return self._errors
-
-    @errors.setter
-    def errors(self, errors: SensorErrors) -> None:
-        self._errors = errors
-        self._offset, self._noise = np.array(errors.joint_offset), np.array(errors.joint_noise)
-        self._step = np.array(errors.joint_quantisation)
-        self._velocity_noise = np.array(errors.velocity_noise)
-        self._is_noisy = bool(self._noise.any() or self._velocity_noise.any())
-        self._seen = np.array(errors.block_position_error)
+    def set_errors(self, errors: SensorErrors) -> None:
+        """Change the errors, all but seed, delay and robot; allowed between any two updates."""
+        self._errors = as_arrays(errors)
+        self._is_noisy = any(errors.joint_noise) or any(errors.velocity_noise)
         cos, sin = np.cos(errors.block_yaw_error), np.sin(errors.block_yaw_error)
         self._turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
@@ -90,17 +82,18 @@ class Sensors:
 
     def _measure_joints(self) -> None:
         """Offset, noise and quantisation of the encoders, where there are any."""
-        now = self._now
-        if self._offset.any():
-            now.qpos += self._offset
+        now, errors = self._now, self._errors
+        if errors.joint_offset.any():
+            now.qpos += errors.joint_offset
         if self._is_noisy:
             self._draw()
             noise = self._normals[self._tick % _DRAWN]
-            now.qpos += self._noise * noise[:7]
-            now.qvel += self._velocity_noise * noise[7:]
-        if self._step.any():
-            steps = np.where(self._step > 0.0, self._step, 1.0)
-            now.qpos[:] = np.where(self._step > 0.0, steps * np.round(now.qpos / steps), now.qpos)
+            now.qpos += errors.joint_noise * noise[:7]
+            now.qvel += errors.velocity_noise * noise[7:]
+        step = errors.joint_quantisation
+        if step.any():
+            steps = np.where(step > 0.0, step, 1.0)
+            now.qpos[:] = np.where(step > 0.0, steps * np.round(now.qpos / steps), now.qpos)
 
     def _model_hand(self) -> None:
         """Pose, Jacobian and bias force of the robot's own model at the measured joints."""
@@ -111,8 +104,8 @@ class Sensors:
 
     def _see_block(self) -> None:
         """The camera's error of the block's pose."""
-        if self._seen.any():
-            self._now.target_xpos += self._seen
+        if self._errors.block_position_error.any():
+            self._now.target_xpos += self._errors.block_position_error
         if self._errors.block_yaw_error:
             self._now.target_xmat[:] = self._turn @ self._now.target_xmat
 

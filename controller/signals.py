@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assets.fields import as_arrays
 from .gains import Gains
 
 Vector = NDArray[np.float64]
@@ -67,9 +68,9 @@ class Law(ABC):
         self._inputs, self._outputs, self._state = inputs, outputs, state
         self._period = period
 
-    @abstractmethod
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
+        self._gains = as_arrays(gains)
 
     @abstractmethod
     def start(self) -> None:

@@ -7,6 +7,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from ..assets import STEP_SIZE
+from ..assets.fields import as_arrays
 from ..assets.franka import JOINT_DAMPING, ROBOTS, SERVO_DAMPING
 from .gains import Gains
 from .limits import clamp
@@ -54,13 +55,10 @@ class Touch:
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
-        self._gains, self._robot = gains, ROBOTS[gains.robot]
-        self._arm = ArmModel(gains.robot)
+        self._gains = as_arrays(gains)
+        self._arm, self._robot = ArmModel(gains.robot), ROBOTS[gains.robot]
         gain = gains.observer_gain * float(self._period)
         self._share = gain / (1.0 + gain)
-        self._lower = np.array(gains.lower_torque_threshold)
-        self._upper = np.array(gains.upper_torque_threshold)
-        self._servo_stiffness = np.array(gains.servo_stiffness)
 
     def takes_over(self) -> bool:
         """Observe and react; whether the arm is moved from here instead of by its law."""
@@ -79,21 +77,22 @@ class Touch:
         return True
 
     def _observe(self) -> None:
-        x, y, state = self._inputs, self._outputs, self._state
+        x, y, state, gains = self._inputs, self._outputs, self._state, self._gains
         if not state.observes:
             state.observes[...], state.qd_before[:] = 1.0, x.qvel
             y.external_torque[:], y.external_force[:], y.joint_contact[:] = 0.0, 0.0, FREE
             return
         qdd = (x.qvel - state.qd_before) / self._period
         state.qd_before[:] = x.qvel
-        rotor = 0.0 if self._gains.impedance else ROTOR
-        torque = x.actuator_force[:7] - rotor * qdd - JOINT_DAMPING[self._gains.robot] * x.qvel
+        rotor = 0.0 if gains.impedance else ROTOR
+        torque = x.actuator_force[:7] - rotor * qdd - JOINT_DAMPING[gains.robot] * x.qvel
         needed = self._arm.inertia_force(x.qpos, qdd) + x.qfrc_bias
         external = y.external_torque
         external += self._share * (needed - torque - external)
         y.external_force[:] = cholesky_solve(damped_factor(x.jac, 0.0), mat_vec(x.jac, external))
         size = np.abs(external)
-        now = np.where(size > self._upper, COLLISION, np.where(size > self._lower, CONTACT, FREE))
+        now = np.where(size > gains.lower_torque_threshold, CONTACT, FREE)
+        now = np.where(size > gains.upper_torque_threshold, COLLISION, now)
         y.joint_contact[:] = np.where(y.joint_contact == COLLISION, COLLISION, now)
 
     def _react(self) -> None:
@@ -103,5 +102,5 @@ class Touch:
             self._state.q_stop[:] = x.qpos
         y.qpos_ref[:] = self._state.q_stop
         y.dq[:], y.qvel_ref[:], y.limit[:] = y.qpos_ref - x.qpos, 0.0, 0.0
-        ctrl = y.qpos_ref + x.qfrc_bias / self._servo_stiffness
+        ctrl = y.qpos_ref + x.qfrc_bias / self._gains.servo_stiffness
         y.ctrl[:7] = clamp(ctrl, self._robot.q_min, self._robot.q_max)

@@ -8,9 +8,10 @@ import numpy as np
 
 from .gains import Gains
 from .ik import pose_error
-from .linalg import cholesky_solve, damped_factor, manipulability, mat_t_vec
+from .linalg import cholesky_solve, damped_factor, mat_t_vec
 from .pid import PID_STATE, Pid
 from .signals import KEPT, Late, Law, Layout
+from .singularity import manipulability
 
 
 class TutorialLaw(Law):
@@ -20,7 +21,7 @@ class TutorialLaw(Law):
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
-        self._base_ctrl = np.array(gains.base_ctrl)
+        super().set_gains(gains)
         self._pid = Pid(gains, self._period, self._state.pid)
         self._poses = Late(self._state.poses, gains.reading_delay, self._period)
 
@@ -40,4 +41,4 @@ class TutorialLaw(Law):
         dq = mat_t_vec(x.jac, cholesky_solve(factor, error))  # pinv(J) e
         y.manipulability[...] = manipulability(factor)
         y.dq[:], y.qpos_ref[:] = dq, x.qpos + dq
-        y.ctrl[:7] = self._base_ctrl + self._pid.update(dq)
+        y.ctrl[:7] = self._gains.base_ctrl + self._pid.update(dq)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import secrets
 import shutil
@@ -14,11 +15,6 @@ from pathlib import Path
 from typing import Final
 
 from .errors import InputError
-
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
 
 TEMPORARY: Final = ".panda-cosim-"  # an unusual name, since it may stand beside a user's files
 KEPT: Final = 7 * 24 * 3600.0  # [s] age at which what a killed process left is removed
@@ -113,7 +109,7 @@ def held(path: Path) -> Iterator[bool]:
     # systemd-tmpfiles also leaves what is held so.
     file = os.open(path, os.O_RDONLY)
     try:
-        yield fcntl is None or _lock(file)
+        yield _lock(file)
     finally:
         os.close(file)
 

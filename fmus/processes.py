@@ -66,6 +66,19 @@ def _signals_wait() -> Iterator[None]:
             signal.raise_signal(sent)
 
 
+def last_line(text: str) -> str:
+    """Return what a program that failed has said last."""
+    return (text.strip().splitlines() or ["no reason is known"])[-1]
+
+
+def pip(*arguments: str, folder: Path) -> str:
+    """Get wheels, with temporary files in a folder; return why it failed, or "" if it did not."""
+    options = ("--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary", ":all:")
+    command = [sys.executable, "-m", "pip", *arguments, *options]
+    done = run(command, environment=os.environ | {"TMPDIR": str(folder)})
+    return last_line(done.stderr) if done.returncode else ""
+
+
 def start_from_lasting_thread(
     start: Callable[[], subprocess.Popen[bytes]],
 ) -> subprocess.Popen[bytes]:
@@ -78,8 +91,7 @@ def _lasting_thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1)
 
 
-if hasattr(os, "register_at_fork"):  # a fork has none of its parent's threads
-    os.register_at_fork(after_in_child=_lasting_thread.cache_clear)
+os.register_at_fork(after_in_child=_lasting_thread.cache_clear)  # a fork has none of the threads
 
 
 def end_with(parent: int) -> None:

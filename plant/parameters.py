@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import Any, Final
+from dataclasses import dataclass, fields
 
 from ..assets import SCENES
-from ..assets.franka import DEFAULT_ROBOT, ROBOTS
+from ..assets.fields import bounded, switch
+from ..assets.franka import DEFAULT_ROBOT, ROBOTS, Seven
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 ARM_AND_PALM = (*(f"link{i}" for i in range(8)), "hand")  # bodies that should touch nothing
@@ -18,54 +18,45 @@ TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
 TABLE_CENTRE = (0.65, 0.30)  # [m] x and y in the world frame (scene files)
 TABLE_HALF_SIZE = (0.2, 0.2)  # [m] (scene files)
 BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
-Seven = tuple[float, float, float, float, float, float, float]
-_ZEROS: Seven = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_ONES: Seven = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-
-
-def _within(default: Any, low: float, high: float, unit: str) -> Any:
-    """Return the field of a parameter, or of several, between two values."""
-    return field(default=default, metadata={"range": (low, high), "unit": unit})
 
 
 @dataclass(frozen=True)
 class PlantParameters:
     """Parameters of a plant; a ValueError refuses unknown scenes and values out of their range."""
 
-    scene: str = "tabletop"  # one of `assets.SCENES`
-    robot: str = DEFAULT_ROBOT  # one of `assets.franka.ROBOTS`
+    scene: str = switch("tabletop", SCENES)
+    robot: str = switch(DEFAULT_ROBOT, ROBOTS)
     # x and y of its centre at the start, world frame, on the floor (scene files).
-    block_pos: tuple[float, float] = _within((0.4, -0.2), -1.0, 1.0, "m")
+    block_pos: tuple[float, float] = bounded((0.4, -0.2), "m", -1.0, 1.0)
     # Turn of the block about the world's z axis at the start.
-    block_yaw: float = _within(0.0, -math.pi, math.pi, "rad")
-    block_mass: float = _within(0.18, 0.001, 3.0, "kg")  # up to the rated payload (data sheet)
+    block_yaw: float = bounded(0.0, "rad", -math.pi, math.pi)
+    block_mass: float = bounded(0.18, "kg", 0.001, 3.0)  # up to the rated payload (data sheet)
     # Sliding friction of each contact of the block; MuJoCo's lower bound is 1e-5.
-    block_friction: float = _within(1.0, 0.01, 5.0, "1")
-    joint_friction: Seven = _within(_ZEROS, 0.0, 100.0, "N.m")  # Coulomb, beyond the model's
-    joint_viscous: Seven = _within(_ZEROS, 0.0, 1000.0, "N.m.s/rad")  # beyond the model's
-    link_mass_scale: Seven = _within(_ONES, 0.1, 10.0, "1")  # and inertia, share of the model's
-    servo_scale: Seven = _within(_ONES, 0.1, 10.0, "1")  # stiffness and damping, the same
-    torque_limit_scale: Seven = _within(_ONES, 0.1, 10.0, "1")  # largest torque, the same
-    payload: float = _within(0.0, 0.0, 5.0, "kg")  # point mass at the hand's centre of mass
+    block_friction: float = bounded(1.0, "1", 0.01, 5.0)
+    joint_friction: Seven = bounded((0.0,) * 7, "N.m", 0.0, 100.0)  # Coulomb, beyond the model's
+    joint_viscous: Seven = bounded((0.0,) * 7, "N.m.s/rad", 0.0, 1000.0)  # beyond the model's
+    # Shares of the model's.
+    link_mass_scale: Seven = bounded((1.0,) * 7, "1", 0.1, 10.0)  # and inertia
+    servo_scale: Seven = bounded((1.0,) * 7, "1", 0.1, 10.0)  # stiffness and damping
+    torque_limit_scale: Seven = bounded((1.0,) * 7, "1", 0.1, 10.0)  # largest torque
+    payload: float = bounded(0.0, "kg", 0.0, 5.0)  # point mass at the hand's centre of mass
 
     def __post_init__(self) -> None:
-        for kind, name, names in (("scene", self.scene, SCENES), ("robot", self.robot, ROBOTS)):
-            if name not in names:
-                raise ValueError(f"{kind}: {name!r} is not a {kind}; valid: {', '.join(names)}")
-        for name, (low, high) in RANGES.items():
-            value = getattr(self, name)
-            for i, number in enumerate(value if isinstance(value, tuple) else (value,), start=1):
-                if not low <= number <= high:  # false for NaN, too
-                    place = f"{name}[{i}]" if isinstance(value, tuple) else name
-                    unit = UNITS[name]
-                    raise ValueError(
-                        f"{place}: {number!r} {unit} is out of range [{low:g}, {high:g}] {unit}"
-                    )
+        for entry in fields(self):
+            name, value, about = entry.name, getattr(self, entry.name), entry.metadata
+            if "range" in about:
+                _check_range(name, value, about["range"], about["unit"])
+            elif value not in about["choices"]:
+                valid = ", ".join(about["choices"])
+                raise ValueError(f"{name}: {value!r} is not a {name}; valid: {valid}")
 
 
-_BOUNDED: Final = [p for p in fields(PlantParameters) if p.metadata]
-RANGES: Final[dict[str, tuple[float, float]]] = {p.name: p.metadata["range"] for p in _BOUNDED}
-UNITS: Final = {p.name: p.metadata["unit"] for p in _BOUNDED}
+def _check_range(name: str, value: float | Seven, bounds: tuple[float, float], unit: str) -> None:
+    low, high = bounds
+    for i, number in enumerate(value if isinstance(value, tuple) else (value,), start=1):
+        if not low <= number <= high:  # false for NaN, too
+            place = f"{name}[{i}]" if isinstance(value, tuple) else name
+            raise ValueError(f"{place}: {number!r}; must be from {low:g} to {high:g} [{unit}]")
 
 
 def block_start_height(x: float, y: float) -> float:

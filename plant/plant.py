@@ -1,101 +1,22 @@
 """The plant: one MuJoCo simulation behind two preallocated buffers.
 
-A new output takes a line in `OUTPUTS` and one in `Plant._values`, and a row in the FMU's table,
-`fmus/interface/plant.py`.
-
-Contacts are of kinds: unwanted ones, and those that support the block. Each shape has a
-rank, and the higher rank of the two decides: the arm and its palm should touch nothing; fingers
-nothing that cannot move, such as table, floor and walls; and the block, apart from these, should be
-touched from above or below.
+A new output takes a line in `signals.OUTPUTS` and one in `Plant._values`, and a row in the FMU's
+table, `fmus/interface/plant.toml`.
 """
 
 from __future__ import annotations
 
-import math
-from typing import Any, Final
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .parameters import ARM_AND_PALM, BLOCK, FINGERS, MOVING_LINKS, TABLE, PlantParameters
+from .contacts import ON_TABLE, SUPPORT, UNWANTED, contacts_of, kinds_of
+from .parameters import BLOCK, MOVING_LINKS, PlantParameters
 from .scene import load_scene, place_block
+from .signals import INPUTS, OUTPUTS
 
-UPRIGHT: Final = math.sqrt(0.5)  # vertical part of a normal that is 45 deg from vertical
-
-# Kinds of contacts, as bits.
-UNWANTED: Final = 1
-SUPPORT: Final = 2  # of the block
-ON_TABLE: Final = 4  # of a finger
-_OF_BLOCK: Final = 8  # UNWANTED or SUPPORT, by the normal
-
-_FIXED, _BLOCK, _FINGER, _ARM = 1, 2, 3, 4  # ranks; 0: anything else that moves
-
-Kinds = list[list[int]]
-
-
-def kinds_of(model: Any) -> Kinds:
-    """Return the kind of contact that two geoms make, [first][second]."""
-    # In lists, as numpy would take longer to look up the few contacts of a step.
-    rank = np.where(model.body_weldid[model.geom_bodyid] == 0, _FIXED, 0)
-    for names, value in (((BLOCK,), _BLOCK), (FINGERS, _FINGER), (ARM_AND_PALM, _ARM)):
-        rank[_belongs(model, names)] = value
-    high, low = np.maximum.outer(rank, rank), np.minimum.outer(rank, rank)
-    unwanted = (high == _ARM) | ((high == _FINGER) & (low == _FIXED))
-    on_table = (high == _FINGER) & np.logical_or.outer(*[_belongs(model, (TABLE,))] * 2)
-    kinds = UNWANTED * unwanted + ON_TABLE * on_table + _OF_BLOCK * (high == _BLOCK)
-    lists: Kinds = kinds.tolist()
-    return lists
-
-
-def _belongs(model: Any, names: tuple[str, ...]) -> Any:
-    """Whether each geom belongs to one of the bodies (ngeom,)."""
-    bodies = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in names]
-    return np.isin(model.geom_bodyid, bodies)
-
-
-def contacts_of(kinds: Kinds, data: Any) -> list[int]:
-    """Return the kind of each present contact: bits, or 0."""
-    contact = data.contact
-    present = [kinds[first][second] for first, second in contact.geom.tolist()]
-    if _OF_BLOCK in present:
-        for index, up in enumerate(contact.frame[:, 2].tolist()):
-            if present[index] == _OF_BLOCK:
-                present[index] = SUPPORT if abs(up) >= UPRIGHT else UNWANTED
-    return present
-
-
-__all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
-
-
-# What the plant takes and gives; the fields' order is that of the flat buffers.
-INPUTS = np.dtype(
-    [
-        ("ctrl", float, 8),
-        ("push_force", float, 3),
-        ("block_force", float, 3),
-        ("torque", float, 7),
-        *((f"{link}_force", float, 3) for link in MOVING_LINKS),
-    ]
-)
-OUTPUTS = np.dtype(
-    [
-        ("qpos", float, 16),
-        ("qvel", float, 15),
-        ("hand_xpos", float, 3),
-        ("hand_xquat", float, 4),
-        ("target_xpos", float, 3),
-        ("target_xmat", float, 9),
-        ("jac", float, (6, 7)),
-        ("qfrc_bias", float, 7),
-        ("actuator_force", float, 8),
-        ("contact_force", float),
-        ("unwanted_contact_force", float),
-        ("support_force", float),
-        ("table_force", float),
-        ("mass_matrix", float, (7, 7)),
-    ]
-)
 N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
 N_FORCES = 12  # actuator_force to table_force, before mass_matrix; they belong to the last step
 FORCES = slice(N_OUTPUTS - 49 - N_FORCES, N_OUTPUTS - 49)
@@ -175,22 +96,10 @@ class Plant:
         for side in ("left", "right"):
             sensor = self.model.sensor(f"{side}_finger_contact")
             self._normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
-        record = self.output_values.view(OUTPUTS)  # (1,)
-        self._grip_sum = record["contact_force"]
-        self._unwanted_sum, self._support_sum, self._table_sum = (
-            record[name] for name in ("unwanted_contact_force", "support_force", "table_force")
-        )
-        forces = self.data.xfrc_applied[:, :3]
         first_link = self.model.body(MOVING_LINKS[0]).id  # the others follow it
-        links = slice(first_link, first_link + len(MOVING_LINKS))
-        self._passed_on = [
-            (self.data.ctrl, self.inputs["ctrl"]),
-            (forces[self._hand], self.inputs["push_force"]),
-            (forces[self._block], self.inputs["block_force"]),
-            (forces[links], self.input_values[-3 * len(MOVING_LINKS) :].reshape(-1, 3)),
-        ]
-        if self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE:  # motors
-            self._passed_on.append((self.data.ctrl[:7], self.inputs["torque"]))
+        self._links = slice(first_link, first_link + len(MOVING_LINKS))
+        self._link_forces = self.input_values[-3 * len(MOVING_LINKS) :].reshape(-1, 3)
+        self._has_motors = self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE
         self.reset()
 
     def _values(self) -> dict[str, NDArray[np.float64]]:
@@ -222,8 +131,7 @@ class Plant:
 
     def step(self, ticks: int = 1) -> None:
         """Advance by 1 ms ticks with the inputs held; a `DivergenceError` says when and where."""
-        for place, value in self._passed_on:
-            place[...] = value
+        self._apply_inputs()
         for _ in range(ticks):
             # mj_step2 completes the step that mj_step1 began. The mj_step1 in `_refresh` then
             # computes everything that follows from the new positions, so that a tick costs no
@@ -231,6 +139,16 @@ class Plant:
             mujoco.mj_step2(self.model, self.data)
             self._refresh_contacts()
             self._refresh()
+
+    def _apply_inputs(self) -> None:
+        """Pass the inputs on to MuJoCo."""
+        ctrl, forces = self.data.ctrl, self.data.xfrc_applied[:, :3]
+        ctrl[:] = self.inputs["ctrl"]
+        if self._has_motors:
+            ctrl[:7] = self.inputs["torque"]
+        forces[self._hand] = self.inputs["push_force"]
+        forces[self._block] = self.inputs["block_force"]
+        forces[self._links] = self._link_forces
 
     def _refresh_contacts(self) -> None:
         """Sum contact forces of the last step, before mj_step1 finds new contacts."""
@@ -242,8 +160,8 @@ class Plant:
                 unwanted += force if kind & UNWANTED else 0.0
                 support += force if kind & SUPPORT else 0.0
                 on_table += force if kind & ON_TABLE else 0.0
-        self._unwanted_sum[0], self._support_sum[0] = unwanted, support
-        self._table_sum[0] = on_table
+        self.outputs["unwanted_contact_force"] = unwanted
+        self.outputs["support_force"], self.outputs["table_force"] = support, on_table
 
     def _refresh(self) -> None:
         """Update the outputs to the instant of qpos."""
@@ -253,7 +171,7 @@ class Plant:
         mujoco.mj_fullM(model, data, self._inertia)
         for name, value in self._values().items():
             self.outputs[name] = value
-        self._grip_sum[0] = mujoco.mju_dot(self._normals, self._sensors)
+        self.outputs["contact_force"] = mujoco.mju_dot(self._normals, self._sensors)
         for kind in DIVERGED if np.count_nonzero(self._warnings) else ():
             if self._warnings[kind]:
                 index = self.data.warning[int(kind)].lastinfo

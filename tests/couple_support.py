@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.fmus.build.libraries import PLATFORMS, SOURCES, includes
+from panda_cosim.fmus.build.libraries import SOURCES, includes
+from panda_cosim.fmus.build.platforms import PLATFORMS
 from panda_cosim.fmus.interface.controller import COMMANDS
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.master.system import System

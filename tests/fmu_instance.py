@@ -36,7 +36,7 @@ MODELS: list[tuple[Kind, str]] = [
 
 @dataclass(frozen=True)
 class Row:
-    """A variable; the fields are those of fmus/native/README.md."""
+    """A variable; the fields are those of fmus/README.md."""
 
     reference: int
     shape: tuple[int, ...]

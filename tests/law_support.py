@@ -18,7 +18,7 @@ from panda_cosim.controller.controller import STATE, Controller
 from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.signals import INPUTS, OUTPUTS
-from panda_cosim.fmus.build.libraries import CONTROLLER_LAW, FLAGS, SOURCES
+from panda_cosim.fmus.build.libraries import BACKENDS, FLAGS, SOURCES
 
 Array = NDArray[np.float64]
 
@@ -47,12 +47,15 @@ LAYOUT = np.dtype(
 )
 
 
+LAW = [name for name in BACKENDS["controller"] if name.startswith("controller")]
+
+
 def compile_law(folder: Path) -> Path:
     """Compile the law, without any FMI layer; returns the library."""
     library = folder / "law.so"
     includes = Path(mujoco.__file__).parent / "include"
     options = (*FLAGS, "-fPIC", "-fvisibility=default", f"-isystem{includes}")
-    command = ["cc", *options, *CONTROLLER_LAW, "-lm", "-o", str(library)]
+    command = ["cc", *options, *LAW, "-lm", "-o", str(library)]
     subprocess.run(command, cwd=SOURCES, check=True, timeout=300)
     return library
 

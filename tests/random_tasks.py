@@ -20,7 +20,8 @@ from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.plant.plant import Plant, PlantParameters
+from panda_cosim.plant.parameters import PlantParameters
+from panda_cosim.plant.plant import Plant
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import Prepared, prepare

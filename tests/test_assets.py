@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from panda_cosim.assets import SCENES, TORQUE_DRIVEN, asset_path, scene_file
+from panda_cosim.assets import ASSETS, SCENES, TORQUE_DRIVEN, scene_file
 from panda_cosim.assets.franka import TORQUE_MAX
 
 HOME_POSITION = (0.554499478, 0.0, 0.624502429)  # hand in the world [m]
@@ -47,7 +47,7 @@ def scene(request):
 
 
 def load(name: str) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(asset_path(scene_file(name))))
+    return mujoco.MjModel.from_xml_path(str(ASSETS / scene_file(name)))
 
 
 def menagerie() -> mujoco.MjModel:

@@ -83,7 +83,7 @@ BAD_USE = [
     (["run", "--out", Path(__file__).parent], "must be a new or an empty folder"),
     (["run", "--set", "plant.block_mas=1"], "did you mean 'block_mass'"),
     (["run", "--set", "block_mass=0.3"], "did you mean 'plant.block_mass'?"),
-    (["run", "--set", "plant.block_mass=heavy"], "'heavy' is not a number"),
+    (["run", "--set", "plant.block_mass=heavy"], "value 'heavy'; must be a number"),
     (["run", "--set", "duratoin=3"], "did you mean 'duration'?"),
     (["run", "--set", "duration=inf"], "Error: duration: value inf; must be a number from 0.001"),
     (["run", "--session", "a", "--coupling", "jacobi"], "no such option: --coupling"),

@@ -13,7 +13,9 @@ import pytest
 from fake_recording import FakeRecording
 from panda_cosim import load_scenario, run_scenario
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.plant.plant import SUPPORT, UNWANTED, Plant, PlantParameters, contacts_of, kinds_of
+from panda_cosim.plant.contacts import SUPPORT, UNWANTED, contacts_of, kinds_of
+from panda_cosim.plant.parameters import PlantParameters
+from panda_cosim.plant.plant import Plant
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.contacts import unwanted_contacts

@@ -14,7 +14,7 @@ from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
-from panda_cosim.controller.gains import preset
+from panda_cosim.controller.presets import preset
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.advice import weakest_grip
 from panda_cosim.result.judging.limits import largest_share

@@ -10,8 +10,8 @@ from control_support import started
 from law_support import replay
 from panda_cosim.assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
 from panda_cosim.controller.controller import Controller
-from panda_cosim.controller.gains import preset
 from panda_cosim.controller.model import ArmModel
+from panda_cosim.controller.presets import preset
 from panda_cosim.controller.signals import OUTPUTS
 from panda_cosim.task.rotations import exp, multiply
 from random_tasks import connect

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from law_support import INPUTS, LawInC, compile_law, replay
-from panda_cosim.assets import franka
+from panda_cosim.assets import franka, limits
 from panda_cosim.controller.controller import Controller
-from panda_cosim.controller.gains import RANGES, REACTIONS, Gains, preset
+from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
+from panda_cosim.controller.presets import preset
 
 Array = NDArray[np.float64]
 
@@ -86,6 +87,6 @@ def test_the_robots_limits_are_those_of_the_assets(library):
         expected += [number for key in anywhere for number in approach[key]]
         expected += [franka.JOINT_DAMPING[name]]
     assert list((ctypes.c_double * len(expected)).in_dll(law, "CONTROLLER_ROBOTS")) == expected
-    common = [franka.OPENING_MAX, franka.CTRL_OPEN, *franka.SERVO_DAMPING, franka.LEAST]
+    common = [franka.OPENING_MAX, franka.CTRL_OPEN, *franka.SERVO_DAMPING, limits.LEAST]
     common += [*franka.TORQUE_MAX, franka.TORQUE_RATE_MAX[0]]
     assert list((ctypes.c_double * len(common)).in_dll(law, "CONTROLLER_COMMON")) == common

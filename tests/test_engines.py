@@ -17,7 +17,7 @@ from bounded import ran
 from forked import command as cli
 from panda_cosim import Recording, Scenario, load_scenario
 from panda_cosim.fmus.atomic import cache_folder
-from panda_cosim.fmus.build.libraries import made_with
+from panda_cosim.fmus.build.engines import made_with
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options

@@ -10,7 +10,7 @@ import pytest
 
 from fmu_support import members, pack
 from panda_cosim import Options, load_scenario, run_scenario
-from panda_cosim.controller.gains import DEFAULT
+from panda_cosim.controller.presets import DEFAULT
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run import guarded

@@ -14,7 +14,8 @@ import fmpy
 import numpy as np
 import pytest
 
-from panda_cosim.fmus.build.ssp import write_container, write_ssp
+from panda_cosim.fmus.build.container import write_container
+from panda_cosim.fmus.build.ssp import write_ssp
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.master.step import Coupling

@@ -19,7 +19,7 @@ from fmu_instance import ERROR, Instance, Unpacked, unpacked
 from fmu_support import copy_libraries, in_fork
 from panda_cosim.controller import controller as controller_module
 from panda_cosim.fmus.build.description import LOG_CATEGORIES, Layout, described
-from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
+from panda_cosim.fmus.build.platforms import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.interface.variables import Interface, Variable
@@ -256,7 +256,7 @@ def test_an_fmu_runs_its_own_modules_and_from_another_folder(name, tmp_path):
 
 def test_two_builds_run_side_by_side_each_its_own_code():
     plant = own_code("plant")["plant/plant.py"].replace(
-        b'ctrl, self.inputs["ctrl"])', b"ctrl, np.full(8, 0.5))"
+        b'ctrl[:] = self.inputs["ctrl"]', b"ctrl[:] = 0.5"
     )
     fmu = own_fmu("plant", "python", changed={"plant/plant.py": plant})
     pair = [unpacked("python", "plant", 2), Unpacked(Fmu(build_fmu(fmu)).folder)]

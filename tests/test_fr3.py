@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from panda_cosim import InputError, Scenario, load_scenario, run_scenario
-from panda_cosim.assets import asset_path
+from panda_cosim.assets import ASSETS
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.plant.plant import Plant, PlantParameters
+from panda_cosim.plant.parameters import PlantParameters
+from panda_cosim.plant.plant import Plant
 from panda_cosim.study.check.diagnosis import feasibility
 from panda_cosim.task.scenario import shipped_scenarios
 from random_tasks import run_plain
@@ -63,7 +64,7 @@ def gravity_torques(q: Array) -> Array:
     """Torques that hold the arm (7,) [N.m], by modified Denavit-Hartenberg parameters."""
     d, a = (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
     tilts = np.radians((0.0, -90.0, 90.0, 90.0, -90.0, 90.0, 90.0))
-    inertials = list(ElementTree.parse(asset_path("fr3.xml")).iter("inertial"))
+    inertials = list(ElementTree.parse(ASSETS / "fr3.xml").iter("inertial"))
     turn, origin, axes, masses = np.eye(3), np.zeros(3), [], []
     for joint, inertial in enumerate(inertials):
         tilt = turn @ about(0, tilts[joint])

@@ -30,7 +30,7 @@ from panda_cosim.cli.outcome import verdict_table
 from panda_cosim.fmus.build.description import Layout, documentation, members
 from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.errors import TEXT_LENGTH, legible, printable
-from panda_cosim.fmus.interface.tables import SENSORS
+from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.result.recording import Recording

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bounded import ran
-from panda_cosim.fmus.build import libraries
+from panda_cosim.fmus.build import identity
 from panda_cosim.study.sweep import store
 
 ROOT = Path(__file__).parent.parent
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parent.parent
 TOUCH = """
 import grimp, json, sys
 from pathlib import Path
-from panda_cosim.fmus.build.libraries import code_digest
+from panda_cosim.fmus.build.identity import code_digest
 from panda_cosim.study.sweep.store import ABOVE
 def digests():
     code_digest.cache_clear()
@@ -52,7 +52,7 @@ def above(container: str, layer: str) -> set[str]:
 def test_only_what_the_contracts_have_above_is_left_out():
     of_fmus = above("panda_cosim", "fmus") - {"__main__"}
     of_fmus |= {f"fmus/{name}" for name in above("panda_cosim.fmus", "sources")}
-    assert set(libraries.ABOVE) == of_fmus
+    assert set(identity.ABOVE) == of_fmus
     of_sweeps = above("panda_cosim", "study") - {"__main__"}
     of_sweeps |= {f"study/{name}" for name in above("panda_cosim.study", "sweep")}
     assert set(store.ABOVE) == of_sweeps

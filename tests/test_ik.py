@@ -22,14 +22,14 @@ from panda_cosim.controller.ik import (
     pose_error,
     scaled_least_squares,
 )
-from panda_cosim.controller.linalg import (
-    damped_factor,
+from panda_cosim.controller.linalg import damped_factor
+from panda_cosim.controller.model import ArmModel, load_arm
+from panda_cosim.controller.singularity import (
     find_weak_direction,
     manipulability,
     singular_damping,
     smallest_singular_value,
 )
-from panda_cosim.controller.model import ArmModel, load_arm
 
 Array = NDArray[np.float64]
 

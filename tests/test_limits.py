@@ -14,6 +14,7 @@ from panda_cosim.controller.limits import (
     POSITION,
     VELOCITY,
     JointLimits,
+    Motion,
     within,
 )
 
@@ -32,14 +33,14 @@ HOME = np.array(HOME_Q)
 
 def box_at(q: Array, qd: Array, qdd: Array = NONE, lag: Array = NONE) -> tuple[Array, Array]:
     """Return the lowest and highest velocities where the reference moves at qd and qdd."""
-    low, high = LIMITS.velocity_box(q, qd, qdd, lag)
+    low, high = LIMITS.velocity_box(Motion(q, qd, qdd, lag))
     return low, high
 
 
 def binding(choice: int, q: Array, qd: Array, qdd: Array = NONE) -> Array:
     """Tell what binds at the lowest (0) or highest (1) velocity of the box."""
     box = box_at(q, qd, qdd)
-    return LIMITS.binding(box[choice], q, qd, qdd, NONE, np.stack(box))
+    return LIMITS.binding(box[choice], Motion(q, qd, qdd, NONE), np.stack(box))
 
 
 def test_at_rest_the_jerk_limits():
@@ -47,7 +48,7 @@ def test_at_rest_the_jerk_limits():
     assert np.allclose(high, QDDD_MAX * PERIOD**2)
     assert np.allclose(low, -QDDD_MAX * PERIOD**2)
     assert (binding(1, HOME, NONE) == JERK).all()
-    assert (LIMITS.binding(NONE, HOME, NONE, NONE, NONE, np.stack(box)) == 0.0).all()
+    assert (LIMITS.binding(NONE, Motion(HOME, NONE, NONE, NONE), np.stack(box)) == 0.0).all()
 
 
 def test_at_full_acceleration_the_acceleration_limits():
@@ -148,7 +149,8 @@ def test_where_limits_are_inactive_the_box_contains_the_velocities(seed, size):
     step = size * rng.uniform(-1.0, 1.0, 7) * QDDD_MAX * PERIOD**2
     qd = qd_before + qdd_before * PERIOD + step
     lag = size * rng.uniform(-0.05, 0.05, 7)  # rad
-    if LIMITS.inactive(qd, q_ref, qd_before, qdd_before, lag):
-        assert within(qd, LIMITS.velocity_box(q_ref, qd_before, qdd_before, lag))
+    before = Motion(q_ref, qd_before, qdd_before, lag)
+    if LIMITS.inactive(qd, before):
+        assert within(qd, LIMITS.velocity_box(before))
     else:
         assert size > 0.5

@@ -198,7 +198,7 @@ def test_a_package_that_is_missing_is_named_with_the_command_that_gets_it(
 def test_without_libraries_and_compiler_it_says_how_to_get_one(monkeypatch):
     monkeypatch.setattr(doctor, "is_prebuilt", lambda *_: False)
     assert look("libraries of the FMUs").state == "ok"
-    monkeypatch.setattr(doctor, "can_compile", lambda _: False)
+    monkeypatch.setattr(doctor, "compiler", lambda _: ())
     finding = look("libraries of the FMUs")
     assert finding.state == "needed"
     assert "panda-cosim[cross]" in finding.remedy

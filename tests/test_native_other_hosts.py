@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bounded import ran
-from panda_cosim.fmus.build.libraries import this_platform
+from panda_cosim.fmus.build.platforms import this_platform
 from panda_cosim.fmus.sources.targets import Kind, Target, build
 
 HOST = Path(__file__).with_name("bare_host.py")

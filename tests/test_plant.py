@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from panda_cosim.assets import SCENES, TORQUE_DRIVEN
 from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT, SERVO_DAMPING
-from panda_cosim.plant.plant import DivergenceError, Plant, PlantParameters
+from panda_cosim.plant.parameters import PlantParameters
+from panda_cosim.plant.plant import DivergenceError, Plant
 
 HOME_CTRL = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853, 255.0)
 
@@ -261,9 +262,12 @@ def test_a_block_inside_something_is_refused(place):
     ("changes", "message"),
     [
         ({"scene": "tabeltop"}, "'tabeltop' is not a scene; valid: tabletop, "),
-        ({"block_pos": (0.4, math.nan)}, r"block_pos\[2\]: nan m is out of range"),
-        ({"block_mass": 0.0}, r"block_mass: 0.0 kg is out of range \[0.001, 3\]"),
-        ({"servo_scale": (1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)}, r"servo_scale\[3\]: 0.0 1 is out"),
+        ({"block_pos": (0.4, math.nan)}, r"block_pos\[2\]: nan; must be from -1 to 1 \[m\]"),
+        ({"block_mass": 0.0}, r"block_mass: 0.0; must be from 0.001 to 3 \[kg\]"),
+        (
+            {"servo_scale": (1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)},
+            r"servo_scale\[3\]: 0.0; must be from 0.1 to 10",
+        ),
     ],
 )
 def test_a_parameter_out_of_range_is_refused(changes, message):

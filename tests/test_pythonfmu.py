@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from forked import command, script
 from panda_cosim.cli.app import app
-from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
+from panda_cosim.fmus.build.platforms import PLATFORMS, this_platform
 from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.fmu_file import Fmu, described_interface

@@ -360,7 +360,7 @@ def test_inputs_that_are_set_keep_their_last_digit(tmp_path):
 @pytest.mark.parametrize(
     ("csv_text", "message"),
     [
-        ("time,it.Int8_input\n0,200\n", "it.Int8_input: row 1: 200 is out of range; must be a who"),
+        ("time,it.Int8_input\n0,200\n", "it.Int8_input: row 1: value 200; must be a who"),
         ("time,it.Int8_input\n1,1\n0,2\n", "row 2: time '0'; must be a number, and not before"),
         ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
         ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no such FMU; valid: it"),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import panda_cosim
 from bounded import ran
 from panda_cosim import load_scenario
-from panda_cosim.controller.gains import PRESETS
+from panda_cosim.controller.presets import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.step import COUPLINGS
 from panda_cosim.task import scenario as scenario_module

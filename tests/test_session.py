@@ -175,12 +175,12 @@ def test_what_no_scenario_can_say_is_named(tmp_path):
 REFUSED: dict[str, Callable[[Session], object]] = {
     "controller.kpp: no such parameter": lambda s: s.set("controller.kpp", 6),
     "control.kp: no instance 'control'": lambda s: s.set("control.kp", 6),
-    "must be between": lambda s: s.set("controller.kp", -1e9),
+    "must be a number from": lambda s: s.set("controller.kp", -1e9),
     "plant.block_mass: is a fixed parameter": lambda s: s.set("plant.block_mass", 0.2),
     "plant.push_force: value of 2 items; must be 3 numbers": (
         lambda s: s.set("plant.push_force", (1.0, 2.0))
     ),
-    "must be between -1000 and 1000 N": lambda s: s.set("plant.push_force", 1e9),
+    "must be a number from -1000 to 1000 N": lambda s: s.set("plant.push_force", 1e9),
     "must be a finite number": lambda s: s.set("controller.pos_cmd", float("nan")),
     "plant.push_force: is not held": lambda s: s.release("plant.push_force"),
     "row 0: time 0 s has passed; must be after t = 0.01 s": lambda s: s.move_waypoint(0, grip=0.0),
@@ -301,7 +301,7 @@ UNDOABLE = {  # the journal's third line, and what is said of it
     "action: value 'jump'; must be one of set, release": {"action": "jump"},
     "set: value: Field required": {"action": "set", "name": "controller.kp"},
     "tick 1000000000; must be at most": {"tick": 10**9, "action": "end"},
-    "push_force: 'x' is not a number": {
+    "push_force: value 'x'; must be a number": {
         "action": "set",
         "name": "plant.push_force",
         "value": "x",

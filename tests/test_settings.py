@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panda_cosim.cli.options import values_of
-from panda_cosim.controller.gains import PRESETS
+from panda_cosim.controller.presets import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import INTERFACES
@@ -249,17 +249,17 @@ def test_text_and_switches_keep_their_type():
 BAD = [
     ("plant", {"block_mas": 1.0}, "did you mean 'block_mass'"),
     ("plant", {"block_pos[3]": 0.1}, "no such parameter of PandaPlant; did you mean 'block_pos"),
-    ("plant", {"ctrl[1]": 0.1}, "an input of PandaPlant, not a parameter"),
-    ("plant", {"block_mass": -1.0}, "must be between 0.001 and 3 kg"),
-    ("plant", {"block_mass": float("nan")}, "out of range"),
-    ("plant", {"block_mass": "heavy"}, "'heavy' is not a number"),
+    ("plant", {"ctrl[1]": 0.1}, "of causality input in PandaPlant, not parameter"),
+    ("plant", {"block_mass": -1.0}, "must be a number from 0.001 to 3 kg"),
+    ("plant", {"block_mass": float("nan")}, "value nan; must be"),
+    ("plant", {"block_mass": "heavy"}, "value 'heavy'; must be a number"),
     ("plant", {"block_pos": (1.0, 2.0, 3.0)}, "a list of 3; must be one number for all, or 2"),
-    ("plant", {"block_pos": (0.4, 2.0)}, "plant.block_pos[2]: 2.0 m is out of range"),
+    ("plant", {"block_pos": (0.4, 2.0)}, "plant.block_pos[2]: value 2.0; must be"),
     ("plant", {"scene": "tabeltop"}, "did you mean 'tabletop'"),
-    ("plant", {"scene": 3.0}, "3.0 is not text"),
+    ("plant", {"scene": 3.0}, "value 3.0; must be one of tabletop"),
     ("controller", {"use_reference": "maybe"}, "must be true or false"),
-    ("controller", {"servo_stiffness": 0.0}, "controller.servo_stiffness[1]: 0.0 N.m/rad is out"),
-    ("controller", {"limit_share": 1.5}, "must be between 0.001 and 1"),
+    ("controller", {"servo_stiffness": 0.0}, "controller.servo_stiffness[1]: value 0.0; must be"),
+    ("controller", {"limit_share": 1.5}, "must be a number from 0.001 to 1"),
     ("controller", {"period": 0.0015}, "must be a whole multiple of 0.001 s"),
 ]
 

@@ -27,14 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.assets.franka import (
-    HOME_Q,
-    HOME_XPOS,
-    HOME_XQUAT,
-    Q_MAX,
-    Q_MIN,
-    TORQUE_RATE_MAX,
-)
+from panda_cosim.assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, Q_MAX, Q_MIN, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm

@@ -10,15 +10,17 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import distribution, version
+from importlib.metadata import version
 from inspect import cleandoc
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import InputError, shown
+from ..interface.units import DISPLAY_UNITS, NOMINALS, OUR_UNITS
 from ..interface.variables import Interface, Scalar, Value, Variable
-from .libraries import MUJOCO, NEED_MUJOCO, licence, own_licences
+from .identity import mujoco_package
+from .libraries import NEED_MUJOCO, licences, own_licences
 
 if TYPE_CHECKING:
     from .native import NativeFmu
@@ -29,25 +31,6 @@ ABOUT: Final = {
 }  # fmt: skip
 STOP_TIME = 6.5  # [s] of the shipped scenarios
 DATE: Final = "2026-01-01T00:00:00Z"  # fixed: equal contents, equal bytes
-# Exponents of the SI base units; FMI counts rad among them.
-BASE_UNITS: dict[str, dict[str, str]] = {
-    "1": {}, "m": {"m": "1"}, "kg": {"kg": "1"}, "s": {"s": "1"}, "rad": {"rad": "1"},
-    "kg.m2": {"kg": "1", "m": "2"},
-    "1/s": {"s": "-1"}, "m/s": {"m": "1", "s": "-1"}, "rad/s": {"rad": "1", "s": "-1"},
-    "m/s2": {"m": "1", "s": "-2"}, "rad/s2": {"rad": "1", "s": "-2"},
-    "m/rad": {"m": "1", "rad": "-1"}, "rad/m": {"rad": "1", "m": "-1"},
-    "N": {"kg": "1", "m": "1", "s": "-2"}, "N.m": {"kg": "1", "m": "2", "s": "-2"},
-    "N.m/rad": {"kg": "1", "m": "2", "s": "-2", "rad": "-1"}, "N/m": {"kg": "1", "s": "-2"},
-    "N.m.s/rad": {"kg": "1", "m": "2", "s": "-1", "rad": "-1"},
-    "J": {"kg": "1", "m": "2", "s": "-2"}, "V": {"kg": "1", "m": "2", "s": "-3", "A": "-1"},
-    "kg.m2/s": {"kg": "1", "m": "2", "s": "-1"},
-}  # fmt: skip
-# Units for people, with the factor from the unit of the values.
-DISPLAY_UNITS: Final = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.0 / math.pi),
-                        "m": ("mm", 1000.0), "m/s": ("mm/s", 1000.0)}  # fmt: skip
-# Typical magnitudes by unit, for an arm of the size of a human's; of others it is 1.
-NOMINALS: Final = {"m": 0.1, "m/s": 0.1, "N": 10.0, "N.m": 10.0, "N/m": 1000.0, "N.m/rad": 1000.0,
-                   "s": 0.1, "m/s2": 10.0, "rad/s2": 10.0}  # fmt: skip
 LOG_CATEGORIES: Final = {
     "logStatusWarning": "Values that were out of range and have been clamped.",
     "logStatusDiscard": "Steps that were rejected, with the reason.",
@@ -55,6 +38,13 @@ LOG_CATEGORIES: Final = {
     "logStatusFatal": "Failures after which the instance cannot be used.",
     "logAll": "All messages.",
 }
+PICTURES: Final = {
+    "PandaPlant": "plant.png",
+    "PandaController": "controller.png",
+    "PandaTrajectory": "trajectory.png",
+}
+NOTHING: Final = "Nothing: neither Python nor any library that it does not contain."
+_FEW: Final = 12  # most values shown in a table's cell of the documentation
 _PART: Final = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED: Final = re.compile(rf"{_PART}(\.{_PART})*", re.A)  # as `arm.joint[3].angle`
 
@@ -126,7 +116,7 @@ def _model_description(fmu: NativeFmu, fmi: int, rows: Sequence[Described]) -> b
         log_categories=LOG_CATEGORIES,
         # Of a slave, which may have any names.
         naming="structured" if all(_STRUCTURED.fullmatch(v.name) for v in variables) else "flat",
-        units={name: BASE_UNITS[name] for name in sorted(map(str, used))},
+        units={name: OUR_UNITS[name].base_units() for name in sorted(map(str, used))},
         display_units=DISPLAY_UNITS,
         enumerations=[v for v in variables if v.kind == "Enumeration"],
         rows=rows,
@@ -159,17 +149,6 @@ def literal(scalar: Scalar, value: Value) -> str:
     return str(converted).lower() if isinstance(converted, bool) else str(converted)
 
 
-# For human readers.
-
-PICTURES: Final = {
-    "PandaPlant": "plant.png",
-    "PandaController": "controller.png",
-    "PandaTrajectory": "trajectory.png",
-}
-NOTHING: Final = "Nothing: neither Python nor any library that it does not contain."
-_FEW: Final = 12  # most values shown in a table's cell
-
-
 def _documents(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
     opens_mujoco = fmu.backend in NEED_MUJOCO
     glibc = "2.27" if opens_mujoco else "2.17"
@@ -183,14 +162,13 @@ def _documents(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
         f"{folder}/third_party.txt": render(
             "third_party.txt.j2",
             in_python=packed or fmu.backend == "python",
-            mujoco=version(MUJOCO) if opens_mujoco else "",
+            mujoco=version(mujoco_package()) if opens_mujoco else "",
             pythonfmu=version("pythonfmu") if packed else "",
         ),
     }
-    for package in [MUJOCO] * opens_mujoco + ["pythonfmu"] * packed:
-        for file in distribution(package).files or []:
-            if "dist-info/licenses" in str(file):
-                files[f"{folder}/{package}-{file.stem}.txt"] = licence(package, file.name)
+    for package in [mujoco_package()] * opens_mujoco + ["pythonfmu"] * packed:
+        for name, text in licences(package).items():
+            files[f"{folder}/{package}-{name}.txt"] = text
     if fmu.model in PICTURES:
         place = "model.png" if layout.fmi == 2 else "terminalsAndIcons/icon.png"
         files[place] = Path(__file__).with_name(PICTURES[fmu.model]).read_bytes()

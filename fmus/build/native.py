@@ -16,7 +16,9 @@ from ...assets import STEP_SIZE
 from ..interface.variables import Interface, Numbers, Variable
 from .description import NOTHING, STOP_TIME, Layout
 from .description import members as description_of
-from .libraries import NEED_MUJOCO, PLATFORMS, code_digest, digest, library, mujoco_library
+from .identity import code_digest, digest
+from .libraries import NEED_MUJOCO, library, mujoco_library
+from .platforms import PLATFORMS
 
 TABLE_NAME: Final = "variables.txt"
 Option = tuple[str, str]
@@ -95,7 +97,7 @@ def table(
     interface: Interface, token: str, step_size: float, options: Iterable[Option], *,
     scalars: bool = False,
 ) -> bytes:  # fmt: skip
-    """Make `resources/variables.txt`, which `fmus/native/README.md` describes."""
+    """Make `resources/variables.txt`, which `fmus/README.md` describes."""
     lines = [["fmu", "2"], ["token", token], ["step", bits(step_size)]]
     lines += [["option", key, text(value)] for key, value in options]
     reference = 0

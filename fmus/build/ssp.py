@@ -1,27 +1,19 @@
-"""Writes a coupled system as one SSP file, with connections and parameters, or as one FMU.
+"""Writes a coupled system as one SSP file, with connections and parameters.
 
 FMUs of FMI 2.0 make an SSP 1.0. With one of FMI 3.0 it is an SSP 2.0, whose connectors are arrays.
-The FMU Manipulation Toolbox writes the one FMU.
 """
 
 from __future__ import annotations
 
-import logging
-import shutil
-import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
-from xml.etree import ElementTree as ET
 
 from ...assets import STEP_SIZE
-from ..errors import InputError
-from ..extras import needing
 from ..interface.tables import Connection
-from ..interface.units import BASES, PLAIN, Units, conversion
+from ..interface.units import PLAIN, Units
 from ..interface.variables import Scalar, Value, Variable, by_array
 from .description import ABOUT, literal, render
 from .native import archive
@@ -127,9 +119,8 @@ def parameter_set(name: str, component: Component) -> bytes:
 def _render(template: str, components: Collection[Component], **context: Any) -> bytes:
     units: dict[str, dict[str, float | None]] = {}
     for name, unit in sorted((name, unit) for c in components for name, unit in c.units.items()):
-        units[name] = {base: e or None for base, e in zip(BASES, unit.exponents, strict=True)}
         factor = None if unit.factor == 1.0 else unit.factor
-        units[name] |= {"factor": factor, "offset": unit.offset or None}
+        units[name] = {**unit.base_units(), "factor": factor, "offset": unit.offset or None}
     return render(
         template,
         prefixes=PREFIXES,
@@ -195,64 +186,3 @@ def _parameters(component: Component) -> Iterator[tuple[Variable, str, str]]:
             values = [literal(s, given.get(s.name, s.start_value())) for s in scalars]
             kind = "Integer" if variable.kind == "Enumeration" else variable.fmi_type
             yield variable, kind, " ".join(values)
-
-
-DESCRIPTION: Final = "modelDescription.xml"
-CONTAINER_FILE: Final = "Panda.fmu"
-SEQUENTIAL: Final = {"gauss-seidel": True, "jacobi": False}  # whether FMUs are stepped in turn
-
-
-def write_container(path: Path, system: WrittenSystem, fmi: int) -> Path:
-    """Write an FMU that steps a system of FMUs; those of FMI 2.0 may be within one of FMI 3.0."""
-    # With Gauss-Seidel coupling it steps them one after another, else all with the same inputs.
-    with needing("fmu-manipulation-toolbox", "container", "--container"):
-        from fmu_manipulation_toolbox.container import FMUContainer  # noqa: PLC0415 - an extra
-        from fmu_manipulation_toolbox.container.errors import FMUContainerError  # noqa: PLC0415
-    if system.coupling not in SEQUENTIAL or any(c.steps > 1 for c in system.components.values()):
-        raise InputError('--container: coupling "iterated" or [steps]; must be built without')
-    logging.getLogger("fmu_manipulation_toolbox").setLevel(logging.CRITICAL)
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        container = FMUContainer(Path(CONTAINER_FILE).stem, folder, fmi_version=fmi)
-        try:
-            _fill(container, system, folder)
-            container.start_time, container.stop_time = 0.0, system.stop_time
-            is_sequential = SEQUENTIAL[system.coupling]
-            container.make_fmu(CONTAINER_FILE, system.step_size, sequential=is_sequential)
-        except FMUContainerError as error:
-            raise InputError(f"--container: {error.reason}") from error
-        path.write_bytes(_signed(folder / CONTAINER_FILE))
-    return path
-
-
-def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
-    for name, component in system.components.items():
-        shutil.copy(component.file, folder / f"{name}.fmu")
-        container.get_fmu(f"{name}.fmu")
-    for connection in system.connections:
-        source, target = connection.source, connection.target
-        one, other = (system.scalar(end) for end in (source, target))
-        known = (system.components[end[0]].units for end in (source, target))
-        scale = conversion(one.unit, next(known), other.unit, next(known))
-        if (connection.factor, connection.offset) != PLAIN or scale != PLAIN:
-            raise InputError(f"--container: {connection} converts values; must be a plain one")
-        feeder, fed = f"{source[0]}.fmu", f"{target[0]}.fmu"
-        container.add_link(feeder, one.variable.name, fed, other.variable.name)
-    for label, (name, variable) in system.outputs().items():
-        container.add_output(f"{name}.fmu", variable.name, label)
-    for name, component in system.components.items():
-        for key, value in component.start_values.items():
-            scalar = component.variables[key]
-            text = literal(scalar, value)
-            container.add_start_value(f"{name}.fmu", scalar.variable.name, text)
-
-
-def _signed(file: Path) -> bytes:
-    """Return an FMU with this project as its author; the toolbox names who is logged in."""
-    with zipfile.ZipFile(file) as packed:
-        members = {name: packed.read(name) for name in packed.namelist() if name[-1] != "/"}
-    root = ET.fromstring(members[DESCRIPTION])  # noqa: S314 - made just now
-    tool = f"panda-cosim, {root.get('generationTool')}"
-    root.attrib.update({**ABOUT, "generationTool": tool})
-    members[DESCRIPTION] = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return archive(members)

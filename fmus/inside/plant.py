@@ -10,7 +10,8 @@ import numpy as np
 
 from ...assets import asset_files
 from ...plant.mujoco_warnings import taken_warnings
-from ...plant.plant import Plant, PlantParameters
+from ...plant.parameters import PlantParameters
+from ...plant.plant import Plant
 from ..interface.plant import PLANT
 from .base import SharedSlave
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...assets import STEP_SIZE
 from ...controller.sensor_errors import SensorErrors
 from ...controller.sensors import Sensors
-from ..interface.tables import SENSORS
+from ..interface.sensors import SENSORS
 from .base import SharedSlave
 
 
@@ -30,7 +30,7 @@ class SensorsSlave(SharedSlave):
 
     def tune(self) -> None:
         """Take over errors that have changed."""
-        self._sensors.errors = self._errors()
+        self._sensors.set_errors(self._errors())
 
     def advance(self, count: int) -> None:
         """Take a measurement at the start of each step."""

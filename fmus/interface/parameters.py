@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..errors import InputError, excerpt, nearest
+from ..errors import InputError, nearest, refuse
 from .variables import Causality, Interface, Scalar, Value
 
 ParameterValue = float | bool | str | Sequence[float]
@@ -58,11 +58,8 @@ def targets(
         raise InputError(f"{instance}.{name}: no such {causality} of {interface.model}; {hint}")
     own = named[0].variable.causality
     if own != causality:
-        articles = {"parameter": "a", "local": "a"}
-        raise InputError(
-            f"{instance}.{name}: {articles.get(own, 'an')} {own} of {interface.model}, not "
-            f"{articles.get(causality, 'an')} {causality}; valid: {valid}"
-        )
+        what = f"of causality {own} in {interface.model}, not {causality}"
+        raise InputError(f"{instance}.{name}: {what}; valid: {valid}")
     return named
 
 
@@ -72,7 +69,7 @@ def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
     if isinstance(value, (bool, str, int, float)):
         return [value] * count
     if not isinstance(value, Sequence) or isinstance(value, bytes):
-        raise InputError(f"{place}: value {excerpt(value)}; must be {valid}")
+        refuse(place, value, f"must be {valid}")
     if len(value) != count:
         raise InputError(f"{place}: a list of {len(value)}; must be {valid}")
     return list(map(_plain, value))
@@ -83,7 +80,7 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def literal(text: str, place: str = "") -> ParameterValue:
+def literal(text: str, place: str = "value") -> ParameterValue:
     """Read a value of `--set`: true, false, numbers or text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
@@ -94,7 +91,7 @@ def literal(text: str, place: str = "") -> ParameterValue:
         return text.strip("\"'")
     if not text.isascii() or "_" in text:
         plain = ",".join(f"{number:.17g}" for number in numbers)
-        raise InputError(f"{place}value {excerpt(text)}; must be in the digits 0 to 9, as {plain}")
+        refuse(place, text, f"must be in the digits 0 to 9, as {plain}")
     return numbers[0] if len(numbers) == 1 else numbers
 
 

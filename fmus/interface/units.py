@@ -1,13 +1,18 @@
-"""Units, by their SI base units, and conversion between them."""
+"""Units, by their SI base units, and conversion; those of our FMUs are in units.toml."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 PLAIN: Final = (1.0, 0.0)  # factor and offset that change nothing
 BASES: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # FMI counts rad among them
+_OURS: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DISPLAY_UNITS: Final[Mapping[str, tuple[str, float]]] = _OURS["display"]
+NOMINALS: Final[Mapping[str, float]] = _OURS["nominal"]
 
 
 @dataclass(frozen=True)
@@ -18,8 +23,16 @@ class Unit:
     factor: float = 1.0
     offset: float = 0.0
 
+    def base_units(self) -> dict[str, int]:
+        """Exponents by base unit, without those that are 0."""
+        return {base: e for base, e in zip(BASES, self.exponents, strict=True) if e}
+
 
 Units = Mapping[str, Unit]
+OUR_UNITS: Final[Units] = {
+    name: Unit(tuple(exponents.get(base, 0) for base in BASES))
+    for name, exponents in _OURS["base"].items()
+}
 
 
 def conversion(

@@ -1,8 +1,8 @@
-"""The rows that an FMU's interface table consists of.
+"""Variables of FMUs, and the interface that they make.
 
-Each FMU has one table, in a module of its own (`plant`, `controller`, `trajectory`). Slaves, model
-descriptions, documentation, connections and tests come from these tables or are checked against
-them. Names never change: users' scripts depend on them.
+Slaves, model descriptions, documentation, connections and tests come from the interfaces of our
+FMUs (`plant`, `controller`, `sensors`, `tables`) or are checked against them. Names never change:
+users' scripts depend on them.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import groupby, product
 from typing import Any, Final, Literal
 
-from ..errors import InputError, did_you_mean, excerpt
+from ..errors import refuse
 from .units import Units
 
 Causality = Literal["input", "output", "parameter", "local"]
@@ -51,45 +51,35 @@ class Scalar:
 
     def checked(self, place: str, value: object) -> Value:
         """Return a value in this scalar's type; of an enumeration, the name of a choice."""
-        match self.variable.kind:
-            case "Binary":
-                if isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A):
-                    return value
-                raise InputError(f"{place}: {excerpt(value)}; must be text of hexadecimal digits")
-            case "String" | "Enumeration":
-                return self._checked_text(place, value)
-            case "Boolean":
-                if value in (False, True):
-                    return bool(value)
-                raise InputError(f"{place}: {value!r} is not a boolean; must be true or false")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise InputError(f"{place}: {excerpt(value)} is not a number; must be {self._range()}")
+        kind, choices = self.variable.kind, self.variable.choices
+        if kind == "Boolean":
+            if value not in (False, True):
+                refuse(place, value, "must be true or false")
+            return bool(value)
+        if kind == "Binary":
+            if not (isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A)):
+                refuse(place, value, "must be text of hexadecimal digits")
+            return value
+        if kind in ("String", "Enumeration"):
+            if not isinstance(value, str) or (choices and value not in choices):
+                must = f"one of {', '.join(choices)}" if choices else "text in quotes"
+                refuse(place, value, f"must be {must}", choices)
+            return value
+        return self._checked_number(place, value)
+
+    def _checked_number(self, place: str, value: object) -> float:
         low, high = self._bounds()
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            refuse(place, value, f"must be {self._range()}")
         if not (abs(value) <= sys.float_info.max and low <= value <= high):
-            raise InputError(
-                f"{place}: {value!r}{self._unit} is out of range; must be {self._range()}"
-            )
+            refuse(place, value, f"must be {self._range()}")
         is_whole = self.variable.kind == "Integer" or self.variable.fmi_type in INTEGERS
         part = 1.0 if is_whole else self.variable.multiple_of
         if isinstance(value, int) and part == 1.0:
             return value
         if part is not None and abs(value - round(value / part) * part) > MULTIPLE_TOLERANCE * part:
-            raise InputError(
-                f"{place}: {value!r}{self._unit}; must be a whole multiple of {part:g}{self._unit}"
-            )
+            refuse(place, value, f"must be a whole multiple of {part:g}{self._unit}")
         return int(value) if is_whole else float(value)
-
-    def _checked_text(self, place: str, value: object) -> str:
-        choices = self.variable.choices
-        if not isinstance(value, str):
-            valid = f"valid: {', '.join(choices)}" if choices else "must be text in quotes"
-            raise InputError(f"{place}: {value!r} is not text; {valid}")
-        if choices and value not in choices:
-            raise InputError(
-                f"{place}: {value!r} is not one of {', '.join(choices)}"
-                f"{did_you_mean(value, choices)}"
-            )
-        return value
 
     def _bounds(self) -> tuple[float, float]:
         low = -math.inf if self.minimum is None else self.minimum
@@ -105,10 +95,10 @@ class Scalar:
         if self.variable.fmi_type in INTEGERS:
             return f"a whole number from {int(low)} to {int(high)}"
         if math.isfinite(low) and math.isfinite(high):
-            return f"between {low:g} and {high:g}{self._unit}"
+            return f"a number from {low:g} to {high:g}{self._unit}"
         if math.isfinite(low):
-            return f"at least {low:g}{self._unit}"
-        return f"at most {high:g}{self._unit}" if math.isfinite(high) else "a finite number"
+            return f"a number of at least {low:g}{self._unit}"
+        return f"a number up to {high:g}{self._unit}" if math.isfinite(high) else "a finite number"
 
     @property
     def _unit(self) -> str:
@@ -314,9 +304,7 @@ class Interface:
 def check_elements(place: str, count: int) -> None:
     """Refuse arrays before they are made, each element of which takes almost 1 kB of memory."""
     if count > MOST_ELEMENTS:
-        raise InputError(
-            f"{place}: {count} array elements up to here; must be at most {MOST_ELEMENTS}"
-        )
+        refuse(f"{place}: array elements up to here", count, f"must be at most {MOST_ELEMENTS}")
 
 
 def by_array(scalars: Iterable[Scalar]) -> dict[str, list[Scalar]]:
@@ -333,32 +321,9 @@ def _cut(values: Any, elements: slice) -> Any:
     return parts[0] if all(part == parts[0] for part in parts) else parts
 
 
-# Rows of a table, by their first columns: name, shape, unit and description.
-
-
-def input_(  # noqa: PLR0913 - a row has this many columns
-    name: str, shape: tuple[int, ...], unit: Unit, description: str, start: Numbers,
-    minimum: Numbers | None = None, maximum: Numbers | None = None, **more: Any,
-) -> Variable:  # fmt: skip
-    """Return an input."""
-    return Variable(name, shape, unit, "input", "continuous", description, start, minimum,
-                    maximum, **more)  # fmt: skip
-
-
 def output(
     name: str, shape: tuple[int, ...], unit: Unit, description: str,
     variability: Variability = "continuous", **more: Any,
 ) -> Variable:  # fmt: skip
     """Return an output that changes at every step."""
     return Variable(name, shape, unit, "output", variability, description, **more)
-
-
-held: Final = partial(output, variability="discrete")  # changes at the controller's updates only
-
-
-def joints(arm: str, *others: str) -> tuple[str, ...]:
-    """Units of a vector that begins with the seven joints of the arm."""
-    return (*[arm] * 7, *others)
-
-
-JAC_UNITS = (*["m/rad"] * 21, *["1"] * 21)  # of a Jacobian, linear rows first

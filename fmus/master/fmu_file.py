@@ -14,7 +14,7 @@ from typing import Any, Final, cast
 from xml.etree import ElementTree as ET
 
 from ..atomic import cached
-from ..build.libraries import code_digest, digest, package_version
+from ..build.identity import code_digest, digest, package_version
 from ..errors import InputError, did_you_mean, excerpt, one_line
 from ..interface.units import BASES, Unit, Units
 from ..interface.variables import (

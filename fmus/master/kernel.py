@@ -15,7 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..build.libraries import STEPPER, library, this_platform
+from ..build.libraries import STEPPER, library
+from ..build.platforms import this_platform
 from ..errors import CosimError, InputError
 from ..twins import changed
 from .calls import OK, WARNING, Access, StepCall

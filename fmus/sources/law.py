@@ -29,7 +29,7 @@ from ...assets import STEP_SIZE
 from ..build.libraries import SOURCES
 from ..build.native import NativeFmu
 from ..errors import InputError
-from ..interface.variables import Interface, Numbers, Variable, input_, output
+from ..interface.variables import Interface, Numbers, Variable, output
 from .python_fmu import class_of, code_of, is_slave, python_fmu
 
 SLAVE: Final = SOURCES.with_name("inside") / "law.py"
@@ -128,7 +128,9 @@ def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
             "command or an output of another FMU"
         )
     start: Any = 0.0 if signal.start is None else signal.start
-    return input_(name, signal.shape, signal.unit, signal.description, start)
+    return Variable(
+        name, signal.shape, signal.unit, "input", "continuous", signal.description, start
+    )
 
 
 def _parameter(name: str, value: bool | Numbers) -> Variable:

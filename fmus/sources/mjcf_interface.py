@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...plant.parameters import ARM_JOINTS
-from ..build.description import BASE_UNITS
 from ..errors import InputError, one_line, refuse
 from ..interface.plant import PLANT
+from ..interface.units import OUR_UNITS
 from ..interface.variables import Causality, Interface, Variable
 from ..reading import open_regular
 from .mjcf_sources import OBJECTS, TUNABLE, Sources, unique, words_of
@@ -232,8 +232,8 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
 def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> Variable:
     """Complete a model's variable with the keys of the interface file."""
     unit = keys.get("unit")
-    if unit and unit not in BASE_UNITS:
-        refuse(f"{place}: unit", unit, f"must be one of {', '.join(BASE_UNITS)}", BASE_UNITS)
+    if unit and unit not in OUR_UNITS:
+        refuse(f"{place}: unit", unit, f"must be one of {', '.join(OUR_UNITS)}", OUR_UNITS)
     if keys.get("tunable") and row.causality != "parameter":
         raise InputError(f"{place}: tunable: only parameters have this key")
     if keys.get("tunable") and row.source.split()[0] not in TUNABLE:

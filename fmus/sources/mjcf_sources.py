@@ -2,7 +2,7 @@
 
 A source is written as, for instance, `body hand xpos`, `joint elbow qpos`, `sensor gyro`, `ctrl`
 or `body hand jacobian`. Looking it up in a model gives the form that the C backend reads (see
-`fmus/native/README.md`), with the model's shape, units and start values.
+`fmus/README.md`), with the model's shape, units and start values.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from ...assets.arm import change_arm, saved
 from ...assets.franka import DEFAULT_ROBOT
 from ...plant.mujoco_warnings import taken_warnings
 from ..atomic import cache_folder, cached, temporary_folder
-from ..build.libraries import digest
+from ..build.identity import digest
 from ..build.native import NativeFmu
 from ..errors import InputError, one_line
 from ..interface.variables import Interface, Variable

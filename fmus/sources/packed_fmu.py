@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from ..atomic import cache_folder, temporary_folder
 from ..build.description import Layout
 from ..build.description import members as description_of
-from ..build.libraries import last_line
 from ..build.native import NativeFmu, archive
 from ..errors import CosimError
 from ..interface.variables import Interface
-from ..processes import SAFE_PATH, run
+from ..processes import SAFE_PATH, last_line, run
 from .python_fmu import MIN_PYTHON, PYTHONFMU, listed_needs, package_of
 
 

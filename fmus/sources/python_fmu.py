@@ -21,11 +21,12 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from ...assets import STEP_SIZE
-from ..build.libraries import SOURCES, digest, last_line, package_version
+from ..build.identity import digest, package_version
+from ..build.libraries import SOURCES
 from ..build.native import NativeFmu, Option
 from ..errors import CosimError, InputError, one_line, refuse
 from ..interface.variables import Interface, Value, Variable
-from ..processes import SAFE_PATH, run
+from ..processes import SAFE_PATH, last_line, run
 
 HOST: Final = "python_host.py"  # what the library calls Python through
 BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves

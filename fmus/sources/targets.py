@@ -18,11 +18,15 @@ from ...assets.franka import ROBOTS
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached
 from ..build.description import STOP_TIME, Layout
-from ..build.libraries import code_digest, digest, made_with, own_licences, this_platform
+from ..build.engines import made_with
+from ..build.identity import code_digest, digest
+from ..build.libraries import own_licences
+from ..build.platforms import this_platform
 from ..errors import InputError
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
-from ..interface.tables import SENSORS, TABLE_FILE, TRAJECTORY
+from ..interface.sensors import SENSORS
+from ..interface.tables import TABLE_FILE, TRAJECTORY
 from ..interface.variables import Interface
 from ..twins import ROOT, changed
 
@@ -41,7 +45,7 @@ class Target:
     # "pythonfmu" in PythonFMU's wrapper; "auto": native while it is proven equal, see `twins`.
     kind: Kind = "auto"
     fmi: int = 2  # major version of FMI, 2 or 3
-    platforms: tuple[str, ...] = ()  # keys of `libraries.PLATFORMS`; empty: this one
+    platforms: tuple[str, ...] = ()  # keys of `platforms.PLATFORMS`; empty: this one
     scalars: bool = False  # FMI 3.0 without arrays
     flat: bool = False  # names such as `q_1` instead of `q[1]`
     mujoco: str = ""  # version of MuJoCo in those that have one; empty: the installed one
@@ -187,6 +191,7 @@ def own_code(name: str) -> dict[str, bytes]:
 
     own = OWN[name]
     code = code_of(ROOT / f"{own.slave[0].replace('.', '/')}.py", ROOT)
-    patterns = (*own.assets, "*.toml")
-    files = (file for pattern in patterns for file in sorted((ROOT / "assets").glob(pattern)))
-    return code | {f"assets/{file.name}": file.read_bytes() for file in files}
+    of_assets = (f"assets/{name}" for name in (*own.assets, "*.toml"))
+    beside = (str(Path(file).with_suffix(".toml")) for file in code)  # a module's table
+    files = (file for name in (*of_assets, *beside) for file in sorted(ROOT.glob(name)))
+    return code | {file.relative_to(ROOT).as_posix(): file.read_bytes() for file in files}

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import typer
 
-from ..fmus.build.libraries import PLATFORMS
+from ..fmus.build.platforms import PLATFORMS
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue, literal
 from ..fmus.sources.targets import Kind, Target, outdated
@@ -130,7 +130,7 @@ def values_of(
         if not (key and equals and value):
             valid = "such as plant.block_pos[1]=0.45 or duration=3"
             raise InputError(f"--set {text!r}: must be KEY=VALUE, {valid}")
-        values[key] = literal(value, f"--set {text!r}: ")
+        values[key] = literal(value, f"--set {text!r}")
     others = {"fmus.controller": controller, "fmus.plant": plant, **options}
     return values | {key: value for key, value in others.items() if value is not None}
 

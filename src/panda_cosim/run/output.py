@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..fmus.atomic import write_whole
-from ..fmus.build.libraries import package_version
+from ..fmus.build.identity import package_version
 from ..fmus.errors import InputError
 from ..fmus.master.system import OpenSystem
 from ..result.judging.summary import SUMMARY_FILE, Summary

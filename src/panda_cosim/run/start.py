@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ..assets import ELASTIC
 from ..assets.franka import HOME_XPOS, HOME_XQUAT
-from ..controller.gains import DEFAULT, OF_IMPEDANCE, OF_SERVOS, PRESETS, Gains, preset
+from ..controller.gains import Gains
+from ..controller.presets import DEFAULT, OF_IMPEDANCE, OF_SERVOS, PRESETS, preset
 from ..fmus.errors import InputError
 from ..fmus.interface.controller import CONTROLLER
 from ..fmus.interface.parameters import grouped

@@ -32,7 +32,8 @@ from ..fmus.master.fmu_file import Fmu
 from ..fmus.master.step import Stepper
 from ..fmus.master.system import OpenSystem, System, open_system
 from ..fmus.sources.targets import Kind
-from ..plant.plant import Plant, PlantParameters
+from ..plant.parameters import PlantParameters
+from ..plant.plant import Plant
 from ..plant.scene import load_scene
 from ..run.options import Options
 from ..run.output import versions

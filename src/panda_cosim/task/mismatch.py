@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import PlainValidator
 
 from ..fmus.interface.plant import PLANT
-from ..fmus.interface.tables import SENSORS
+from ..fmus.interface.sensors import SENSORS
 from ..fmus.interface.variables import Interface
 from .fields import Choice, Quantity, Vector, Whole, checked, field_names
 

@@ -12,8 +12,9 @@ import numpy as np
 from pydantic import BeforeValidator, PlainValidator, SkipValidation
 
 from ..assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
-from ..assets.franka import DEFAULT_ROBOT, LIMIT_FILES, ROBOTS
-from ..fmus.build.libraries import check_engine
+from ..assets.franka import DEFAULT_ROBOT, ROBOTS
+from ..assets.limits import LIMIT_FILES
+from ..fmus.build.engines import check_engine
 from ..fmus.errors import InputError, did_you_mean, excerpt, located, refuse
 from ..fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
 from ..fmus.interface.plant import FORCE_MAX, FORCES

@@ -13,9 +13,10 @@ from typing import Final
 import typer
 
 from ...fmus.atomic import check_replaceable, replacing
-from ...fmus.build.libraries import check_engine
+from ...fmus.build.container import CONTAINER_FILE, write_container
+from ...fmus.build.engines import check_engine
 from ...fmus.build.native import NativeFmu
-from ...fmus.build.ssp import CONTAINER_FILE, write_ssp
+from ...fmus.build.ssp import write_ssp
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from ...fmus.sources.python_fmu import slave_fmu
@@ -185,8 +186,6 @@ def _build_container(
     scenario: Scenario, out: Path, target: Target, *, compatibility: bool, overwrite: bool
 ) -> None:
     """Build a scenario as one FMU."""
-    from ...fmus.build.ssp import write_container  # noqa: PLC0415 - an extra
-
     check_replaceable(out / CONTAINER_FILE, overwrite=overwrite)
     system = written_system(scenario, replace(target, fmi=2))
     make = partial(write_container, system=system, fmi=target.fmi)

@@ -14,7 +14,8 @@ from typing import Annotated, Literal, NamedTuple
 import typer
 
 from ...fmus.atomic import cache_folder
-from ...fmus.build.libraries import BACKENDS, can_compile, is_prebuilt, this_platform
+from ...fmus.build.libraries import BACKENDS, compiler, is_prebuilt
+from ...fmus.build.platforms import this_platform
 from ...fmus.errors import CosimError
 from ...fmus.extras import last_python
 from ...fmus.twins import LONGER, changed, notice
@@ -122,7 +123,7 @@ def _fmu_libraries() -> str:
     """Part of the package, or compiled when FMUs are built."""
     here = this_platform()
     missing = [backend for backend in BACKENDS if not is_prebuilt(backend, here)]
-    if missing and not can_compile(here):
+    if missing and not compiler(here):
         raise CosimError(
             f"no library of {', '.join(missing)}, and no compiler; pip install "
             "'panda-cosim[cross]', or a compiler named cc, gcc or clang"

@@ -11,7 +11,8 @@ from typing import Any
 from rich.table import Table
 
 from ...fmus.errors import InputError, did_you_mean, excerpt
-from ...fmus.interface.tables import CONNECTIONS, INTERFACES, SENSORS, Connection
+from ...fmus.interface.sensors import SENSORS
+from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.fmu_file import Fmu, described_interface, read_fmu
 from ...fmus.master.order import by_variable, late, shown, stepping_order

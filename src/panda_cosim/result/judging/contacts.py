@@ -54,7 +54,7 @@ def _touches(recording: Recording) -> Iterator[Touch]:
     # A force belongs to the step that ends in its row; its contacts are those of the step's start.
     import mujoco  # noqa: PLC0415 - slow to import
 
-    from ...plant.plant import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above
+    from ...plant.contacts import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above
 
     model = _model(recording)
     kinds, data = kinds_of(model), mujoco.MjData(model)

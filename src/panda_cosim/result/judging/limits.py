@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import ROBOTS, RobotLimits
+from ...assets.franka import ROBOTS
+from ...assets.limits import RobotLimits
 from ...fmus.errors import refuse
 from ...task.limits import LIMITS, LIMITS_OF, METRICS, robot_of
 from ..recording import Recording, by_rows

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE, TORQUE_DRIVEN
-from ...assets.franka import JOINT_DAMPING, RobotLimits, robot_limits
-from ...controller.gains import DEFAULT
+from ...assets.franka import JOINT_DAMPING
+from ...assets.limits import RobotLimits, robot_limits
 from ...controller.model import FINGERTIPS, ArmModel
+from ...controller.presets import DEFAULT
 from ...controller.touch import ROTOR
 from ...task import rotations
 from ...task.limits import robot_of

@@ -14,13 +14,8 @@ import numpy as np
 from ...fmus.errors import InputError, did_you_mean
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
-from ...fmus.interface.tables import (
-    INERTIA,
-    INTERFACES,
-    MEASURED,
-    SEEN,
-    Connection,
-)
+from ...fmus.interface.sensors import INERTIA, MEASURED, SEEN
+from ...fmus.interface.tables import INTERFACES, Connection
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu

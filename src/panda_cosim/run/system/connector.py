@@ -13,14 +13,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.build.description import BASE_UNITS
 from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.parameters import ParameterValue, expand, targets
 from ...fmus.interface.plant import FORCES
-from ...fmus.interface.tables import Connection, measurement_of
+from ...fmus.interface.sensors import measurement_of
+from ...fmus.interface.tables import Connection
 from ...fmus.interface.types import can_convert, in_row, is_lossless, type_of
-from ...fmus.interface.units import BASES, Unit, Units, conversion
+from ...fmus.interface.units import OUR_UNITS, Units, conversion
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.fmu_file import read_value
 from ...fmus.master.wiring import Name
@@ -32,10 +32,6 @@ from .parts import Part, measures_a_panda
 # unconnected.
 RARE: Final = ("torque", *POSTURE_COMMANDS, FORCE_COMMAND)
 OPTIONAL: Final = (*FORCES.values(), *RARE)
-OUR_UNITS: Final[Units] = {
-    name: Unit(tuple(int(exponents.get(base, 0)) for base in BASES))
-    for name, exponents in BASE_UNITS.items()
-}
 _OF_ARM: Final = ("qpos", "qvel")  # of PandaPlant, which begin with the arm's
 _CONVERT: Final = re.compile(r"convert\((.+)\)", re.S)
 # What takes an arm's ctrl, by its unit.

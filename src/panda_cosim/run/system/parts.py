@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
-from ...fmus.build.libraries import has_engine
+from ...fmus.build.engines import has_engine
 from ...fmus.errors import InputError, did_you_mean, excerpt
-from ...fmus.interface.tables import INTERFACES, MEASURED, SENSORS
-from ...fmus.interface.variables import Interface, Variable, joints
+from ...fmus.interface.sensors import MEASURED, SENSORS
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.sources.targets import Kind, Target, build, build_fmu
 from ...task.fields import check_rules
@@ -28,7 +29,7 @@ MODELS: Final = (".xml", ".urdf", ".mjb")
 FORMS: Final = "LAW.py:CLASS, an .fmu file, or a model (.xml, .urdf, .mjb)"
 # Output of a law if the arm has motors.
 TORQUES: Final = Variable(
-    "ctrl", (8,), joints("N.m", "1"), "input", "continuous", "Torques of seven joints, then the "
+    "ctrl", (8,), (*["N.m"] * 7, "1"), "input", "continuous", "Torques of seven joints, then the "
     "gripper, 0 (closed) to 255 (open)", (0.0,) * 7 + (CTRL_OPEN,),
 )  # fmt: skip
 # A law's first output that is surely not what the scene takes:

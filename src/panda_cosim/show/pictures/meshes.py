@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ...assets import SCENES, asset_path, scene_file
+from ...assets import ASSETS, SCENES, scene_file
 from ...fmus.errors import InputError
 from ...task.fields import check_choice
 
@@ -33,7 +33,7 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
         return load(Path(scene))
     check_choice("scene", scene, SCENES)
     check_choice("meshes", meshes, get_args(Meshes))
-    spec = mujoco.MjSpec.from_file(str(asset_path(scene_file(scene))))
+    spec = mujoco.MjSpec.from_file(str(ASSETS / scene_file(scene)))
     folder = None if meshes == "never" else find_menagerie()
     if folder is not None:
         apply_meshes(spec, folder)

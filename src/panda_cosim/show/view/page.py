@@ -19,7 +19,7 @@ from string import Template
 from typing import Any, Final
 
 from ...fmus.atomic import cache_folder, cached, write_whole
-from ...fmus.build.libraries import code_digest, digest
+from ...fmus.build.identity import code_digest, digest
 from ...fmus.errors import InputError, legible, shown
 from ...plant.parameters import BLOCK, PlantParameters
 from ...result.judging.summary import Summary

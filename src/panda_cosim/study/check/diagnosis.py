@@ -14,14 +14,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from ...controller.gains import PRESETS
-from ...fmus.build.libraries import has_engine, mujoco_version
+from ...controller.presets import PRESETS
+from ...fmus.build.engines import has_engine
+from ...fmus.build.identity import mujoco_version
 from ...fmus.errors import CosimError, InputError, did_you_mean
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.variables import Variable
 from ...fmus.master.system import conversions, notes, read_fmus
-from ...plant.plant import Plant, PlantParameters
+from ...plant.parameters import PlantParameters
+from ...plant.plant import Plant
 from ...result.judging.advice import Level, advise, refusals, weakest_grip
 from ...result.judging.checks import REMEDIES
 from ...result.judging.verdicts import MISSED, NOT_MEASURED, UNEXPECTED

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ...fmus.atomic import cache_folder, temporary_folder, write_whole
-from ...fmus.build.libraries import digest
+from ...fmus.build.identity import digest
 from ...fmus.errors import InputError
 from ...run.folder import with_files
 from ...run.system.assembly import assemble

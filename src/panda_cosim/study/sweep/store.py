@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from ...fmus.atomic import held, replacing, write_whole, writing
-from ...fmus.build.libraries import code_digest, package_version
+from ...fmus.build.identity import code_digest, package_version
 from ...fmus.errors import InputError, one_line
 from ...task.files import read_text
 from ...task.scenario import Scenario, load_scenario

@@ -1,0 +1,43 @@
+"""The platforms that FMUs are built for."""
+
+from __future__ import annotations
+
+import platform as host
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ..errors import CosimError
+
+_FILE: Final = Path(__file__).with_suffix(".toml")
+
+
+@dataclass(frozen=True)
+class Platform:
+    """A platform that FMUs are built for; platforms.toml says what each field is."""
+
+    host: list[str]
+    target: str
+    fmi2: str
+    fmi3: str
+    wheel: str
+    suffix: str
+    mujoco: str
+    in_wheel: str
+    flags: list[str]
+
+
+PLATFORMS: Final[Mapping[str, Platform]] = {
+    name: Platform(**row) for name, row in tomllib.loads(_FILE.read_text(encoding="utf-8")).items()
+}
+
+
+def this_platform() -> str:
+    """Key in `PLATFORMS` of this machine."""
+    here = [host.system(), host.machine()]
+    for name, platform in PLATFORMS.items():
+        if platform.host == here:
+            return name
+    raise CosimError(f"cannot build FMUs for {' '.join(here)}; known: {', '.join(PLATFORMS)}")
