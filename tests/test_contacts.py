@@ -142,7 +142,7 @@ def test_a_contact_is_missed_and_named_before_any_other_advice(plant):
     assert "more time" not in lines
     assert "carry less" not in lines
     assert "the path must avoid this" in lines
-    needed = tuple(replace(criterion, ok=True) for criterion in summary.criteria)  # as of a peg
+    needed = tuple(replace(each, bound=each.value) for each in summary.criteria)  # as of a peg
     assert "must avoid" not in said(run, replace(summary, criteria=needed))
     assert lines.index(" touch ") < lines.index("torque rate")
 

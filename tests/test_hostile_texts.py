@@ -229,7 +229,7 @@ def test_a_frame_keeps_scripts_from_the_notebook(page, tmp_path):
 
 
 def test_a_notebook_shows_a_runs_texts(page, tmp_path):
-    criteria = (Criterion(TEXT, 1.0, 2.0, TEXT, ok=True), Criterion(TEXT, None, 1.0, "", ok=False))
+    criteria = (Criterion(TEXT, 1.0, 2.0, TEXT), Criterion(TEXT, None, 1.0, ""))
     summary = Summary(criteria=criteria, scenario=TEXT, reason=TEXT, complete=False)
     in_notebook(page, tmp_path, Run(tmp_path, summary)._repr_html_())
     tags = "[...new Set([...document.body.querySelectorAll('*')].map((e) => e.tagName))].sort()"
@@ -240,7 +240,7 @@ def test_a_notebook_shows_a_runs_texts(page, tmp_path):
 
 
 def test_a_terminal_gets_text(capsys):
-    criterion = Criterion(TEXT, 1.0, 2.0, TEXT, ok=True)
+    criterion = Criterion(TEXT, 1.0, 2.0, TEXT)
     tables = [table((TEXT, f"{TEXT}*")), verdict_table(SimpleNamespace(criteria=[criterion]))]
     tables[0].add_row(as_cell(TEXT), as_cell(TEXT))
     console = QuietConsole(file=io.StringIO(), width=200, highlight=False)

@@ -149,7 +149,7 @@ SIZES = st.floats(-1e6, 1e6).map(lambda size: round(size, 3))
     above=st.booleans(),
 )
 def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(value, bound, above):
-    criterion = Criterion.judge("x", value, bound, "m", "above" if above else "below")
+    criterion = Criterion("x", value, bound, "m", "above" if above else "below")
     assert criterion.ok == (value >= bound if above else value <= bound)
     assert criterion.margin is not None
     assert (criterion.margin >= 0.0) == criterion.ok
@@ -165,14 +165,14 @@ def test_a_worse_value_has_a_smaller_margin_however_bad_both_are(values, bound):
 
 def test_a_value_that_is_not_finite_is_not_measured():
     for value in (math.nan, math.inf):
-        result = Criterion.judge("x", value, 1.0, "m", "above")
+        result = Criterion("x", value, 1.0, "m", "above")
         assert (result.word, result.reason) == ("not measured", f"is {value}")
-    assert smallest_margin([Criterion.judge("x", 0.5, 1.0, "m", "below"), result]) is None
+    assert smallest_margin([Criterion("x", 0.5, 1.0, "m", "below"), result]) is None
 
 
 @given(st.lists(st.sampled_from([0.5, 2.0, None]), max_size=4))
 def test_a_missed_criterion_is_a_verdict_and_then_one_that_was_not_measured_is_none(values):
-    criteria = [Criterion.judge("x", value, 1.0, "m", "below") for value in values]
+    criteria = [Criterion("x", value, 1.0, "m", "below") for value in values]
     expected = "missed" if 2.0 in values else "not measured" if None in values else "ok"
     assert verdict_of(criteria) == expected
     known = [] if expected == "not measured" else [1.0 - value for value in values if value]
@@ -257,7 +257,7 @@ def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data):
         values = values if signal == "x" else np.abs(values)
         value = REDUCE[reduce](time, values, criterion)
         bound = getattr(criterion, direction)
-        outcomes.add(Criterion.judge("x", value, bound, "m", direction).ok)  # type: ignore[arg-type]
+        outcomes.add(Criterion("x", value, bound, "m", direction).ok)  # type: ignore[arg-type]
     assert outcomes == {True, False}
 
 

@@ -174,7 +174,7 @@ def test_a_run_that_diverged_is_described():
 
 def test_criteria_and_limits_say_what_they_mean():
     names = ("max_slip", "my own")
-    judged = [Criterion.judge(name, 1.0, 2.0, "m", "below") for name in names]
+    judged = [Criterion(name, 1.0, 2.0, "m", "below") for name in names]
     rows = run.criteria_of(Summary(criteria=tuple(judged)))
     assert [row["words"] for row in rows] == [DEFINITIONS["success.max_slip"].text, ""]
     (limit,) = run.limits_of(Summary(limits={"torque_share": [0.5]}))

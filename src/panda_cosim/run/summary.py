@@ -206,4 +206,4 @@ def _criteria(
             reason = _lacking(definition.metric, recorded) if value is None else None
             if key and value is None:
                 reason = reason or DEFINITIONS[definition.metric].unmeasured
-            yield Criterion.judge(name, value, bound, definition.unit, direction, reason)
+            yield Criterion(name, value, bound, definition.unit, direction, reason)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
 from ...fmus.errors import InputError, excerpt
@@ -20,33 +20,30 @@ Word = Literal["ok", "missed", "not measured"]
 
 @dataclass(frozen=True)
 class Criterion:
-    """One condition of success; the margin is the distance to the bound by its size, or by 1."""
+    """One condition of success; the margin is the distance to the bound by its size, or by 1.
+
+    A value that is not finite counts as not measured.
+    """
 
     name: str  # key in the section [success], or the name of a [[success.signal]]
     value: float | None  # None: not measured, as the margin
     bound: float
     unit: str  # of value and bound
-    ok: bool  # whether it was measured and holds
+    ok: bool = field(init=False)  # whether it was measured and holds
     direction: Direction = "below"  # where the value must be, seen from the bound; or equal to it
-    margin: float | None = None
+    margin: float | None = field(init=False, default=None)
     reason: str | None = None  # why it could not be measured
 
-    @classmethod
-    def judge(  # noqa: PLR0913 - what a criterion consists of
-        cls,
-        name: str,
-        value: float | None,
-        bound: float,
-        unit: str,
-        direction: Direction,
-        reason: str | None = None,
-    ) -> Self:
-        """Compare a value with its bound; one that is not finite counts as not measured."""
+    def __post_init__(self) -> None:
+        value, share, reason = self.value, None, None
         if value is None or not math.isfinite(value):
-            reason = reason or ("nothing to measure" if value is None else f"is {value}")
-            return cls(name, None, bound, unit, False, direction, None, reason)
-        share = margin(value, bound, direction)
-        return cls(name, value, bound, unit, share >= 0.0, direction, share)
+            reason = self.reason or ("nothing to measure" if value is None else f"is {value}")
+            value = None
+        else:
+            sign = 1.0 if self.direction == "below" else -1.0
+            share = sign * (self.bound - value) / (abs(self.bound) or 1.0)
+        is_ok = share is not None and share >= 0.0
+        vars(self).update(value=value, ok=is_ok, margin=share, reason=reason)
 
     @property
     def measured(self) -> bool:
@@ -73,16 +70,10 @@ class Criterion:
             name, value = str(entry["name"]), entry["value"]
             numbers = None if value is None else float(value), float(entry["bound"])
             direction = entry.get("direction", "above" if name.startswith("min_") else "below")
-            return cls.judge(name, *numbers, str(entry["unit"]), direction, entry.get("reason"))
+            return cls(name, *numbers, str(entry["unit"]), direction, entry.get("reason"))
         except (LookupError, TypeError, AttributeError, ValueError):
             shown = excerpt(entry)
             raise InputError(f"criteria: value {shown}; must be a judged criterion") from None
-
-
-def margin(value: float, bound: float, direction: Direction) -> float:
-    """Return the margin of a value to its bound; negative if it is missed."""
-    distance = bound - value if direction == "below" else value - bound
-    return distance / (abs(bound) or 1.0)
 
 
 def verdict_of(criteria: Iterable[Criterion]) -> Word:

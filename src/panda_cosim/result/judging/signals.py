@@ -38,10 +38,6 @@ _POSE: Final = "_xquat[4]"  # end of a column's name, where a body's pose is rec
 TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
 
 
-class UnmeasuredError(ValueError):
-    """A criterion has no value in this run; the message says why."""
-
-
 def judge_signals(
     criteria: Iterable[SignalCriterion], recording: Recording, events: Events
 ) -> Iterator[Criterion]:
@@ -61,7 +57,7 @@ def judge_signals(
             value = (max if direction == "below" else min)(values, default=None)
             if value is not None and criterion.reduce == "settle" and length < value <= bound:
                 value, reason = None, f"does not settle within its window of {length:g} s"
-            yield Criterion.judge(name, value, bound, unit, direction, reason)
+            yield Criterion(name, value, bound, unit, direction, reason)
 
 
 def _measure(
@@ -76,14 +72,14 @@ def _measure(
     )
     rows = (time >= start - slack) & (time <= stop + slack)
     if not rows.any():
-        raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
+        raise ValueError(f"no samples from {start:g} to {stop:g} s")
     signal = by_rows(recording, partial(_evaluate, criterion), *criterion.names)
     if not np.isfinite(signal)[rows].all():
-        raise UnmeasuredError("is not finite")
+        raise ValueError("is not finite")
     within = time[rows]
     values = [REDUCE[criterion.reduce](within, column[rows], criterion) for column in signal.T]
     if any(value is None for value in values):
-        raise UnmeasuredError("has a window of one row, in which nothing settles")
+        raise ValueError("has a window of one row, in which nothing settles")
     return cast("list[float]", values), float(within[-1] - within[0])
 
 
@@ -92,7 +88,7 @@ def row_at(instant: Instant, time: Array, events: Events) -> int:
     at = time_of(instant, events)
     rows = np.flatnonzero(time <= at + _slack(time))
     if not len(rows) or at > time[-1] + _slack(time):
-        raise UnmeasuredError(f"no sample at {at:g} s")
+        raise ValueError(f"no sample at {at:g} s")
     return int(rows[-1])
 
 
@@ -108,7 +104,7 @@ def time_of(instant: Instant, events: Events) -> float:
     event, offset = split_instant(instant)
     at = events.get(event)
     if at is None:
-        raise UnmeasuredError(f"no {event} in this run")
+        raise ValueError(f"no {event} in this run")
     return at + offset
 
 
@@ -228,18 +224,18 @@ def judge_bodies(
         for name, bound in criterion.bounds.items():
             direction: Direction = "above" if name.startswith("min_") else "below"
             label, value = criterion.label(name), values.get(name)
-            yield Criterion.judge(label, value, bound, BOUNDS[name], direction, reason)
+            yield Criterion(label, value, bound, BOUNDS[name], direction, reason)
 
 
 def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:
-    """Return the value of each bound; raise `UnmeasuredError` without a finite pose."""
+    """Return the value of each bound; raise `ValueError` without a finite pose."""
     for name in criterion.signals:
         if name not in recording:
-            raise UnmeasuredError(f"{name} is not recorded")
+            raise ValueError(f"{name} is not recorded")
     first, last = np.column_stack([recording[name][[0, row]] for name in _pose(criterion)])
     start, end, (_, x, y, _) = first[:3], last[:3], last[3:].tolist()
     if not (np.isfinite(end).all() and math.isfinite(x * y)):
-        raise UnmeasuredError("is not finite")
+        raise ValueError("is not finite")
     target = end if criterion.position is None else np.array(criterion.position)
     return {
         "tolerance": float(np.linalg.norm(end - target)),

@@ -146,7 +146,7 @@ def judge_rate(definition: Sweep, counts: Mapping[str, int], rows: int) -> Crite
         name += f" (lower bound at {confidence:.6g} confidence)"
         test = scipy.stats.binomtest(good, rows, alternative="greater")
         rate = float(test.proportion_ci(confidence, "exact").low)
-    return Criterion.judge(name, 100.0 * rate, 100.0 * definition.min_success, "%", "above")
+    return Criterion(name, 100.0 * rate, 100.0 * definition.min_success, "%", "above")
 
 
 def check_sweep(
