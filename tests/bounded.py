@@ -13,7 +13,7 @@ PATIENCE = 120.0  # [s] for an answer, on a busy machine
 _LIMITED = (
     "import os, resource, sys; limits = zip(*[iter(sys.argv[1].split())] * 2); "
     "[resource.setrlimit(getattr(resource, f'RLIMIT_{what}'), 2 * (int(n),)) for what, n in limits]"
-    "; os.execvp(sys.argv[2], sys.argv[2:])"
+    "; os.environ['PYTHONDONTWRITEBYTECODE'] = '1'; os.execvp(sys.argv[2], sys.argv[2:])"
 )
 
 
@@ -76,6 +76,7 @@ def limited(**limits: int) -> list[str]:
     """Return the beginning of a command line whose process has resource limits, `FSIZE=1000`.
 
     `preexec_fn` of `subprocess` can hang in a process with threads, and no time limit would end it.
+    It writes no bytecode, of which a limited size would leave cut files that end each later start.
     """
     words = " ".join(f"{name} {limit}" for name, limit in limits.items())
     return [sys.executable, "-ISc", _LIMITED, words]

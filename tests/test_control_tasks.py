@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from control_support import started
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_RATE_MAX
@@ -23,7 +22,7 @@ from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import rehearse
 from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.table import TableRow, TrajectoryTable
-from random_tasks import Done, connect, random_tasks, run_in_memory, run_plain
+from random_tasks import Done, random_tasks, run_in_memory, run_plain
 
 Array = NDArray[np.float64]
 Signals = dict[str, Array]
@@ -137,21 +136,6 @@ def test_too_fast_a_command_says_which_limit_binds():
     assert set(bound) <= {0.0, 2.0, 3.0, 4.0}
     assert len(bound) > 1
     assert tracking_error(run)[-1] <= 1e-4
-
-
-def test_a_push_is_withstood_and_leaves_nothing_behind():
-    plant, controller = started()
-    home = plant.outputs["hand_xpos"].copy()
-    moved = []
-    for tick in range(1500):
-        connect(plant, controller)
-        controller.update()
-        plant.inputs["ctrl"] = controller.outputs["ctrl"]
-        plant.inputs["push_force"] = (0.0, 50.0 if 200 <= tick < 600 else 0.0, 0.0)
-        plant.step()
-        moved.append(np.linalg.norm(plant.outputs["hand_xpos"] - home))
-    assert max(moved) <= 2e-3  # m
-    assert moved[-1] <= 1e-5  # m
 
 
 # Other blocks.

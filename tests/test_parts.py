@@ -201,28 +201,6 @@ def test_a_law_that_fails_ends_the_run_with_its_place(folder, tmp_path):
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["complete"] is False
 
 
-@pytest.mark.parametrize(
-    ("line", "error"),
-    [
-        ("import no_such_module", "line 6: ModuleNotFoundError: No module named"),
-        ("def start(self): 1 / 0", "line 6: ZeroDivisionError: division by zero"),
-    ],
-)
-def test_a_law_that_cannot_start_says_why_in_one_line(tmp_path, line, error):
-    made = tmp_path / "mine"
-    make_scenario(made, ["law"])
-    (made / "my_law.py").write_text(
-        '"""A law."""\nclass ResolvedRate:\n    gain = 1.0\n'
-        f"    def update(self, time, pos_cmd, qpos): return [0.0] * 8\n\n    {line}\n"
-    )
-    done = CliRunner().invoke(
-        app, ["run", str(made), "--no-video", "--isolate", "--out", str(tmp_path / "run")]
-    )
-    assert done.exit_code == 2
-    assert f"my_law.py, {error}" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path):
     arm = write_arm(tmp_path / "arm")
     done = job(arm, tmp_path / "run", {"controller.kp": 80.0})

@@ -2,11 +2,8 @@
 
 import csv
 import math
-import os
-import signal
-import subprocess
+import resource
 import sys
-import textwrap
 import threading
 import time
 from pathlib import Path
@@ -19,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bounded import line_of, ran
+from bounded import ran
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.result.recording import Column, MemoryRecorder, Recorder, Recording, storage
 from panda_cosim.result.recording import recorder as recorder_module
@@ -212,71 +209,20 @@ def test_an_older_recording_is_not_written_over(tmp_path, name):
         Recorder(tmp_path / name / "run", COLUMNS, METADATA)
 
 
-# --- The ends of a process -------------------------------------------------------------------
-
-SCRIPT = """
-import resource, signal, sys, time
-import numpy as np
-from panda_cosim.fmus.errors import SimulationError
-from panda_cosim.result.recording import Column, Recorder
-
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # so that the limit is an error, as a full disk
-columns = [Column("time")] + [Column(f"x[{i}]") for i in range(1, 21)]
-noise = np.random.default_rng(0).normal(size=(100, 21))
-recorder = Recorder(sys.argv[1], columns, {})
-if sys.argv[2] == "full":
-    resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), -1))
-try:
-    for k in range(30):
-        noise[:, 0] = np.arange(100 * k, 100 * k + 100) * 1e-3
-        recorder.append(noise)
-        recorder.flush()
-        print(recorder.rows, flush=True)
-        if sys.argv[2] == "kill":
-            time.sleep(0.01)
-    reason = None
-except SimulationError as error:
-    reason = str(error)
-    print("failed", error)
-print(recorder.close(complete=reason is None, reason=reason))
-"""
-
-
-def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
-    command = [sys.executable, "-c", textwrap.dedent(SCRIPT), str(folder), *arguments]
-    root = str(Path(__file__).parents[1])
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": root}
-    )
-
-
-@pytest.mark.parametrize("batches", [1, 4])
-def test_a_killed_process_leaves_every_flushed_row(tmp_path, batches):
-    process = start(tmp_path, "kill")
-    for _ in range(batches):
-        flushed = int(line_of(process))
-    process.send_signal(signal.SIGKILL)
-    process.communicate(timeout=30)
-    recording = Recording.open(tmp_path)
-    assert recording.rows >= flushed
-    assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
-    assert recording.complete is False
-    assert "killed" in str(recording.reason)
-
-
-@pytest.mark.parametrize("limit", [30_000, 400_000])
-def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path, limit):
-    output, _ = start(tmp_path, "full", str(limit)).communicate(timeout=30)
-    *flushed, failure, path = output.splitlines()
-    assert "recording.arrows: recording failed after" in failure
-    assert "File too large; free some space or choose another folder" in failure
-    assert path == str(tmp_path / "recording.arrows")
-    assert [file.name for file in tmp_path.iterdir()] == ["recording.arrows"]
-    recording = Recording.open(tmp_path)
-    assert recording.rows == int(flushed[-1])
-    assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
-    assert recording.complete is False
-    assert "disk was full" in str(recording.reason) or "failed after" in str(recording.reason)
+def test_the_rows_before_a_full_disk_are_kept(tmp_path):
+    recorder, old = Recorder(tmp_path, COLUMNS, METADATA), resource.getrlimit(resource.RLIMIT_FSIZE)
+    recorder.append(make_rows(10))
+    recorder.flush()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (recorder._size + 100, old[1]))
+    try:
+        recorder.append(make_rows(10, 10))
+        with pytest.raises(SimulationError, match="after 10 rows, which are kept: File too large"):
+            recorder.flush()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    recording = Recording.open(recorder.close(complete=False, reason="full"))
+    np.testing.assert_array_equal(all_columns(recording), make_rows(10))
+    assert (recording.complete, recording.reason) == (False, "full")
 
 
 # --- Damaged files ---------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from browser import Page, find_browser
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.compare.against_reference import compare_with_reference
-from panda_cosim.study.compare.between_runs import compare as compare_runs
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.compare.report import write_report
@@ -199,22 +198,6 @@ def report_in_3d(outcomes_in_3d, tmp_path_factory):
 
 
 NOW = "PandaView.viewer.clock.time"
-
-
-@pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
-def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
-    outcomes_in_3d, page, tmp_path
-):
-    found = compare_runs(*(outcome.run for outcome in outcomes_in_3d))
-    path = tmp_path / "compare.html"
-    path.write_text(found.to_html(), encoding="utf-8")
-    page.open(path, 760, 420)
-    page.wait(SHOWN)
-    assert page.value("PandaView.viewer.runs.map(({ name }) => name)") == ["wrong", "good"]
-    assert page.value(NOW) == pytest.approx(found.signals[0].times[0], abs=1e-9)
-    assert page.value("document.querySelectorAll('.view canvas').length") > 1
-    assert page.errors == []
-    assert page.requests == [path.as_uri()]
 
 
 SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"

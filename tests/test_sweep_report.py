@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.report import write_report
-from panda_cosim.study.sweep.store import Store
-from sweep_support import FORCE, HEAVY, MASS, NAME, made_up, pretended, short_sweep
+from sweep_support import FORCE, made_up, pretended, short_sweep
 
 
 def test_many_rows_give_a_small_page_that_says_so(tmp_path):
@@ -112,55 +111,6 @@ def test_a_grid_is_drawn_at_its_values(page, tmp_path):
     assert "push[1].force[2] [N]" in texts_of(page, "#chart text")
     assert page.value("document.getElementById('influence')") is None
     assert page.errors == []
-
-
-def spans_of(title: str, keys: Sequence[str]) -> list[tuple[float, float]]:
-    """Return the range of each key in the title of a cell of the map; a value is its own range."""
-    parts = title.partition(": ")[0].removeprefix(f"{keys[0]} ").split(f", {keys[1]} ")
-    ends = [[float(end) for end in part.split(" to ")] for part in parts]
-    return [(each[0], each[-1]) for each in ends]
-
-
-@pytest.mark.parametrize("rows", [60, 300, 3000])
-@pytest.mark.parametrize("other", [{"uniform": [0.0, 1.0]}, {"values": [1, 2, 5]}])
-def test_each_cell_of_the_map_counts_the_rows_of_its_place(page, tmp_path, rows, other):
-    vary: Any = {MASS: {"uniform": [0.05, 2.0]}, NAME: other}
-    sweep = Sweep(scenario=("push",), design="random", samples=rows, seed=1, vary=vary)
-
-    def outcome(values: Mapping[str, Any]) -> tuple[str, float]:
-        margin = HEAVY - values[MASS] - 0.1 * values[NAME]
-        return "success" if margin >= 0 else "missed", margin
-
-    folder = pretended(tmp_path, sweep, outcome)
-    page.open(write_report(folder))
-    page.wait("window.PandaSweep !== undefined")
-    select(page, "metric", "failures")
-    keys, table = page.value("PandaSweep.data.maps[0].keys"), Store(folder).table()
-    columns = [table[key].to_numpy() for key in keys]
-    bad = table["status"].to_numpy() != "success"
-    drawn = page.value(
-        "[...document.querySelectorAll('#map rect')].map((r) => [r.textContent,"
-        "Number(r.getAttribute('x')), -r.getAttribute('y')])"
-    )
-    cells = [spans_of(title, keys) for title, *_ in drawn]
-    parts = [sorted({cell[axis] for cell in cells}) for axis in (0, 1)]
-    counted = 0
-    for (title, *_), cell in zip(drawn, cells, strict=True):
-        inside = np.ones(rows, dtype=bool)
-        for axis, (low, high) in enumerate(cell):
-            first, last = (low, high) == parts[axis][0], (low, high) == parts[axis][-1]
-            column = columns[axis]  # a row at an edge is in the upper part
-            inside &= (column >= low) | first if low < high else column == low
-            inside &= (column < high) | last if low < high else column == high
-        assert title.endswith(f": {(inside & bad).sum()} of {inside.sum()} rows without success")
-        counted += inside.sum()
-    assert counted == rows
-    for axis in (0, 1):  # they stand in the order of their values, at equal distances
-        order = [parts[axis].index(cell[axis]) for cell in cells]
-        places = np.array([each[1 + axis] for each in drawn])
-        across = np.polynomial.Polynomial.fit(order, places, 1)
-        assert np.abs(across(np.array(order)) - places).max() < 0.01  # [px]
-        assert across.deriv()(0) > 0
 
 
 @pytest.mark.usefixtures("forked_workers")

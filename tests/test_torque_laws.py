@@ -119,6 +119,7 @@ def test_a_module_that_is_imported_in_a_method_is_named(laws):
     [
         ("import no_such", "return [0.0] * 8", 2, "bad.py, line 1: ModuleNotFoundError"),
         ("", "return 'text'", 1, "bad.py: update returned 'text'; must be numbers"),
+        ("", "return [0.0] * 8\n    def start(self): 1 / 0", 2, "line 5: ZeroDivisionError"),
     ],
 )
 def test_a_law_that_cannot_be_imported_or_returns_no_numbers_is_named(
