@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.criterion import (
     Criterion,
-    margin,
     missed_text,
     quantity,
     smallest_margin,
@@ -157,10 +156,10 @@ def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(value, bound, 
 
 @given(values=st.lists(SIZES, min_size=2, unique=True), bound=SIZES)
 def test_a_worse_value_has_a_smaller_margin_however_bad_both_are(values, bound):
-    margins = [margin(value, bound, "below") for value in sorted(values)]
+    margins = [Criterion("x", value, bound, "m").margin for value in sorted(values)]
     assert margins == sorted(margins, reverse=True)
-    assert margin(50.0, 1.0, "below") == -49.0
-    assert margin(0.25, 0.0, "below") == -0.25  # a bound of 0 leaves it in the unit
+    assert Criterion("x", 50.0, 1.0, "m").margin == -49.0
+    assert Criterion("x", 0.25, 0.0, "m").margin == -0.25  # a bound of 0 leaves it in the unit
 
 
 def test_a_value_that_is_not_finite_is_not_measured():

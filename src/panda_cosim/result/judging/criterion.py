@@ -40,8 +40,8 @@ class Criterion:
             reason = self.reason or ("nothing to measure" if value is None else f"is {value}")
             value = None
         else:
-            sign = 1.0 if self.direction == "below" else -1.0
-            share = sign * (self.bound - value) / (abs(self.bound) or 1.0)
+            distance = self.bound - value if self.direction == "below" else value - self.bound
+            share = distance / (abs(self.bound) or 1.0)
         is_ok = share is not None and share >= 0.0
         vars(self).update(value=value, ok=is_ok, margin=share, reason=reason)
 
