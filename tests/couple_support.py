@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from panda_cosim import Options, load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.fmus.build.libraries import SOURCES, includes
 from panda_cosim.fmus.build.platforms import PLATFORMS
@@ -21,10 +22,8 @@ from panda_cosim.fmus.interface.controller import COMMANDS
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.master.system import System
 from panda_cosim.fmus.sources.targets import Kind, Target, build, build_trajectory
-from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import StartValues, instants, resolve, start_values
-from panda_cosim.task.scenario import load_scenario
 
 HOST = Path(__file__).parent / "c_host" / "host.c"
 TABLES = {"trajectory": TRAJECTORY, "controller": INTERFACES["controller"],

@@ -17,10 +17,8 @@ from hypothesis import strategies as st
 
 from fault_support import write_files
 from forked import command
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, Recording, compare
 from panda_cosim.result.judging.criterion import Criterion
-from panda_cosim.result.recording import Recording
-from panda_cosim.study.compare.between_runs import compare
 from panda_cosim.study.compare.wording import numbers
 from regress_support import CONTENT, columns, record
 

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from fault_support import write_files
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, Recording, Scenario, SignalCriterion, Success, load_scenario
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.model_fmu import model_part
 from panda_cosim.result.judging.signals import check_bodies, judge_bodies, judge_signals
-from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.start import check_criteria
 from panda_cosim.run.system.assembly import assemble
-from panda_cosim.task.criteria import BodyCriterion, SignalCriterion, Success
-from panda_cosim.task.scenario import Scenario, load_scenario
+from panda_cosim.task.criteria import BodyCriterion
 
 EVENTS: dict[str, float | None] = {"start": 0.0, "end": 1.0, "release": None}
 ROUNDING = 1e-12  # m

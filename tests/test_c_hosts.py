@@ -15,11 +15,9 @@ from bounded import ran
 from couple_support import TABLES, compile_host, read_rows, unpack_task, write_plan
 from fmu_instance import Unpacked, mujoco_library, unpacked, unpacked_fmu
 from fmu_support import compiler, in_process, needs_compiler, sanitizes
+from panda_cosim import Options, Recording, run_scenario
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library, slave_fmu
-from panda_cosim.result.recording import Recording
-from panda_cosim.run.execution import run_scenario
-from panda_cosim.run.options import Options
 
 SCENARIO = "pick_and_place"
 FIRST_INSTANCE = 0.050  # [s] from opening the library to the end of its initialization

@@ -12,16 +12,13 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from fault_support import write_files
-from panda_cosim import Run, load_scenario, shipped_scenarios
+from panda_cosim import InputError, Run, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.cli.app import app
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.advice import advise, weakest_grip
-from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import check_folder, rehearse
 from panda_cosim.study.sweep.definition import load_sweep
 from panda_cosim.study.sweep.engine import check_sweep
-from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.trajectory import StartPose
 from panda_cosim.task.writer import make_scenario, write_scenario
 

@@ -19,11 +19,10 @@ from typer.testing import CliRunner, Result
 from bounded import ran
 from fault_support import write_files
 from forked import command as forked
-from panda_cosim import Recording, shipped_scenarios
+from panda_cosim import InputError, Recording, shipped_scenarios
 from panda_cosim.cli.app import app, load
 from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.cli.console import progress
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.sources.targets import build
 

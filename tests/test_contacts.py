@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fake_recording import FakeRecording
-from panda_cosim import load_scenario, run_scenario
+from panda_cosim import Scenario, Success, load_scenario, run_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.contacts import SUPPORT, UNWANTED, contacts_of, kinds_of
 from panda_cosim.plant.parameters import PlantParameters
@@ -21,8 +21,6 @@ from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.contacts import unwanted_contacts
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.summary import summarize
-from panda_cosim.task.criteria import Success
-from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.writer import write_scenario
 from random_tasks import run_plain
 

@@ -9,19 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panda_cosim import load_scenario
+from panda_cosim import InputError, Scenario, TableRow, TrajectoryTable, load_scenario, run_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.presets import preset
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.advice import weakest_grip
 from panda_cosim.result.judging.limits import largest_share
-from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import rehearse
-from panda_cosim.task.scenario import Scenario
-from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import Done, random_tasks, run_in_memory, run_plain
 
 Array = NDArray[np.float64]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import runpy
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,16 +18,15 @@ from numpy.typing import NDArray
 
 from fake_recording import FakeRecording
 from forked import command
+from panda_cosim import Recording, Scenario, Success
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QDD_MAX, QDDD_MAX
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.holds import find_holds
-from panda_cosim.result.recording import Recording
 from panda_cosim.result.recording.storage import open_parquet
 from panda_cosim.run.summary import summarize
 from panda_cosim.study.analysis.margins import Loop, Margins
-from panda_cosim.task.criteria import EVENTS, Success
+from panda_cosim.task.criteria import EVENTS
 from panda_cosim.task.fields import field_names
-from panda_cosim.task.scenario import Scenario
 
 Array = NDArray[np.float64]
 
@@ -335,3 +335,35 @@ def test_holds_are_those_found_row_by_row(runs, step):
     )
     found = [(hold.grasp, hold.end) for hold in find_holds(recording)]
     assert found == spans_of(time, force)
+
+
+# The example of ISO 9283: its figures computed again from the recordings, and by hand.
+
+
+EXAMPLES = Path(__file__).parents[1] / "scenarios" / "examples"
+ISO = runpy.run_path(str(EXAMPLES / "iso9283.py"))
+
+
+def test_repeatability_by_hand():
+    """Four poses on a circle of 1 mm: no distance differs; angles of +-1 deg twice."""
+    poses = np.zeros((4, 6))
+    poses[:, :2] = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
+    poses[:, 5] = [1.0, -1.0, 1.0, -1.0]
+    values = ISO["figures"](poses)
+    assert values["R_l"] == pytest.approx(1.0)
+    assert values["R_c"] == pytest.approx(3.0 * np.sqrt(4.0 / 3.0))
+    assert values["R_a"] == 0.0
+
+
+def test_overshoot_begins_with_the_first_crossing():
+    time = 0.001 * np.arange(7)
+    distance = np.array([9.0, 0.5, 2.0, 3.0, 0.5, 0.1, 0.0])
+    assert ISO["stabilization"](time, distance, 1.0) == pytest.approx((3.0, 0.003))
+    assert ISO["stabilization"](time, distance, 4.0) == (0.0, 0.0)
+    distance[-1] = 2.0  # mm
+    assert ISO["stabilization"](time, distance, 1.0) is None
+
+
+def test_a_sweep_without_recordings_has_no_sheet(tmp_path):
+    with pytest.raises(SystemExit, match="0 kept cycles; must be 30"):
+        ISO["sheet"](tmp_path)

@@ -26,12 +26,9 @@ import pytest
 from nbclient import NotebookClient
 
 from bounded import ran
-from panda_cosim import Scenario
+from panda_cosim import Recording, Scenario, Success, load_scenario
 from panda_cosim.cli.app import load
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
-from panda_cosim.result.recording import Recording
-from panda_cosim.task.criteria import Success
-from panda_cosim.task.scenario import load_scenario
 from panda_cosim.task.table import COLUMNS
 
 ROOT = Path(__file__).parents[1]

@@ -16,8 +16,7 @@ from fmpy.validation import validate_fmu
 
 from fmu_support import REFERENCE_FMUS, members, needs_compiler, needs_reference_fmus, pack
 from forked import command
-from panda_cosim.result.recording import Recording
-from panda_cosim.run.execution import run_scenario
+from panda_cosim import Recording, run_scenario
 from toy_fmu import toy_fmu
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"

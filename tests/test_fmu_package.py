@@ -17,10 +17,10 @@ from lxml import etree
 
 from fmu_instance import ERROR, Instance, Unpacked, unpacked
 from fmu_support import copy_libraries, in_fork
+from panda_cosim import InputError, Options, Recording, run_scenario
 from panda_cosim.controller import controller as controller_module
 from panda_cosim.fmus.build.description import LOG_CATEGORIES, Layout, described
 from panda_cosim.fmus.build.platforms import PLATFORMS, this_platform
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.interface.variables import Interface, Variable
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -34,9 +34,6 @@ from panda_cosim.fmus.sources.targets import (
     own_fmu,
 )
 from panda_cosim.plant import plant as plant_module
-from panda_cosim.result.recording import Recording
-from panda_cosim.run.execution import run_scenario
-from panda_cosim.run.options import Options
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 SCHEMAS = Path(fmpy.__file__).parent / "schema"

@@ -14,12 +14,11 @@ import pytest
 from lxml import etree
 
 from fmu_support import members, pack
+from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.build.ssp import CONNECTORS_FILE, STRUCTURE_FILE, WrittenSystem, write_ssp
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.run.written import written_system
-from panda_cosim.task.scenario import load_scenario
 
 SCHEMAS = {"1.0": Path(fmpy.__file__).parent / "ssp" / "schema"}
 if package := find_spec("pyssp_standard"):

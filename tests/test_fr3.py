@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panda_cosim import InputError, Scenario, load_scenario, run_scenario
+from panda_cosim import InputError, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.assets import ASSETS
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.plant import Plant
 from panda_cosim.study.check.diagnosis import feasibility
-from panda_cosim.task.scenario import shipped_scenarios
 from random_tasks import run_plain
 
 Array = NDArray[np.float64]

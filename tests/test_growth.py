@@ -11,16 +11,15 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from panda_cosim import Recording, compare, load_scenario
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.contacts import SIGNAL as UNWANTED
 from panda_cosim.result.judging.summary import Summary
-from panda_cosim.result.recording import Column, Recorder, Recording, storage
+from panda_cosim.result.recording import Column, Recorder, storage
 from panda_cosim.run.summary import summarize
 from panda_cosim.study.compare.against_reference import compare_with_reference
-from panda_cosim.study.compare.between_runs import compare
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.sweep.store import Store
-from panda_cosim.task.scenario import load_scenario
 from panda_cosim.task.tolerances import Tolerances
 
 STEP = 0.001  # s

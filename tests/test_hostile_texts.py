@@ -25,6 +25,7 @@ import pytest
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
 from live_support import READY
+from panda_cosim import Recording, Run, RunComparison, Scenario, TableRow, TrajectoryTable, compare
 from panda_cosim.cli.console import QuietConsole, as_cell, complain, table
 from panda_cosim.cli.outcome import verdict_table
 from panda_cosim.fmus.build.description import Layout, documentation, members
@@ -33,12 +34,9 @@ from panda_cosim.fmus.errors import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
-from panda_cosim.result.recording import Recording
-from panda_cosim.run.result import Run
 from panda_cosim.show.view.model import describe
 from panda_cosim.show.view.page import Inline, live_page
 from panda_cosim.study.compare.against_reference import compare_with_reference
-from panda_cosim.study.compare.between_runs import RunComparison, compare
 from panda_cosim.study.compare.junit import Case, write_cases
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.regress import Outcome
@@ -47,8 +45,6 @@ from panda_cosim.study.live.server import LiveServer
 from panda_cosim.study.sweep.report import write_report
 from panda_cosim.study.sweep.row import command as row_command
 from panda_cosim.study.sweep.store import Store
-from panda_cosim.task.scenario import Scenario
-from panda_cosim.task.table import TableRow, TrajectoryTable
 from panda_cosim.task.tolerances import Tolerances
 from regress_support import CONTENT, SUMMARY, columns, record
 from view_support import MODEL

@@ -12,12 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmu_support import needs_compiler, pack
-from panda_cosim import load_scenario
+from panda_cosim import Options, load_scenario
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.master.order import stepping_order
 from panda_cosim.fmus.master.system import System, open_system
-from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import rehearse
 from toy_fmu import library

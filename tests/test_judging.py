@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, Recording, Scenario, SignalCriterion, Success, load_scenario
 from panda_cosim.result.judging.criterion import (
     Criterion,
     missed_text,
@@ -23,10 +23,9 @@ from panda_cosim.result.judging.criterion import (
     verdict_of,
 )
 from panda_cosim.result.judging.signals import REDUCE, check_signals, judge_signals
-from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.start import check_criteria
-from panda_cosim.task.criteria import REDUCTIONS, SignalCriterion, Success
-from panda_cosim.task.scenario import Scenario, load_scenario
+from panda_cosim.task.criteria import REDUCTIONS
 from panda_cosim.task.writer import write_scenario
 
 Array = NDArray[np.float64]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -14,20 +15,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import cosim_jobs
 from fmu_support import in_process, needs_compiler
-from panda_cosim.fmus.errors import SimulationError
+from panda_cosim import Options, SimulationError, load_scenario, shipped_scenarios
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.kernel import load_stepper
 from panda_cosim.fmus.master.step import Stepper
 from panda_cosim.fmus.master.system import System, open_system
 from panda_cosim.run.execution import Execution
-from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.stopping import StopRequest
-from panda_cosim.task.scenario import load_scenario, shipped_scenarios
 from toy_fmu import INDICES, toy_fmu
 
-pytestmark = needs_compiler
 TICK = 0.001  # [s]
 ELEMENTS = st.sampled_from(INDICES)
 STEPPERS: dict[str, Callable[[], Any]] = {"in C": load_stepper, "in Python": lambda: None}
@@ -100,6 +99,7 @@ def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
     return "".join(rows)
 
 
+@needs_compiler
 @settings(max_examples=4, deadline=None)
 @given(st.lists(systems(), min_size=10, max_size=10))
 def test_both_give_the_same_bits(folder, plans):
@@ -117,6 +117,7 @@ def plan(version: int, **changes: Any) -> dict[str, Any]:
     } | changes  # fmt: skip
 
 
+@needs_compiler
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("act", ["warn", "discard", "error", "end", "early"])
 def test_both_end_alike(folder, version, act):
@@ -128,6 +129,7 @@ def test_both_end_alike(folder, version, act):
     assert in_c.endswith(", 3 steps") == ends
 
 
+@needs_compiler
 def test_both_end_at_a_value_that_is_not_finite(folder):
     spoilt = plan(2, spoilt=301)
     [[in_c, in_python]] = in_process(run, str(folder), [spoilt])
@@ -137,6 +139,7 @@ def test_both_end_at_a_value_that_is_not_finite(folder):
     )
 
 
+@needs_compiler
 @pytest.mark.parametrize("allowed", [False, True])
 def test_both_allow_the_same_values_that_are_not_finite(folder, allowed):
     """Outputs of the first toy overflow where its input is large; the other's follow."""
@@ -165,6 +168,7 @@ def shipped(names: list[str], stepper: Stepper) -> list[tuple[str, str, str]]:
     return done
 
 
+@needs_compiler
 @pytest.mark.parametrize("share", range(4))
 def test_both_give_the_same_bits_over_all_shipped_scenarios(share):
     names = sorted(shipped_scenarios())[share::4]
@@ -172,3 +176,43 @@ def test_both_give_the_same_bits_over_all_shipped_scenarios(share):
     assert [(name, digest) for name, _, digest in in_c] == [(n, d) for n, _, d in in_python]
     assert {by for _, by, _ in in_python} == {"fmpy"}
     assert "kernel" in {by for _, by, _ in in_c}
+
+
+# The co-simulation over real FMUs is the plain loop of the same objects, bit for bit.
+
+
+@pytest.mark.parametrize(
+    ("scenario", "coupling", "steps"),
+    [
+        ("pick_and_place", "gauss-seidel", 2000),
+        ("tutorial", "gauss-seidel", 1500),
+        ("tutorial", "jacobi", 600),
+    ],
+)
+def test_the_run_over_fmus_equals_the_plain_loop_bit_for_bit(scenario, coupling, steps):
+    result = in_process(cosim_jobs.compare, scenario, coupling, steps)
+    assert result["columns"], "every output and command is recorded once"
+    assert result["differing"] == []
+    assert result["repeats"], "and so does a second run"
+    assert result["rows"] == steps + 1
+    assert result["moved"] > 0.01, "and the hand has moved [m]"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no resource module")
+def test_memory_does_not_grow_with_the_length_of_a_run():
+    short, longer = in_process(cosim_jobs.memory_of_runs, [2_000, 20_000])
+    assert longer - short <= 5.0  # [MB]
+
+
+def test_the_bench_compares_ways_that_do_the_same():
+    """It raises where they end elsewhere; its numbers are no matter of a test's machine."""
+    result = in_process(cosim_jobs.short_bench)
+    numbers = result["json"]
+    assert numbers["format"] == 4
+    assert set(numbers["steps"]) == {"physics", "bare", "lists", "master", "fmpy"}
+    assert set(numbers["ratios"]) == {"c/a", "c/a'", "d/a", "b/c", "cold run"}
+    assert numbers["ratios"]["cold run"]["median"] == pytest.approx(2.5)
+    for spread in (*numbers["steps"].values(), *numbers["ratios"].values()):
+        assert 0.0 < spread["low"] <= spread["median"] <= spread["high"]
+    for text in ("(a) mj_step", "(a') mj_step", "c/a", "c/a'", "at most 1.1", "numpy"):
+        assert text in result["text"]

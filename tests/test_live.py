@@ -19,13 +19,9 @@ from websockets.sync.client import connect
 from browser import Page
 from forked import command
 from live_support import READY, asked, live, told, wait_to_act
-from panda_cosim import Session
-from panda_cosim.result.recording import Recording
+from panda_cosim import Recording, Session, Trajectory, TrajectoryTable, load_scenario
 from panda_cosim.study.live.page import offset_of
 from panda_cosim.task.mismatch import Mismatch
-from panda_cosim.task.scenario import load_scenario
-from panda_cosim.task.table import TrajectoryTable
-from panda_cosim.task.trajectory import Trajectory
 
 RUN = "PandaView.viewer.runs[0]"
 SEEN = """((place) => {

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from couple_support import panda_system
 from fmu_support import in_process
+from panda_cosim import Scenario, TableRow, Trajectory, TrajectoryTable
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.run.start import start_pose, start_values
 from panda_cosim.task import rotations
-from panda_cosim.task.scenario import Scenario
-from panda_cosim.task.table import TableRow, TrajectoryTable
-from panda_cosim.task.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

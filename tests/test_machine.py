@@ -17,15 +17,13 @@ import pytest
 
 from bounded import limited, ran
 from fault_support import write_scenario
+from panda_cosim import InputError, Recording, load_scenario
 from panda_cosim.cli.app import report
 from panda_cosim.cli.commands import doctor
 from panda_cosim.cli.commands.build import build_all
 from panda_cosim.cli.commands.doctor import Finding, examine
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing, temporary_folder
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.extras import needing
-from panda_cosim.result.recording import Recording
-from panda_cosim.task.scenario import load_scenario
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]
 QUIET = ("--no-video", "--no-view", "--no-plot")

@@ -12,18 +12,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fmu_support import in_process
+from panda_cosim import InputError, Recording, Scenario, Success, load_scenario, run_scenario
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.sensor_errors import SensorErrors
 from panda_cosim.controller.sensors import TRUTH, Sensors
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
-from panda_cosim.result.recording import Recording
-from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.start import resolve, start_values
 from panda_cosim.run.system.assembly import assemble
-from panda_cosim.task.criteria import Success
 from panda_cosim.task.mismatch import PRESETS, SIZES, Mismatch, draw_robot
-from panda_cosim.task.scenario import Scenario, load_scenario
 from panda_cosim.task.writer import write_scenario
 from random_tasks import run_in_memory
 

@@ -16,9 +16,8 @@ from typer.testing import CliRunner
 from fmu_support import in_process
 from forked import command
 from odd_fmu import odd_ssp
-from panda_cosim import shipped_scenarios
+from panda_cosim import InputError, load_scenario, shipped_scenarios
 from panda_cosim.cli.app import app
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.sources.law import read_law
 from panda_cosim.run.start import resolve, start_values
@@ -26,7 +25,6 @@ from panda_cosim.run.system.assembly import assemble
 from panda_cosim.run.system.connector import Connector
 from panda_cosim.run.system.parts import Part
 from panda_cosim.study.check.diagnosis import check_folder
-from panda_cosim.task.scenario import load_scenario
 from panda_cosim.task.writer import make_scenario
 from parts_jobs import run_folder, same_bits, write_arm
 from toy_fmu import INDICES, toy_fmu

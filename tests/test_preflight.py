@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from fake_recording import FakeRecording
 from fault_support import write_files
 from forked import command
-from panda_cosim import Recording, Scenario, load_scenario
+from panda_cosim import Recording, Scenario, TableRow, TrajectoryTable, load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import FINGERTIPS, ArmModel
 from panda_cosim.result.judging.advice import refusals
@@ -25,7 +25,6 @@ from panda_cosim.result.judging.preflight import preflight
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.view import run
 from panda_cosim.study.sweep.row import metrics
-from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]

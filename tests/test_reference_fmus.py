@@ -21,8 +21,7 @@ import pytest
 
 from fmu_support import REFERENCE_FMUS, in_process, needs_reference_fmus
 from forked import command
-from panda_cosim import Recording, Session
-from panda_cosim.task.scenario import Scenario
+from panda_cosim import Recording, Scenario, Session
 
 FMUS = ["BouncingBall", "Dahlquist", "Feedthrough", "Resource", "Stair", "VanDerPol"]
 STEP, TICKS = 0.1, 10  # s

@@ -16,8 +16,7 @@ import pytest
 from fault_support import write_files
 from forked import command as cli
 from forked import script
-from panda_cosim import shipped_scenarios
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, shipped_scenarios
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.study.compare.regress import find_scenarios, start

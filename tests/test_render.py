@@ -20,10 +20,9 @@ from bounded import line_of, ran
 from fake_recording import FakeRecording
 from fault_support import write_scenario
 from forked import command
+from panda_cosim import InputError, Recording
 from panda_cosim.fmus.atomic import check_replaceable
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.holds import events, find_holds
-from panda_cosim.result.recording import Recording
 from panda_cosim.show.pictures import gl, meshes
 from panda_cosim.show.pictures.gl import RenderError
 from panda_cosim.show.pictures.motion import (

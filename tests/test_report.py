@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 
 from browser import Page, find_browser
+from panda_cosim import Recording, Scenario, TableRow, TrajectoryTable, load_scenario
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
-from panda_cosim.result.recording import Recording
 from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.compare.report import write_report
-from panda_cosim.task.scenario import Scenario, load_scenario
-from panda_cosim.task.table import TableRow, TrajectoryTable
 from regress_support import CONTENT, MISSED_CONTENT, SUMMARY, columns, record
 from view_support import run_scenario_outside
 

@@ -14,9 +14,8 @@ import pytest
 from bounded import ran
 from fmu_support import in_process
 from forked import command
-from panda_cosim import Recording, Scenario, load_scenario, run_scenario
+from panda_cosim import InputError, Recording, Scenario, load_scenario, run_scenario
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene

@@ -26,10 +26,8 @@ from fault_support import (
     run_with_fault,
     write_scenario,
 )
+from panda_cosim import InputError, Options, Recording
 from panda_cosim.fmus.atomic import TEMPORARY
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.result.recording import Recording
-from panda_cosim.run.options import Options
 
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
 SCHEDULING = 0.5  # [s] that a busy machine may keep a process from running

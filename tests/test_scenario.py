@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 
 import panda_cosim
 from bounded import ran
-from panda_cosim import load_scenario
+from panda_cosim import InputError, TableRow, load_scenario
 from panda_cosim.controller.presets import PRESETS
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.step import COUPLINGS
 from panda_cosim.task import scenario as scenario_module
-from panda_cosim.task.table import COLUMNS, TableRow, read_tables
+from panda_cosim.task.table import COLUMNS, read_tables
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 GOOD = 'purpose = "A test"\nduration = 1.5\n'

@@ -11,17 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from panda_cosim import InputError, Options, Scenario, Session, load_scenario
 from panda_cosim.cli.options import values_of
 from panda_cosim.controller.presets import PRESETS
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
-from panda_cosim.run.session import Session
 from panda_cosim.run.start import start_values
 from panda_cosim.study.compare.regress import with_values
-from panda_cosim.task.scenario import Scenario, load_scenario
 
 ROTATED = load_scenario("rotated_block")
 PUSHED = load_scenario("push")

@@ -12,8 +12,7 @@ from lxml import etree
 
 from fmu_support import REFERENCE_FMUS, needs_reference_fmus
 from forked import command
-from panda_cosim import Recording
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, Recording
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.master.ssp_reader import CoupledSystem, system_from_ssp

@@ -15,17 +15,14 @@ import pytest
 from numpy.typing import NDArray
 
 from fake_recording import FakeRecording
-from panda_cosim import load_scenario
+from panda_cosim import Recording, Scenario, Success, TableRow, TrajectoryTable, load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.limits import exceeded, first_limit, largest_share, limit_shares
-from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.summary import summarize
-from panda_cosim.task.criteria import Success
-from panda_cosim.task.scenario import Scenario
-from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_plain
 
 Array = NDArray[np.float64]

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from scipy.stats import kstest, norm
 
 from fault_support import write_files
-from panda_cosim import InputError, load_scenario
+from panda_cosim import InputError, Sweep, load_scenario
 from panda_cosim.study.sweep.definition import (
-    Sweep,
     load_sweep,
     read_distribution,
     shipped_sweeps,

@@ -12,11 +12,9 @@ import dask_jobs
 from fault_support import write_files
 from fmu_support import in_process
 from forked import command
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, Sweep, sweep
 from panda_cosim.study.sweep import backend
 from panda_cosim.study.sweep.again import promote_row, show_row
-from panda_cosim.study.sweep.definition import Sweep
-from panda_cosim.study.sweep.engine import sweep
 from sweep_support import rows_of, short_sweep
 
 pytestmark = pytest.mark.usefixtures("forked_workers")

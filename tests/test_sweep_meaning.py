@@ -10,11 +10,8 @@ from typing import Any
 import pytest
 
 from forked import command
-from panda_cosim import InputError, load_scenario
-from panda_cosim.result.recording import Recording
+from panda_cosim import InputError, Recording, Sweep, load_scenario, sweep
 from panda_cosim.study.sweep.again import promote_row, scenario_of
-from panda_cosim.study.sweep.definition import Sweep
-from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.packed import Loaded, identity, pack
 from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep

@@ -13,9 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from browser import Page
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.study.sweep.definition import Sweep
-from panda_cosim.study.sweep.engine import sweep
+from panda_cosim import InputError, Sweep, sweep
 from panda_cosim.study.sweep.report import write_report
 from sweep_support import FORCE, made_up, pretended, short_sweep
 

@@ -20,15 +20,13 @@ import pytest
 from scipy.stats import beta
 
 from forked import command
-from panda_cosim import InputError, load_scenario
+from panda_cosim import InputError, Recording, load_scenario, sweep
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.result.recording import Recording
 from panda_cosim.study.sweep.again import promote_row, show_row
 from panda_cosim.study.sweep.backend import Local
 from panda_cosim.study.sweep.definition import load_sweep
 from panda_cosim.study.sweep.design import Design
-from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.report import write_report
 from panda_cosim.study.sweep.row import Task
 from panda_cosim.study.sweep.store import Store

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 from control_support import started
 from fault_support import write_files
 from forked import command
+from panda_cosim import InputError, Push, load_scenario, run_scenario
 from panda_cosim.assets.franka import TORQUE_MAX, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.presets import OF_IMPEDANCE, OF_SERVOS, preset
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.prepare import prepare
-from panda_cosim.task.scenario import Push, load_scenario
 
 LAWS = '''
 import numpy as np

@@ -10,14 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from control_support import hold, started
-from panda_cosim import Session, load_scenario
+from panda_cosim import Push, Scenario, Session, SignalCriterion, Success, load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.result.judging.advice import refusals
 from panda_cosim.result.judging.holds import COLLISION
 from panda_cosim.show.pictures.motion import key_moments
-from panda_cosim.task.criteria import SignalCriterion, Success
-from panda_cosim.task.scenario import Push, Scenario
 from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]

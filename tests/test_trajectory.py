@@ -8,14 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from panda_cosim import load_scenario
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, TableRow, Trajectory, TrajectoryTable, load_scenario
 from panda_cosim.run import prepare as preparing
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import instants, resolve, start_values
 from panda_cosim.task import rotations
-from panda_cosim.task.table import TableRow, TrajectoryTable
-from panda_cosim.task.trajectory import COMMANDS, StartPose, Trajectory
+from panda_cosim.task.trajectory import COMMANDS, StartPose
 from panda_cosim.task.writer import write_input_csv
 
 Array = NDArray[np.float64]

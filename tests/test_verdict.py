@@ -17,20 +17,17 @@ import typer
 from hypothesis import given
 from hypothesis import strategies as st
 
+from panda_cosim import InputError, Run, SimulationError, compare, load_scenario
 from panda_cosim.cli import outcome as door
-from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.result.judging.verdicts import INCOMPLETE, VERDICTS
-from panda_cosim.run.result import Run
 from panda_cosim.show.view.facts import criteria_of, limits_of, refusals_of
 from panda_cosim.show.view.run import Shown, describe
 from panda_cosim.study.compare import regress
-from panda_cosim.study.compare.between_runs import compare
 from panda_cosim.study.compare.junit import write_junit
 from panda_cosim.study.compare.pytest_plugin import TestedRun
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.sweep.row import STATUSES, measured
-from panda_cosim.task.scenario import load_scenario
 from panda_cosim.task.tolerances import Tolerances
 from regress_support import columns, record
 

@@ -23,16 +23,14 @@ import regress_support
 from bounded import ran
 from fake_recording import FakeRecording
 from forked import command
-from panda_cosim.fmus.errors import InputError
+from panda_cosim import InputError, Recording, shipped_scenarios
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
-from panda_cosim.result.recording import Recording
 from panda_cosim.show.view import columns, run
 from panda_cosim.show.view.columns import Thinning, encode
 from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.run import Shown, describe
-from panda_cosim.task.scenario import shipped_scenarios
 from view_support import MODEL, decoded, run_scenario_outside
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([np.nan, np.inf, -np.inf, 0.0])

@@ -15,17 +15,15 @@ import pytest
 from browser import Page, find_browser
 from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from fake_recording import FakeRecording
+from panda_cosim import Recording, Run, load_scenario
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
-from panda_cosim.result.recording import Recording
-from panda_cosim.run.execution import Run
 from panda_cosim.run.summary import summarize
 from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.page import shown_run, write_view
 from panda_cosim.show.view.run import Shown
-from panda_cosim.task.scenario import load_scenario
 from view_support import MODEL, run_scenario_outside
 
 PLACE_TOLERANCE = 5e-6  # [m] of a body in the page
