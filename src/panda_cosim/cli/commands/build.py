@@ -23,12 +23,8 @@ from ...fmus.sources.python_fmu import slave_fmu
 from ...fmus.sources.targets import Kind, Target
 from ...fmus.twins import FMUS
 from ...run.written import written_system
-from ...study.check.experiments import (
-    Experiment,
-    add_experiment,
-    experiments_of,
-    write_compatibility,
-)
+from ...study.check.embedding import add_experiment, experiments_of, write_compatibility
+from ...study.check.experiments import Experiment
 from ...task.scenario import Scenario
 from ..console import show_file, warn
 from ..options import (

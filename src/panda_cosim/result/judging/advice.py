@@ -6,8 +6,8 @@ helps is in checks.toml.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final, Literal
+from collections.abc import Iterator
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from .contacts import SIGNAL as UNWANTED
 from .contacts import Touch
 from .holds import FORCE, HAND, find_holds
 from .limits import exceeded
-from .summary import Summary
+from .summary import Metrics, Summary
 
 Array = NDArray[np.float64]
 Level = Literal["wrong", "refused", "hint", "good"]
@@ -180,7 +180,7 @@ def _average(values: Array) -> Array:
     return mean
 
 
-def refusals(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[Level, str]]:
+def refusals(preflight: Metrics, *, complete: bool) -> Iterator[tuple[Level, str]]:
     """Yield in lines what the robot would refuse, by that section of a run's summary.json."""
     if not preflight:
         return
@@ -212,7 +212,7 @@ def refusals(preflight: Mapping[str, Any], *, complete: bool) -> Iterator[tuple[
         )
 
 
-def _refusal(found: Mapping[str, Any]) -> str:
+def _refusal(found: Metrics) -> str:
     """Describe the first violation of a condition."""
     row = f" (row {found['row']})" if found["row"] else ""
     joint = f" {found['joint']}" if found["what"].endswith("joint") else ""

@@ -12,6 +12,7 @@ from ...assets import ELASTIC
 from ...plant.parameters import BLOCK, PlantParameters
 from ...task.files import model_file
 from ..recording import Recording
+from .summary import Metrics
 
 SIGNAL: Final = "plant.unwanted_contact_force"
 SCENE: Final = "tabletop"  # of a recording that does not name its scene
@@ -35,7 +36,7 @@ class Touch:
         return f"{a} and {b} touch {span}; unwanted contacts then have up to {self.force_N:.3g} N"
 
 
-def unwanted_contacts(recording: Recording) -> dict[str, Any]:
+def unwanted_contacts(recording: Recording) -> Metrics:
     """Return the largest sum of the unwanted normal forces, and a `Touch` for each pair."""
     force = recording[SIGNAL]
     touches: dict[tuple[str, str], Touch] = {}

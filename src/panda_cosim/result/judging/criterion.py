@@ -56,7 +56,7 @@ class Criterion:
         return "ok" if self.ok else "missed" if self.measured else "not measured"
 
     @classmethod
-    def read(cls, summary: Mapping[str, Any]) -> tuple[Self, ...]:
+    def read(cls, summary: Mapping[str, object]) -> tuple[Self, ...]:
         """Return the criteria of a `summary.json`; reads formats 1 and 2, too."""
         # Margins are computed anew: format 1 has none, and format 2 limited them.
         entries = summary.get("criteria", ())

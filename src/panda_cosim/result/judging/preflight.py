@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,8 +264,8 @@ def _has_motors(recording: Recording) -> bool:
     return scene == TORQUE_DRIVEN or unit == "N.m" or bool(_gains(recording).get("impedance"))
 
 
-def _gains(recording: Recording) -> Mapping[str, Any]:
-    gains: Mapping[str, Any] = recording.metadata.get("parameters", {}).get("controller", {})
+def _gains(recording: Recording) -> Metrics:
+    gains: Metrics = recording.metadata.get("parameters", {}).get("controller", {})
     return gains
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 SUMMARY_FILE: Final = "summary.json"
 FORMAT: Final = 4
-Metrics = dict[str, Any]
+Metrics = dict[str, Any]  # by key, as JSON holds them
 _SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "preflight", "energy",
                     "timing")  # fmt: skip
 # These differ from run to run, like the wall clock.
@@ -102,7 +102,7 @@ class Summary:
             raise InputError(f"value {excerpt(content)}; must be the content of a {SUMMARY_FILE}")
         ends = {end.word: end for end in INCOMPLETE}
         end = ends.get(str(content.get("verdict")), ENDED)
-        values: dict[str, Any] = {"criteria": Criterion.read(content), "end": end}
+        values: Metrics = {"criteria": Criterion.read(content), "end": end}
         for name, default in vars(cls()).items():
             value = content.get(name)
             if name not in values and value is not None:
@@ -173,13 +173,13 @@ class Summary:
                 if key not in _WALL:
                     yield from _numbers(f"{section}.{key}", value)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Metrics:
         """Return plain values, as JSON holds them."""
         judged = {name: getattr(self, name) for name in ("success", "as_expected", "margin")}
         head = {"format": FORMAT, "verdict": self.verdict.word, **judged}
         whole = asdict(self)
         whole.pop("end")
-        values: dict[str, Any] = json_values({**head, **whole})
+        values: Metrics = json_values({**head, **whole})
         return values
 
 

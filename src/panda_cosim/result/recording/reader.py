@@ -36,8 +36,10 @@ _INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*
 class Recording:
     """A recording; columns are read from disk when they are used.
 
+    `open` makes one of a run's folder or file, and a recorder one of what it holds in memory.
     Signals are indexed by name, all rows at once: `recording["plant.qpos"]` has shape (n, 16),
-    `recording["plant.jac"]` (n, 6, 7), `recording["plant.qpos[1]"]` (n,).
+    `recording["plant.jac"]` (n, 6, 7), `recording["plant.qpos[1]"]` (n,). For all rows of a long
+    run, `in_blocks` and `by_rows` take less memory.
 
     Attributes:
         path: The file.
@@ -241,8 +243,8 @@ class Recording:
             InputError: There is no such signal.
         """
         xarray = _library("xarray")
-        variables: dict[str, Any] = {}
-        indices: dict[str, Any] = {}
+        variables: dict[str, tuple[Any, ...]] = {}
+        indices: dict[str, NDArray[np.int_]] = {}
         for signal in signals or self.signals:
             values = self[signal]
             dimensions = [f"{signal}_{axis}" for axis in range(1, values.ndim)]

@@ -73,7 +73,7 @@ def literal(path: Path) -> str:
     return text
 
 
-def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
+def make_schema(columns: Sequence[Column], metadata: Mapping[str, object]) -> Any:
     """Return the Arrow schema of the columns."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
 
@@ -92,7 +92,7 @@ def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
     return pa.schema(fields, metadata={METADATA_KEY: json.dumps(metadata)})
 
 
-def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
+def serialize_end(schema: Any, state: Mapping[str, object]) -> Any:
     """Return the stream's last message: no rows, and `state` as its metadata."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
 

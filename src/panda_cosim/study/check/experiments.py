@@ -1,14 +1,14 @@
-"""Reference experiments inside FMUs: written into those that we build, and run by `check`.
+"""Reference experiments inside FMUs: they are read, and run as a scenario of that one FMU.
 
-Each is run as a scenario of that one FMU. The format is FMI-LS-REF 1.0.0-beta.1, with experiments
-as MA-HS-Experiments describes them. Both still move, so that nothing else knows them.
+The format is FMI-LS-REF 1.0.0-beta.1, with experiments as MA-HS-Experiments describes them. Both
+still move, so that nothing but this and `embedding`, which writes them, knows them.
 """
 
 from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -17,42 +17,32 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.atomic import replacing
-from ...fmus.build.description import literal, render
-from ...fmus.build.native import add_members
-from ...fmus.build.ssp import Component, parameter_set
+from ...fmus.build.description import literal
 from ...fmus.errors import InputError, refuse
-from ...fmus.interface.tables import Connection
 from ...fmus.interface.variables import Scalar, Value, by_array
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
-from ...fmus.master.system import in_units, multiples_of, read_fmus
-from ...fmus.master.wiring import Name
 from ...fmus.reading import file_inside, finite_number, read_xml
 from ...result.judging.advice import Level
 from ...result.recording import Recording
 from ...run.execution import Execution
-from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.stopping import StopRequest
 from ...task.criteria import SignalCriterion, Success
-from ...task.files import as_argument, check_new, csv_text
+from ...task.files import as_argument, check_new
 from ...task.input_table import InputTable
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ...task.writer import check_name, write_scenario
 from ..compare.tubes import distances
-from .diagnosis import rehearse
 
 Array = NDArray[np.float64]
 
 FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST: Final = "fmi-ls-manifest.xml"
 TOLERANCE: Final = 1e-6  # of an experiment that names none, relative to values above 1
-# Of what is written: more values of a stimulus are thinned; rows of references.
-MOST_CELLS, MOST_REFERENCES = 60_000, 200
 MOST_COMPARED: Final = 10  # outputs, as the cross-check rules recommend
 _ON_TICK: Final = 1e-6  # of a step, by which a reference may be off an instant
 _SWITCHES: Final = {"true": "1", "false": "0"}
-_IT: Final = "fmu"  # the instance
+IT: Final = "fmu"  # the instance
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +134,8 @@ def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
     outcome = Outcome(experiment.name, experiment.tolerance, values, left_out, span)
     if not values:
         return outcome
-    recording = _run(fmu, experiment)
-    columns = ((recording[f"{_IT}.{n}"][ticks], each[rows]) for n, each in references.items())
+    recording = answer(fmu, experiment)
+    columns = ((recording[f"{IT}.{n}"][ticks], each[rows]) for n, each in references.items())
     errors = np.stack([_apart(*column) for column in columns], axis=1)
     row, column = divmod(int(errors.argmax()), errors.shape[1])
     return replace(outcome, largest_difference=float(errors[row, column]),
@@ -161,7 +151,7 @@ def _apart(answers: Array, reference: Array) -> Array:
     return distances(np.array(texts, object), rows, reference, 0.0, 0)
 
 
-def _run(fmu: Fmu, experiment: Experiment) -> Recording:
+def answer(fmu: Fmu, experiment: Experiment) -> Recording:
     """Run an experiment in memory."""
     prepared = prepare(_scenario(fmu, experiment))
     assembly = replace(prepared.assembly, start_time=experiment.start)
@@ -175,15 +165,15 @@ def _scenario(fmu: Fmu, experiment: Experiment) -> Scenario:
     given = {n: v for n, v in experiment.parameters.items() if n not in experiment.stimuli.values}
     inputs = {n for n in given if fmu.variable(n).variable.causality == "input"}
     driven = experiment.stimuli
-    texts = {f"{_IT}.{n}": tuple(literal(fmu.variables[n], value) for value in values.tolist())
+    texts = {f"{IT}.{n}": tuple(literal(fmu.variables[n], value) for value in values.tolist())
              for n, values in driven.values.items()}  # fmt: skip
     table = InputTable(tuple(driven.times.tolist()), texts, fmu.label) if texts else InputTable()
     return Scenario(
-        name=_IT, table=None, duration=experiment.steps * experiment.step,
-        step=experiment.step, fmus={_IT: str(fmu.path.absolute())},
-        inputs={f"{_IT}.{name}": given[name] for name in inputs},
+        name=IT, table=None, duration=experiment.steps * experiment.step,
+        step=experiment.step, fmus={IT: str(fmu.path.absolute())},
+        inputs={f"{IT}.{name}": given[name] for name in inputs},
         input_table=table,
-        parameters={_IT: {n: v for n, v in given.items() if n not in inputs}},
+        parameters={IT: {n: v for n, v in given.items() if n not in inputs}},
     )  # fmt: skip
 
 
@@ -192,7 +182,7 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     # Its references at the end, or at the last instant for which there are some.
     check_name(folder)
     fmu = read_fmu(path)
-    experiment = _first(fmu)
+    experiment = first_of(fmu)
     if experiment.start != 0.0:
         raise InputError(f"{path}: startTime {experiment.start:g} of its experiment; must be 0")
     criteria, values = [], experiment.references.values
@@ -203,13 +193,13 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     for name, value in judged[:MOST_COMPARED]:
         bound = experiment.tolerance * max(abs(value), 1.0)
         end = "end" if ticks[-1] == experiment.steps else float(ticks[-1] * experiment.step)
-        signal, above, below = f"{_IT}.{name}", value - bound, value + bound
+        signal, above, below = f"{IT}.{name}", value - bound, value + bound
         criteria.append(SignalCriterion(signal, "final", to=end, above=above, below=below))
     scenario = replace(
         _scenario(fmu, experiment),
         name=folder.name,
         purpose=f"Experiment of {path.name}",
-        fmus={_IT: path.name},
+        fmus={IT: path.name},
         success=Success(signal=tuple(criteria)),
     )
     check_new([folder / path.name])
@@ -236,11 +226,12 @@ def _experiments(fmu: Fmu) -> list[Experiment]:
             found[role] += _listed(fmu, _member(fmu, manifest, source))
         elif role == "result" and source.endswith(".csv"):
             references = _series(fmu, _member(fmu, manifest, source))
-            found[role].append(_experiment(fmu, source, {}, references=references))
+            found[role].append(experiment_of(fmu, source, {}, references=references))
     return found["experiment"] or found["result"]
 
 
-def _first(fmu: Fmu) -> Experiment:
+def first_of(fmu: Fmu) -> Experiment:
+    """Return the first experiment in an FMU, else raise `InputError`."""
     for experiment in _experiments(fmu):
         return experiment
     raise InputError(f"{fmu.label}: holds no experiments")
@@ -258,11 +249,13 @@ def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
         for transient in element.iter("TransientSimulation"):  # where the newest draft has them
             settings |= transient.attrib
         values = _parameters(fmu, files["Parameters"]) if "Parameters" in files else {}
-        experiment = _experiment(fmu, element.get("name", ""), settings, references)
+        experiment = experiment_of(fmu, element.get("name", ""), settings, references)
         yield replace(experiment, parameters=values, stimuli=stimuli)
 
 
-def _experiment(fmu: Fmu, name: str, settings: Mapping[str, str], references: Series) -> Experiment:
+def experiment_of(
+    fmu: Fmu, name: str, settings: Mapping[str, str], references: Series
+) -> Experiment:
     """Return an experiment; what it does not set, the FMU's default experiment does."""
     default, times = fmu.description.defaultExperiment, references.times
     spacing = float(np.diff(times).min()) if len(times) > 1 else 0.001
@@ -296,7 +289,7 @@ def _series(fmu: Fmu, file: Path) -> Series:
     values: dict[str, Array] = {}
     table = InputTable.read(file, place)
     for name, cells in table.columns.items():
-        scalars = _scalars(fmu, name)
+        scalars = scalars_of(fmu, name)
         kind, count = scalars[0].variable.kind, len(scalars)
         rows = [cell.split() if count > 1 else [cell.strip()] for cell in cells]
         try:
@@ -311,7 +304,7 @@ def _series(fmu: Fmu, file: Path) -> Series:
     return Series(np.array(table.times), values)
 
 
-def _scalars(fmu: Fmu, name: str) -> list[Scalar]:
+def scalars_of(fmu: Fmu, name: str) -> list[Scalar]:
     """Return the elements of an array, or the one variable of that name."""
     return by_array(fmu.variables.values()).get(name) or [fmu.variable(name)]
 
@@ -327,7 +320,7 @@ def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
     values: dict[str, Value] = {}
     for parameter in _read(fmu, file).iterfind(".//{*}Parameter"):
         name = parameter.get("name", "")
-        scalars, place = _scalars(fmu, name), f"{fmu.label}: {file.name}: {name}"
+        scalars, place = scalars_of(fmu, name), f"{fmu.label}: {file.name}: {name}"
         text = parameter[0].get("value", "") if len(parameter) else ""
         texts = text.split() if len(scalars) > 1 else [text]
         if len(texts) != len(scalars):
@@ -335,102 +328,3 @@ def _parameters(fmu: Fmu, file: Path) -> dict[str, Value]:
         for scalar, each in zip(scalars, texts, strict=True):
             values[scalar.name] = read_value(f"{place} =", scalar.variable, each)
     return values
-
-
-# Write.
-
-
-def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
-    """Run a scenario in memory; by instance, what drives each FMU as it was driven there."""
-    prepared = prepare(scenario, Options())
-    recording, assembly = rehearse(prepared).recording, prepared.assembly
-    fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
-    multiples = multiples_of(fmus, assembly.system, scenario.step)
-    fed: dict[Name, Array] = {}
-    for each in (*(Connection(name, name) for name in assembly.external), *assembly.connections):
-        if assembly.scalars[each.target].variable.kind not in TEXTS:
-            values, linear = recording[".".join(each.source)], in_units(fmus, each)
-            if scenario.coupling == "iterated" and each.source != each.target:
-                values = np.append(values[1:], values[-1:])  # each step has the inputs of its end
-            fed[each.target] = linear.factor * values + linear.offset
-    experiments = {}
-    for instance, interface in assembly.interfaces.items():
-        driven = {name: values for (owner, name), values in fed.items() if owner == instance}
-        every = math.ceil(recording.rows * len(driven) / MOST_CELLS) or 1
-        rows = np.unique([*range(0, recording.rows, every), recording.rows - 1])
-        stimuli = Series(recording.time[rows], {n: each[rows] for n, each in driven.items()})
-        starts = {s.name: s.start for s in interface.scalars()}
-        given = prepared.start_values().get(instance, {})
-        experiments[instance] = Experiment(
-            scenario.name, recording.time[0], recording.time[-1],
-            scenario.step * multiples.get(instance, 1),
-            description=f"{interface.model} as driven in the scenario {scenario.name}",
-            parameters={n: v for n, v in given.items() if v != starts[n] and n not in driven},
-            stimuli=stimuli if driven else Series(),
-        )  # fmt: skip
-    return experiments
-
-
-def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
-    """Put an experiment into a new FMU's file, with what the FMU answers now as references."""
-    # Without one, it is the FMU's default experiment. An FMU that holds some keeps these.
-    fmu = read_fmu(path)
-    if (fmu.folder / FOLDER / MANIFEST).is_file():
-        return _first(fmu)
-    driven = experiment or _experiment(fmu, "default", {}, Series())
-    recording = _run(fmu, driven)
-    every = math.ceil(recording.rows / MOST_REFERENCES)
-    answers = {
-        scalar.name: recording[f"{_IT}.{scalar.name}"][::every]
-        for scalar in fmu.variables.values()
-        if scalar.variable.causality == "output" and scalar.variable.kind not in TEXTS
-    }
-    whole = replace(driven, references=Series(recording.time[::every], answers))
-    files = {
-        MANIFEST: render("experiment.manifest.j2", it=whole),
-        "reference.exp": render("experiment.exp.j2", it=whole),
-        "references.csv": series_text(fmu, whole.references),
-    }
-    if whole.parameters:
-        component = Component(path, path.name, fmu.fmi, fmu.variables, fmu.units, whole.parameters)
-        files["parameters.ssv"] = parameter_set(whole.name, component)
-    if whole.stimuli.values:
-        files["stimuli.csv"] = series_text(fmu, whole.stimuli)
-    with path.open("r+b") as file:
-        add_members(file, {f"{FOLDER}/{name}": content for name, content in files.items()})
-    return whole
-
-
-def series_text(fmu: Fmu, series: Series) -> bytes:
-    """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
-    # Its elements that have no values keep their start value.
-    columns: list[Iterable[str]] = [map(repr, series.times.tolist())]
-    names = dict.fromkeys(fmu.variables[name].variable.name for name in series.values)
-    for scalars in (_scalars(fmu, name) for name in names):
-        values = ((s, series.values.get(s.name, np.full(len(series.times), s.start)))
-                  for s in scalars)  # fmt: skip
-        texts = [[literal(scalar, value) for value in each.tolist()] for scalar, each in values]
-        columns.append(map(" ".join, zip(*texts, strict=True)))
-    head = ",".join(f'"{name}"' for name in ("time", *names))
-    return f"{head}\n{csv_text(zip(*columns, strict=True))}".encode()
-
-
-def write_compatibility(path: Path, experiment: Experiment) -> None:
-    """Write a folder with an FMU and the files that the FMI cross-check rules ask for."""
-    fmu, name = read_fmu(path), path.stem
-    references = experiment.references
-    owner = {name: fmu.variables[name].variable.name for name in references.values}
-    first = [*dict.fromkeys(owner.values())][:MOST_COMPARED]  # whole arrays
-    compared = {name: each for name, each in references.values.items() if owner[name] in first}
-    texts = {"it": experiment, "model": name, "about": fmu.description}
-    files = {
-        f"{name}.fmu": path.read_bytes(),
-        f"{name}_ref.csv": series_text(fmu, Series(references.times, compared)),
-        f"{name}_ref.opt": render("experiment.opt.j2", it=experiment),
-        "ReadMe.txt": render("experiment.txt.j2", **texts),
-    }
-    if experiment.stimuli.values:
-        files[f"{name}_in.csv"] = series_text(fmu, experiment.stimuli)
-    for member, content in files.items():
-        with replacing(path.with_suffix("") / member) as partial:
-            partial.write_bytes(content)
