@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import runpy
 from dataclasses import fields, replace
 from math import inf
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,14 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fmu_instance import OK, STEP, Instance, unpacked
 from law_support import INPUTS, LawInC, compile_law, replay
 from panda_cosim.assets import franka, limits
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
 from panda_cosim.controller.presets import preset
-from panda_cosim.fmus import twins
-from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 
 Array = NDArray[np.float64]
 
@@ -96,48 +90,3 @@ def test_the_robots_limits_are_those_of_the_assets(library):
     common = [franka.OPENING_MAX, franka.CTRL_OPEN, *franka.SERVO_DAMPING, limits.LEAST]
     common += [*franka.TORQUE_MAX, franka.TORQUE_RATE_MAX[0]]
     assert list((ctypes.c_double * len(common)).in_dll(law, "CONTROLLER_COMMON")) == common
-
-
-# What is in C and in Python has the same bits, and the stamp says of which code.
-
-
-STAMP: dict[str, Any] = runpy.run_path(str(Path(__file__).parent.parent / ".ci" / "stamp.py"))
-TICKS = 300
-
-
-def test_the_stamp_is_that_of_the_code():
-    now = {twin: STAMP["digests"](twin) for twin in STAMP["COMPARED"]}
-    assert twins.proven() == now, f"Python code has changed: run `{twins.RENEW}`, see CONTRIBUTING"
-
-
-def drive(it: Instance, name: str) -> list[list[float]]:
-    """Outputs over ticks with inputs that wander, tuned on the way and set back once."""
-    source, interface = np.random.default_rng(5), INTERFACES.get(name, TRAJECTORY)
-    inputs = [*interface.of("input")]
-    values = np.concatenate([np.ravel(v.start or 0.0) * np.ones(v.size) for v in inputs] or [[]])
-    rows = [it.outputs()]
-    for tick in range(TICKS):
-        values = values + source.normal(0.0, 1e-3, len(values))
-        if tick == 200:
-            values[3:7] *= 1.5  # a command's quaternion, or servo targets
-        it.set_inputs(values.tolist())
-        if tick == 100 and name == "controller":
-            assert it.set("kp", *[3.0] * 7) == OK
-        assert it.step(tick * STEP) == OK, it.messages()
-        rows.append(it.outputs())
-    return rows
-
-
-@pytest.mark.own_process
-@pytest.mark.parametrize(
-    ("name", "start"),
-    [("plant", {}), ("controller", {}), ("controller", {"period": [0.005], "ki": [2.0] * 7}),
-     ("trajectory", {})],
-    ids=["plant", "controller", "slow controller", "trajectory"],
-)  # fmt: skip
-def test_fmus_of_either_kind_have_the_same_bits(name, start):
-    native, python = (Instance(unpacked(k, name, 2)).start(start) for k in ("native", "python"))
-    rows = drive(native, name)
-    assert rows == drive(python, name)
-    assert native.log == python.log
-    assert rows[0] != rows[-1], "and something happens"
