@@ -8,17 +8,80 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 # For every Python process: files in the working directory are data and are never imported.
 # Unlike `-P`, it also holds for the Pythons that this one starts.
 SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
 PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
+STANDARD_ERROR: Final = 2
+
+
+class Child:
+    """A Python process with which this one talks over `connection`, and that ends with it.
+
+    Workers, isolated FMUs and the renderer start one each; it calls `listen` for the other end.
+    Unlike a process of `multiprocessing`, it neither runs the caller's script nor takes over its
+    module path. A program that is only run to its end needs `run`.
+    """
+
+    def __init__(
+        self, *program: str, output: int | None = None, environment: Mapping[str, str] | None = None
+    ) -> None:
+        from multiprocessing.connection import Pipe  # noqa: PLC0415 - slow to import
+
+        self.connection, there = Pipe()
+        ends = [str(there.fileno()), str(os.getpid())]
+
+        def start() -> subprocess.Popen[bytes]:
+            return subprocess.Popen(
+                [sys.executable, *program, *ends],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.DEVNULL if output == subprocess.DEVNULL else None,
+                pass_fds=[there.fileno()],
+                start_new_session=True,  # gets no Ctrl-C, and can be killed with its children
+                env={**os.environ, **SAFE_PATH, **(environment or {})},
+            )
+
+        with there:
+            # For Linux, its parent is the thread that starts it.
+            self._process = _lasting_thread().submit(start).result()
+
+    def ended(self, limit: float | None = None) -> int | None:
+        """Wait for its end, for a time [s]; return the exit code, or minus the signal."""
+        with suppress(subprocess.TimeoutExpired):
+            return self._process.wait(limit)
+        return None
+
+    def kill(self) -> None:
+        """Kill it with all that it has started; who waits for its answer gets an EOFError."""
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.kill()
+
+    def end(self) -> int:
+        """Kill it, and return how it ended, as `ended` does; may be called again."""
+        self.kill()
+        self.connection.close()
+        return self._process.wait()
+
+
+def listen(descriptor: int, parent: int) -> Connection:
+    """In a child: return its end of the connection, and end with its parent."""
+    from multiprocessing.connection import Connection  # noqa: PLC0415 - slow to import
+
+    os.set_inheritable(descriptor, False)  # or a process that an FMU starts would keep it open
+    end_with(parent)
+    return Connection(descriptor)
 
 
 def run(
@@ -77,13 +140,6 @@ def pip(*arguments: str, folder: Path) -> str:
     command = [sys.executable, "-m", "pip", *arguments, *options]
     done = run(command, environment=os.environ | {"TMPDIR": str(folder)})
     return last_line(done.stderr) if done.returncode else ""
-
-
-def start_from_lasting_thread(
-    start: Callable[[], subprocess.Popen[bytes]],
-) -> subprocess.Popen[bytes]:
-    """Start a process that calls `end_with`: for Linux its parent is the thread that starts it."""
-    return _lasting_thread().submit(start).result()
 
 
 @cache

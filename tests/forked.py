@@ -25,6 +25,7 @@ from typing import Any
 from unittest.mock import patch
 
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
+from panda_cosim.fmus import processes
 from panda_cosim.study import work
 
 _context = get_context("forkserver")
@@ -69,9 +70,14 @@ def script(code: str, *arguments: str, **environment: str) -> subprocess.Complet
 @contextmanager
 def workers() -> Iterator[None]:
     """Have this process fork the workers of sweeps and suites; to start one takes a second."""
-    replaced = SimpleNamespace(**{**vars(subprocess), "Popen": _Worker})
-    with patch.object(work, "subprocess", replaced):
+    replaced = SimpleNamespace(**{**vars(subprocess), "Popen": _started})
+    with patch.object(processes, "subprocess", replaced):
         yield
+
+
+def _started(command: Sequence[str], **settings: Any) -> Any:
+    is_worker = work.MODULE in command
+    return (_Worker if is_worker else subprocess.Popen)(command, **settings)
 
 
 class _Worker(get_context("fork").Process):  # type: ignore[name-defined,misc]

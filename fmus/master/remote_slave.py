@@ -12,11 +12,9 @@ import json
 import math
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -24,7 +22,7 @@ import numpy as np
 
 from ..errors import CosimError, InputError, SimulationError
 from ..interface.variables import Value
-from ..processes import SAFE_PATH, end_with, start_from_lasting_thread
+from ..processes import Child, listen
 from .calls import OnMessage
 from .fmu import FmuSlave
 from .fmu_file import Fmu
@@ -62,21 +60,9 @@ class RemoteSlave:
         self._inputs: dict[int, Array] = {}  # put since the last request, by block
         self._outputs: dict[int, Array] | None = None  # by block; None: out of date
         self._waiting = False  # for a reply
-        self._connection, there = Pipe()
-        folders = [folder for folder in sys.path if folder]
-        arguments = [json.dumps(folders), str(there.fileno()), str(os.getpid())]
-
-        def start() -> subprocess.Popen[bytes]:
-            return subprocess.Popen(
-                [sys.executable, "-c", _CHILD, *arguments],
-                stdin=subprocess.DEVNULL,
-                env=os.environ | SAFE_PATH,
-                pass_fds=[there.fileno()],
-                start_new_session=True,  # gets no Ctrl-C, and can be killed with its children
-            )
-
-        with there:
-            self._process = start_from_lasting_thread(start)
+        folders = json.dumps([folder for folder in sys.path if folder])
+        self._child = Child("-c", _CHILD, folders)
+        self._connection = self._child.connection
 
     def enter_initialization(
         self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None = None
@@ -137,11 +123,11 @@ class RemoteSlave:
         """Free the instance and end the process, in any state. May be called twice."""
         try:
             if not (self._connection.closed or self._waiting):
-                with suppress(CosimError, subprocess.TimeoutExpired):
+                with suppress(CosimError):
                     self._call("close", limit=CLOSE_TIMEOUT)
-                    self._process.wait(LEAVE_TIMEOUT)
+                    self._child.ended(LEAVE_TIMEOUT)
         finally:  # also if Ctrl-C comes meanwhile
-            self._end()
+            self._child.end()
 
     def _call(self, method: str, *arguments: Any, limit: float | None = None) -> Any:
         """Call a method of the slave; what was read of the FMU before is then out of date."""
@@ -168,25 +154,17 @@ class RemoteSlave:
         return result
 
     def _fail_gone(self) -> NoReturn:
-        how = "closed its connection"
-        with suppress(subprocess.TimeoutExpired):
-            code = self._process.wait(LEAVE_TIMEOUT)
-            how = f"ended with exit code {code}"
-            if code < 0:
-                how = f"was ended by {signal.Signals(-code).name}"
-        self._fail(f"its process {how}")
+        match self._child.ended(LEAVE_TIMEOUT):
+            case None:
+                self._fail("its process closed its connection")
+            case code if code < 0:
+                self._fail(f"its process was ended by {signal.Signals(-code).name}")
+            case code:
+                self._fail(f"its process ended with exit code {code}")
 
     def _fail(self, message: str) -> NoReturn:
-        self._end()
+        self._child.end()
         raise SimulationError(message, time=self._time, instance=self.name)
-
-    def _end(self) -> None:
-        """Kill the process and all that it has started, once."""
-        if not self._connection.closed:
-            self._connection.close()
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
 
 
 # In the FMU's process.
@@ -194,11 +172,9 @@ class RemoteSlave:
 
 def serve(descriptor: int, parent: int, open_slave: Callable[..., FmuSlave]) -> None:
     """Serve requests until the other side closes the connection."""
-    os.set_inheritable(descriptor, False)  # or a process that the FMU starts would keep it open
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection
-    end_with(parent)
-    connection, host, method = Connection(descriptor), _Host(open_slave), ""
+    connection, host, method = listen(descriptor, parent), _Host(open_slave), ""
     with suppress(EOFError, OSError):
         while method != "close":
             method, arguments, values = connection.recv()

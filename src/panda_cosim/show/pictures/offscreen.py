@@ -1,25 +1,25 @@
 """Draws a scene off screen in a separate process: MUJOCO_GL must be set before importing MuJoCo.
 
-The process is this module, started by `OffscreenRenderer`. It first writes a line of JSON that says
-whether it can draw. Then it reads a number of rows (int64) and their qpos (float64) from standard
-input and writes one RGB image for each row, until standard input is closed.
+The process is this module, started by `OffscreenRenderer`. It first says whether it can draw. Then
+it gets rows of qpos, and answers with the bytes of one RGB image for each row.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
-from typing import Any, BinaryIO, Final
+from multiprocessing.connection import Connection
+from subprocess import DEVNULL
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, one_line
-from ...fmus.processes import SAFE_PATH
+from ...fmus.processes import Child, listen
 from ...task.fields import check_choice
 from .gl import RenderError, backends, what_to_install
 from .meshes import Meshes, load_model
@@ -50,7 +50,7 @@ class OffscreenRenderer:
         self._shape = (height, width, 3)
         failures: dict[str, str] = {}
         for backend in backends():
-            self._process = _start(backend, [scene, width, height, camera, meshes])
+            self._child = _start(backend, [scene, width, height, camera, meshes])
             with ExitStack() as stack:
                 stack.callback(self.close)
                 reply = self._first_reply()
@@ -65,43 +65,34 @@ class OffscreenRenderer:
 
     def frames(self, qpos: FloatArray) -> Iterator[Image]:
         """Yield the image (height, width, 3) of each row of positions (k, nq); take all of them."""
-        rows = np.ascontiguousarray(qpos, dtype="<f8")
+        connection = self._child.connection
         with suppress(OSError):  # ended; the missing reply will show that
-            self._process.stdin.write(np.array(len(rows), "<i8").tobytes() + rows.tobytes())
-            self._process.stdin.flush()
-        size = int(np.prod(self._shape))
-        for _ in rows:
-            image = self._process.stdout.read(size)
-            if len(image) < size:
-                code = self._process.wait()
-                raise RenderError(f"picture missing: the process that draws ended with code {code}")
+            connection.send(qpos)
+        for _ in qpos:
+            try:
+                image = connection.recv_bytes()
+            except (EOFError, OSError):
+                code = self._child.ended()
+                text = f"picture missing: the process that draws ended with code {code}"
+                raise RenderError(text) from None
             yield np.frombuffer(image, np.uint8).reshape(self._shape)
 
     def close(self) -> None:
         """End the process; a second call does nothing."""
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            with suppress(OSError):  # of what could not be sent
-                pipe.close()
+        self._child.end()
 
     def _first_reply(self) -> dict[str, str]:
         """Return the reply of the process once it has drawn an image, or has failed to."""
-        line = self._process.stdout.readline()
-        if not line.endswith(b"\n"):
-            return {"failed": f"its process ended with code {self._process.wait()}"}
-        return dict(json.loads(line))
+        try:
+            return dict(self._child.connection.recv())
+        except (EOFError, OSError):
+            return {"failed": f"its process ended with code {self._child.ended()}"}
 
 
-def _start(backend: str, job: list[Any]) -> Any:
-    return subprocess.Popen(
-        [sys.executable, "-m", PROCESS, json.dumps(job)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "MUJOCO_GL": backend, **SAFE_PATH},
-        process_group=0,  # out of reach of the terminal's Ctrl-C: it ends with its pipes
-    )
+def _start(backend: str, job: list[Any]) -> Child:
+    """Start the process; what drivers print is not shown."""
+    environment = {"MUJOCO_GL": backend}
+    return Child("-m", PROCESS, json.dumps(job), output=DEVNULL, environment=environment)
 
 
 def describe_gl() -> tuple[str | None, str]:
@@ -140,9 +131,8 @@ def _open_scene(
     return model.nq, draw
 
 
-def _serve(job: list[Any], requests: BinaryIO, replies: BinaryIO) -> None:
+def _serve(job: list[Any], connection: Connection) -> None:
     """Report whether drawing works, then draw the requested images."""
-    nq, reply = 0, {}
     try:
         nq, draw = _open_scene(*job)
         draw(np.zeros(nq))  # a driver may fail, or crash, at the first image
@@ -151,13 +141,10 @@ def _serve(job: list[Any], requests: BinaryIO, replies: BinaryIO) -> None:
         reply = {"refused": str(error)}
     except Exception as error:  # whatever a driver raises, the caller tries another backend
         reply = {"failed": f"{type(error).__name__}: {one_line(error)}"}
-    replies.write(json.dumps(reply).encode() + b"\n")
-    replies.flush()
-    while count := requests.read(8):
-        size = 8 * nq * int.from_bytes(count, "little")
-        for qpos in np.frombuffer(requests.read(size), "<f8").reshape(-1, nq):
-            replies.write(draw(qpos))
-            replies.flush()
+    connection.send(reply)
+    while "device" in reply:
+        for qpos in connection.recv():
+            connection.send_bytes(draw(qpos))
 
 
 def _device() -> str:
@@ -171,8 +158,6 @@ def _device() -> str:
 
 
 if __name__ == "__main__":
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # drivers print to standard output, too
-    with suppress(BrokenPipeError):  # the parent has ended
-        _serve(json.loads(sys.argv[1]), sys.stdin.buffer, answers)
+    with suppress(EOFError, OSError):  # the parent needs no more
+        _serve(json.loads(sys.argv[1]), listen(*map(int, sys.argv[2:])))
     os._exit(0)  # without OpenGL's clean-up, in which drivers tend to crash
