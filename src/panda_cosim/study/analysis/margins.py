@@ -15,44 +15,43 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.variables import Value
+from ...fmus.master.wiring import Array
 from ...result.judging.signals import time_of
 from ...run.execution import Execution
+from ...run.inputs import Inputs
 from ...run.options import Options
-from ...run.prepare import Inputs, Prepared, prepare
-from ...run.stopping import StopRequest
+from ...run.prepare import Prepared, prepare
 from ...task.criteria import check_instant, check_within
-from ...task.fields import field_names
 from ...task.scenario import Scenario, load_scenario
 from .responses import DECAYED, ENOUGH, LINEAR, Responses, measure
 from .sensitivity import Limits, disk_margin, limits
+from .state_space import FIT, realised, system
 
 if TYPE_CHECKING:
     import control
 
-Array = NDArray[np.float64]
 
 SETTLED: Final = 0.02  # of a position's largest distance from its end
 RESTING: Final = 0.002  # likewise, by which it moves at most in the last quarter of the responses
 FREQUENCIES = 600  # points of a frequency response
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Loop(Limits):
     """One loop, opened at its input with the others closed; definitions.toml says what each is."""
 
     input: str  # such as plant.ctrl[1]
     joint: int  # from 1: the element of the input, or a number of its own
     # Of the joint's response to a step of the input; None: it is not known, or drifts.
-    peak_ratio: float | None  # position per unit of the input
-    settling_ms: float | None
+    peak_ratio: float | None = None  # position per unit of the input
+    settling_ms: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Margins(Limits):
     """The loops for one period and one coupling; definitions.toml says what each is.
 
@@ -80,8 +79,7 @@ def judge(responses: Responses, coupling: str) -> Margins:
         "pole_modulus": responses.growth, "linear": responses.linear,
     }  # fmt: skip
     if reason:
-        none: dict[str, Any] = dict.fromkeys(field_names(Limits), 0.0)
-        return Margins(**none, **about)
+        return Margins(**about)
     loops = tuple(_judge(responses, loop) for loop in range(len(responses.inputs)))
     disk = disk_margin(sensitivity)
     gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
@@ -134,17 +132,12 @@ def _judge(responses: Responses, loop: int) -> Loop:
     """Compute the margins and the step response of one loop."""
     found: dict[str, Any] = vars(limits(responses.sensitivity.loop(loop)))
     figures = step_figures(steps(responses)[:, loop]) if responses.positions else None
-    settled, peak = figures or (None, None)
-    settling = None if settled is None else settled * responses.period * 1e3
+    if figures:
+        settled, found["peak_ratio"] = figures
+        found["settling_ms"] = settled * responses.period * 1e3
     element = responses.inputs[loop].partition("[")[2].rstrip("]")
     joint = int(element) if element.isdigit() else loop + 1
-    return Loop(**found, input=responses.inputs[loop], joint=joint, peak_ratio=peak,
-                settling_ms=settling)  # fmt: skip
-
-
-ORDER: Final = 40  # largest of a model
-HANKEL: Final = 80  # rows and columns of Hankel's matrix; more are slow, and seldom better
-FIT: Final = 1e-3  # of the peak, by which a model's response may differ from the measured one
+    return Loop(**found, input=responses.inputs[loop], joint=joint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,10 +196,9 @@ class Analysis:
     @property
     def loop(self) -> control.StateSpace:
         """The open loops L as a `control.StateSpace`: from `inputs` to what feeds them, negated."""
-        system, n = self.model, len(self.inputs)
-        b, c = system.B, system.C[:n]
-        zero = np.zeros((n, n))
-        return _system(system.A - b @ c, b, -c, zero, self.period, self.inputs, self.inputs)
+        model, n, names = self.model, len(self.inputs), self.inputs
+        b, c = model.B, model.C[:n]
+        return system(model.A - b @ c, b, -c, np.zeros((n, n)), self.period, names, names)
 
     @property
     def matrices(self) -> dict[str, Any]:
@@ -229,7 +221,7 @@ class Analysis:
 
     @cached_property
     def _realised(self) -> tuple[Any, float]:
-        return _realised(self.responses)
+        return realised(self.responses)
 
 
 def analyze(
@@ -288,55 +280,9 @@ def _instant(prepared: Prepared, at: float | str) -> tuple[int, Inputs]:
         time = check_within("at", instant, *span)
         if time is None or inputs.guarded.guards:
             with Execution(prepared, writes=False) as execution:
-                execution.advance(execution.ticks, StopRequest())
+                execution.advance()
                 inputs, events = execution.inputs, execution.close().summary.events
             time = check_within("at", time_of(instant, events), *span)
     except ValueError as error:
         raise InputError(f"at: {str(error).removeprefix('at: ')}") from None
     return round(((time or 0.0) - start) / scenario.step), inputs
-
-
-def _realised(responses: Responses) -> tuple[Any, float]:
-    """Return the smallest `control.StateSpace` that gives the responses, and its error."""
-    import control  # noqa: PLC0415 - brings matplotlib and scipy
-
-    n, peaks = len(responses.inputs), np.abs(responses.pulses).max(axis=(0, 2))
-    peaks[peaks == 0.0] = 1.0
-    pulses = responses.pulses / peaks[:, None]
-    pulses = np.pad(pulses, ((0, max(4 - len(pulses), 0)), (0, 0), (0, 0)))  # the fewest it takes
-    rows = max(min(HANKEL, len(pulses) // 2 - 1), 1)
-    order = min(ORDER, rows)
-    with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below
-        # Its own sampling time would scale B: it is for responses to pulses of area 1.
-        whole, _ = control.eigensys_realization(pulses.transpose(1, 2, 0), order, rows, rows)
-    best, error = 0, math.inf
-    for size in range(order + 1):
-        misfit = _misfit(whole.A[:size, :size], whole.B[:size], whole.C[:, :size], pulses)
-        if misfit < error:
-            best, error = size, misfit
-        if error <= FIT:
-            break
-    parts = whole.A[:best, :best], whole.B[:best], whole.C[:, :best] * peaks[:, None]
-    inputs, outputs = responses.inputs, (*responses.inputs, *responses.positions)
-    direct = responses.pulses[0] + np.eye(len(outputs), n)  # what is added, itself
-    return _system(*parts, direct, responses.period, inputs, outputs), error
-
-
-def _misfit(a: Array, b: Array, c: Array, pulses: Array) -> float:
-    """Largest difference between a model's response to a pulse and the measured one."""
-    state, error = b, 0.0
-    for answer in pulses[1:]:
-        error = float(np.maximum(error, np.abs(c @ state - answer).max()))
-        state = a @ state
-        if not error < 1.0:  # a model that diverges
-            break
-    return error
-
-
-def _system(*parts: Any) -> Any:
-    """Return a `control.StateSpace` of A, B, C, D, period, and names of inputs and outputs."""
-    import control  # noqa: PLC0415 - brings matplotlib and scipy
-
-    *matrices, inputs, outputs = parts
-    ends = [[name.replace(".", "_") for name in names] for names in (inputs, outputs)]
-    return control.StateSpace(*matrices, inputs=ends[0], outputs=ends[1])

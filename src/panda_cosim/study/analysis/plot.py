@@ -32,7 +32,7 @@ def plot_analysis(
         _steps(analysis, axes[0, 1])
         _margins(variants, axes[1, 1])
         title = f"{analysis.scenario.replace('_', ' ')}: control loops at t = {analysis.at:g} s"
-        plain: dict[str, Any] = {"va": "top", "parse_math": False}  # names come from users
+        plain: Any = {"va": "top", "parse_math": False}  # names come from users
         figure.text(0.02, 0.975, title, fontsize=16, fontweight="bold", **plain)
         figure.text(0.02, 0.938, _details(analysis), fontsize=10, color=GREY, **plain)
         figure.savefig(path, dpi=DPI, format="png", metadata={"Comment": comment})
@@ -58,7 +58,7 @@ def _bode(analysis: Analysis, gain: Any, phase: Any) -> None:
     hertz = omega / (2 * math.pi)
     for i, loop in enumerate(analysis.margins.loops):
         answer = 1.0 / analysis.responses.sensitivity.loop(i).at(omega)[:, 0, 0] - 1.0
-        style: dict[str, Any] = {"color": COLOURS[i % len(COLOURS)]}
+        style: dict[str, object] = {"color": COLOURS[i % len(COLOURS)]}
         gain.semilogx(hertz, 20 * np.log10(np.abs(answer)), label=f"joint {loop.joint}", **style)
         phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(answer))), **style)
     gain.axhline(0, color=GREY, lw=0.8)

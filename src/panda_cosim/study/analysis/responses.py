@@ -15,15 +15,13 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, did_you_mean
 from ...fmus.master.system import PerturbedSystem
-from ...fmus.master.wiring import Name
-from ...run.prepare import Inputs, Prepared
+from ...fmus.master.wiring import Array, Name
+from ...run.inputs import Inputs
+from ...run.prepare import Prepared
 from .sensitivity import Sensitivity
-
-Array = NDArray[np.float64]
 
 WINDOWS: Final = (250, 500, 1000, 2000, 4000)  # [ticks] the first in which responses decay
 DECAYED: Final = 5e-3  # of its peak, below which a response has; a longer window adds little

@@ -16,7 +16,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ...fmus.master.wiring import Array
+
 Response = NDArray[np.complex128]
 
 FINER: Final = 4  # points of the grid per wave that fits into the responses
@@ -109,13 +110,13 @@ def _eigenvalues(matrices: Response) -> Response:
 class Limits:
     """Smallest changes of all loops alike that make them unstable; infinite: none does."""
 
-    gain_margin_db: float  # up or down
-    gain_up_db: float
-    gain_down_db: float
-    phase_margin_deg: float
-    delay_margin_ms: float
-    crossover_hz: float
-    bandwidth_hz: float
+    gain_margin_db: float = 0.0  # up or down
+    gain_up_db: float = 0.0
+    gain_down_db: float = 0.0
+    phase_margin_deg: float = 0.0
+    delay_margin_ms: float = 0.0
+    crossover_hz: float = 0.0
+    bandwidth_hz: float = 0.0
 
 
 def limits(sensitivity: Sensitivity) -> Limits:

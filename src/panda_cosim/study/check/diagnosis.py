@@ -42,7 +42,6 @@ from ...run.start import (
     start_values,
     unsuitable_gains,
 )
-from ...run.stopping import StopRequest
 from ...run.summary import unrecorded
 from ...run.system.assembly import Assembly, system_scenario
 from ...run.system.connector import OPTIONAL, Connector
@@ -293,5 +292,5 @@ def rehearse(prepared: Prepared) -> Run:
     """Run what was prepared, without files; the summary says why it failed, if it did."""
     with Execution(prepared, writes=False) as execution:
         with suppress(CosimError):
-            execution.advance(execution.ticks, StopRequest())
+            execution.advance()
         return execution.close()
