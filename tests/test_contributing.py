@@ -117,14 +117,15 @@ import json, sys
 from pathlib import Path
 import numpy as np
 from panda_cosim import run_scenario
+from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.fmus.twins import notice
-from panda_cosim.cli.commands.build import build_all
+from panda_cosim.cli.commands.build import build_of
 from panda_cosim.task.scenario import load_scenario
 from panda_cosim.run.system.assembly import system_scenario
 scenario, out, is_played = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] == "True"
 runs = {"run": scenario}
 if is_played:
-    build_all(load_scenario(scenario), out)
+    build_of(load_scenario(scenario), out, Target()).write()
     runs["played"] = system_scenario(out / "Panda.ssp")
 done = {name: run_scenario(each, out / name) for name, each in runs.items()}
 print(json.dumps({

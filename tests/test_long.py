@@ -102,7 +102,7 @@ def carry(cycles: int) -> tuple[list[dict[str, float]], float]:
     """Run cycles; return the figures of each, and how memory has grown after the first one [MB]."""
     points = waypoints(cycles)
     values = start_values(Scenario("cycles", TrajectoryTable(points[:2]), duration=APPROACH))
-    trajectory = Trajectory.from_table(TrajectoryTable(points), start_pose(values["plant"]))
+    trajectory = Trajectory.from_table(TrajectoryTable(points), start_pose(values))
     first = round(APPROACH / STEP_SIZE)
     ticks = first + 2 * cycles * HALF_TICKS
     commands = trajectory.sample(STEP_SIZE * np.arange(ticks + 1))

@@ -20,10 +20,11 @@ from fault_support import write_scenario
 from panda_cosim import InputError, Recording, load_scenario
 from panda_cosim.cli.app import report
 from panda_cosim.cli.commands import doctor
-from panda_cosim.cli.commands.build import build_all
+from panda_cosim.cli.commands.build import build_of
 from panda_cosim.cli.commands.doctor import Finding, examine
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing, temporary_folder
 from panda_cosim.fmus.extras import needing
+from panda_cosim.fmus.sources.targets import Target
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]
 QUIET = ("--no-video", "--no-view", "--no-plot")
@@ -84,7 +85,7 @@ def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path, duration):
 
 def test_a_build_that_does_not_come_to_its_end_leaves_all_the_old_files(tmp_path):
     """Whole, with their reference experiments; nor does one that is killed meanwhile."""
-    build_all(load_scenario("pick_and_place"), tmp_path)
+    build_of(load_scenario("pick_and_place"), tmp_path, Target()).write()
     system = tmp_path / "Panda.ssp"
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for path in tmp_path.glob("*.fmu"):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from panda_cosim import InputError, TableRow, Trajectory, TrajectoryTable, load_scenario
-from panda_cosim.run import prepare as preparing
+from panda_cosim.run import inputs
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import instants, resolve, start_values
 from panda_cosim.task import rotations
@@ -243,7 +243,7 @@ INPUTS = prepare(load_scenario("pick_and_place")).inputs()
 @pytest.mark.parametrize("name", ["tutorial", "push", "fast_circle"])
 @pytest.mark.parametrize("part", [100, 16_384])
 def test_parts_hold_what_the_whole_does(name, part, monkeypatch):
-    monkeypatch.setattr(preparing, "CHUNK", part)
+    monkeypatch.setattr(inputs, "CHUNK", part)
     scenario = load_scenario(name)
     values = start_values(scenario)
     whole = resolve(scenario, values).sample(instants(scenario))

@@ -17,15 +17,18 @@ from ..result.judging.summary import Summary
 from ..result.judging.verdicts import ENDED, FAILED, STOPPED, TIMEOUT
 from ..task.scenario import Scenario, load_scenario
 from ..task.values import Values
+from .exits import exit_guard
 from .folder import claimed_folder
+from .inputs import Inputs
 from .journal import Action, Adjustments, End
 from .options import Options
 from .output import Output
-from .prepare import Inputs, Prepared, prepare
+from .prepare import Prepared, prepare
 from .result import Run
-from .stopping import StopRequest, exit_guard, stopping_on_signals
+from .stopping import StopRequest, stopping_on_signals
 
 Progress = Callable[[int, int], None]  # completed and total steps
+NOT_OPEN = "session: is not open; `open` opens it"
 
 
 def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
@@ -58,7 +61,7 @@ def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
     changed = loaded.changed(values or {})  # change
     prepared = prepare(changed, options)  # prepare
     with stopping_on_signals(stop) as request, Execution(prepared, out) as execution:
-        execution.advance(execution.ticks, request, progress)  # step
+        execution.advance(stop=request, progress=progress)  # step
         execution.judge(stop=request)  # judge
         return execution.close(stop=request)  # write
 
@@ -66,7 +69,9 @@ def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
 class Execution:
     """One run of what was prepared; a context manager, which opens and ends it.
 
-    Without `writes` there is no folder, and all stays in memory, as for rows of sweeps.
+    `run_scenario` makes one, and so does all that runs: `Session` is one that its caller steps.
+    Without `writes` there is no folder, and all stays in memory, as for rows of sweeps. To run a
+    scenario once, from its beginning to its end, `run_scenario` is enough.
     """
 
     def __init__(
@@ -91,7 +96,6 @@ class Execution:
         self.warnings: list[str] = self.prepared.notes
         self.failure = ""
         self._summary: Summary | None = None  # of a failed run only if its recording can be read
-        self._columns: dict[str, list[int]] = {}  # of the master's rows, by signal
 
     def open(self) -> Self:
         """Open the FMUs and the run's folder, at t = 0.
@@ -147,7 +151,7 @@ class Execution:
             SimulationError: The last row is not finite, or the disk is full.
         """
         if self._stack is None:
-            raise InputError("session: is not open; `open` opens it")
+            raise InputError(NOT_OPEN)
         with self._stack:
             self._stack = None
             self.judge(reason, stop=stop)
@@ -162,15 +166,14 @@ class Execution:
 
     def _end(self, reason: str | None) -> None:
         """Record the last row and the end; an FMU may have ended the simulation."""
-        ended = self._master.ended
+        ended = str(self._master.ended or "")
         self._note(Action(self.tick, End(reason=reason or "")))
         self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
         finished = self.tick == self.ticks
         if finished and ended:
-            self.warnings.append(str(ended))
-        default = str(ended) if ended else f"the session was ended at t = {self.time:.3f} s"
-        reason = None if finished else reason or default
-        self._close_recording(reason, complete=finished)
+            self.warnings.append(ended)
+        default = ended or f"the session was ended at t = {self.time:.3f} s"
+        self._close_recording(None if finished else reason or default, complete=finished)
 
     def _close_recording(self, reason: str | None, *, complete: bool) -> None:
         recorder = self._begun.recorder
@@ -192,9 +195,15 @@ class Execution:
             name = type(error).__name__
             self.close(f"{name}: {error}" if str(error) else name)
 
-    def advance(self, last: int, stop: StopRequest, progress: Progress | None = None) -> None:
+    def advance(
+        self,
+        last: int | None = None,
+        stop: StopRequest | None = None,
+        progress: Progress | None = None,
+    ) -> None:
         """Step up to a tick, or until asked to stop, at the pace of the options."""
         self._check_open()
+        last, stop = self.ticks if last is None else last, stop or StopRequest()
         master, options, pace = self._master, self.prepared.options, None
         if options.realtime:
             period = self.scenario.step / options.realtime
@@ -218,10 +227,7 @@ class Execution:
 
     def _value(self, signal: str) -> NDArray[np.float64]:
         """Present value of a signal of several elements, row by row (n,)."""
-        if not self._columns:
-            for column, name in enumerate(self._begun.signals):
-                self._columns.setdefault(name.partition("[")[0], []).append(column)
-        return np.asarray(self._master.latest()[self._columns[signal]], float)
+        return np.asarray(self._master.latest()[self._begun.columns[signal]], float)
 
     @property
     def inputs(self) -> Inputs:
@@ -256,16 +262,15 @@ class Execution:
     def _begun(self) -> Output:
         """The output of the run; that of one that has ended is still there."""
         if self._output is None:
-            raise InputError("session: is not open; `open` opens it")
+            raise InputError(NOT_OPEN)
         return self._output
 
     def _check_open(self) -> None:
         if self._stack is None:
-            raise InputError("session: is not open; `open` opens it")
-        if self.failure:
-            raise InputError("session: its run has failed; `restart` begins another")
-        if self._summary is not None:
-            raise InputError("session: its run has been judged; `restart` begins another")
+            raise InputError(NOT_OPEN)
+        if self.failure or self._summary:
+            how = "failed" if self.failure else "been judged"
+            raise InputError(f"session: its run has {how}; `restart` begins another")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

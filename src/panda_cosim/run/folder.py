@@ -80,7 +80,9 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
     if scenario.system or "plant" in scenario.fmus:
         # The installed MuJoCo, which draws, has to read the model.
         drawn = assemble(replace(scenario, mujoco="")) if scenario.mujoco else assembly
-        _keep_model(drawn.system.fmus.get("plant"), folder / MODEL_FILE)
+        plant = drawn.system.fmus.get("plant")
+        if plant and (model := model_in(plant)):  # for pictures
+            (folder / MODEL_FILE).write_bytes(model)
     if scenario.system:
         path, _ = part_path(scenario, scenario.system)
         shutil.copy2(path, folder / path.name)
@@ -101,12 +103,6 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
             shutil.copy2(files[name], folder / kept[name])
     still = any(part.is_model and part.name not in kept for part in assembly.parts)
     return replace(scenario, fmus=kept, mujoco=scenario.mujoco if still else "")
-
-
-def _keep_model(fmu: Path | None, path: Path) -> None:
-    """Keep the MuJoCo model of the plant's FMU, if it has one, for pictures."""
-    if fmu is not None and (model := model_in(fmu)):
-        path.write_bytes(model)
 
 
 def model_in(fmu: Path) -> bytes:

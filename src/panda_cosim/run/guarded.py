@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE
 from ..fmus.errors import InputError
+from ..fmus.master.wiring import Array
 from ..task.table import split_until
 from ..task.trajectory import TIME_TOLERANCE, Trajectory
 
-Array = NDArray[np.float64]
 # Contact is measured against its mean over these ticks after the row's start, and is itself a mean
 # over some ticks, so that neither starting nor noise ends a row. The player in C has them, too.
 BASE: Final = (60, 160)
@@ -109,15 +109,15 @@ class GuardedCommands:
         self._felt: list[float] = before._felt if before else []
 
     @property
-    def _path(self) -> Trajectory:
+    def path(self) -> Trajectory:
+        """The trajectory of a scenario that is no system."""
         assert self.trajectory is not None
         return self.trajectory
 
     @property
     def signals(self) -> set[str]:
         """What is measured to end rows."""
-        kinds = (FORCE if guard.element else CONTACT for guard in self.guards)
-        return {signal for kind in kinds for signal in kind}
+        return set().union(*(FORCE if guard.element else CONTACT for guard in self.guards))
 
     def commands(self, first: int, count: int) -> Array:
         """Commands (count, 14) from a tick on."""
@@ -130,10 +130,10 @@ class GuardedCommands:
         """Commands between two early ends."""
         early = next((end for end in reversed(self.ends) if end.tick <= first), None)
         if early is None:
-            return sampled(self._path, first, count)
-        commands = sampled(self._path, first + early.ahead, count).copy()
+            return sampled(self.path, first, count)
+        commands = sampled(self.path, first + early.ahead, count).copy()
         times = STEP_SIZE * (first + early.ahead + np.arange(count, dtype=np.float64))
-        left = returning(self._path, early.row, times)
+        left = returning(self.path, early.row, times)
         commands[:, :3] += left[:, :1] * early.offset
         commands[:, 7:10] += left[:, 1:] * early.offset
         way, rate = braking(STEP_SIZE * (first - early.tick + np.arange(count, dtype=np.float64)))
@@ -145,27 +145,23 @@ class GuardedCommands:
         """As the player in C reads it: the guards, and what is left of offsets in each row."""
         rows = [(g.first, g.last, g.element, g.bound, *g.way) for g in self.guards]
         times = STEP_SIZE * np.arange(count, dtype=np.float64)
-        left = sum(returning(self._path, guard.row, times) for guard in self.guards)
+        left = sum(returning(self.path, guard.row, times) for guard in self.guards)
         return {"guards": np.array(rows, float), "left": np.asarray(left)}
 
-    def happened(self) -> dict[str, Any]:
+    def happened(self) -> dict[str, object]:
         """Metadata of a recording: when rows were reached, and which ended early; {}: none can."""
         if not self.guards:
             return {}
-        times, ends = self._path.times.tolist(), {end.row: end for end in self.ends}
-        for row, end in ends.items():
-            for later in range(row, len(times)):
-                times[later] = float(self._path.times[later]) - end.ahead * STEP_SIZE
-            times[row] = end.tick * STEP_SIZE
+        untils, times = self.path.untils, self.path.times.copy()
+        ended = {end.row: end.tick * STEP_SIZE for end in self.ends}
+        for end in self.ends:
+            times[end.row :] = self.path.times[end.row :] - end.ahead * STEP_SIZE
+            times[end.row] = ended[end.row]
         rows = [
-            {
-                "row": guard.row + 1,
-                "until": self._path.untils[guard.row],
-                "ended_s": ends[guard.row].tick * STEP_SIZE if guard.row in ends else None,
-            }
-            for guard in self.guards
+            {"row": row + 1, "until": untils[row], "ended_s": ended.get(row)}
+            for row in (guard.row for guard in self.guards)
         ]
-        return {"row_times": times, "row_ends": rows}
+        return {"row_times": times.tolist(), "row_ends": rows}
 
     def ahead(self, tick: int) -> int:
         """Ticks by which the table is ahead at a tick."""
@@ -191,7 +187,7 @@ class GuardedCommands:
         guard = next(active, None)
         if guard is None or self._measured(guard, place, value) <= guard.bound:
             return
-        row, now = sampled(self._path, guard.last, 1)[0], self.commands(tick, 1)[0]
+        row, now = sampled(self.path, guard.last, 1)[0], self.commands(tick, 1)[0]
         speed = now[7:10]
         offset = now[:3] + 0.5 * (BRAKING * speed) - row[:3]
         self.ends.append(Early(guard.row, tick, guard.last - tick, offset, speed))

@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
@@ -42,8 +42,10 @@ from .prepare import Prepared
 
 JOURNAL_FILE = "session.jsonl"
 FORMAT = 1
-_HEAD = {"scenario": str, "kind": str, "fmus": dict}
 _MAX_BYTES = 256 * 1024 * 1024
+
+Parameters = Mapping[str, Mapping[str, Value]]  # by instance and scalar variable
+T = TypeVar("T", bound=BaseModel)
 
 
 def _plain(value: Any) -> Any:
@@ -97,9 +99,6 @@ class End(_Act):
 
 
 Act = Set | Release | MoveWaypoint | SetCoupling | End
-ACTS: Final[Mapping[str, type[Act]]] = {
-    each.model_fields["do"].default: each for each in get_args(Act)
-}
 
 
 @dataclass(frozen=True)
@@ -110,9 +109,18 @@ class Action:
     act: Act
 
 
-def begin_journal(path: Path, head: Mapping[str, Any]) -> None:
+class Head(BaseModel):
+    """First line of a journal: what was run."""
+
+    format: Literal[1] = 1
+    scenario: str  # its name
+    kind: Kind
+    fmus: dict[str, dict[str, str | None]]  # GUID and SHA-256 of each
+
+
+def begin_journal(path: Path, head: Head) -> None:
     """Write the first line of a journal, which must not exist."""
-    _write(path, "x", {"format": FORMAT, **head})
+    _write(path, "x", head.model_dump())
 
 
 def append_action(path: Path, action: Action) -> None:
@@ -121,7 +129,7 @@ def append_action(path: Path, action: Action) -> None:
     _write(path, "a", {"tick": action.tick, "action": action.act.do, **arguments})
 
 
-def _write(path: Path, mode: str, content: Mapping[str, Any]) -> None:
+def _write(path: Path, mode: str, content: Mapping[str, object]) -> None:
     with writing(path), path.open(mode, encoding="utf-8") as file:
         file.write(json.dumps(content) + "\n")
 
@@ -131,7 +139,7 @@ class Journal:
     """A journal as it was read."""
 
     path: Path
-    head: Mapping[str, Any]  # its first line
+    head: Head
     actions: tuple[Action, ...]  # in order; the last is `end` if the session came to an end
 
     @classmethod
@@ -146,8 +154,7 @@ class Journal:
                 "Session, or the run's folder"
             )
         lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)
-        first = f"{path}: line 1"
-        head = _checked_head(first, _parse(first, lines.readline()))
+        head = _head(f"{path}: line 1", lines.readline())
         actions: list[Action] = []
         for number, line in enumerate(lines, start=2):  # ends at the first that cannot be used
             place = f"{path}: line {number}"
@@ -155,7 +162,7 @@ class Journal:
         return cls(path, head, tuple(actions))
 
 
-def _parse(place: str, line: str) -> dict[str, Any]:
+def _parse(place: str, line: str) -> dict[str, object]:
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
@@ -165,31 +172,34 @@ def _parse(place: str, line: str) -> dict[str, Any]:
     return content
 
 
-def _checked_head(place: str, head: dict[str, Any]) -> dict[str, Any]:
-    if head.get("format") != FORMAT:
+def _head(place: str, line: str) -> Head:
+    content = _parse(place, line)
+    if content.get("format") != FORMAT:
         raise InputError(
-            f"{place}: format {excerpt(head.get('format'))}; must be {FORMAT}, as the "
+            f"{place}: format {excerpt(content.get('format'))}; must be {FORMAT}, as the "
             f"{JOURNAL_FILE} of a session of this version"
         )
-    for key, kind in _HEAD.items():
-        if not isinstance(head.get(key), kind):
-            raise InputError(f"{place}: {key}: {excerpt(head.get(key))}; is missing or wrong")
-    check_choice(f"{place}: kind", head["kind"], get_args(Kind))
-    return head
+    check_choice(f"{place}: kind", content.get("kind"), get_args(Kind))
+    return _checked(place, Head, content)
 
 
-def _action(place: str, content: dict[str, Any], before: list[Action]) -> Action:
+def _action(place: str, content: dict[str, object], before: list[Action]) -> Action:
     tick, name = content.pop("tick", None), content.pop("action", None)
     least = before[-1].tick if before else 0
     if isinstance(tick, bool) or not isinstance(tick, int) or tick < least:
         raise InputError(f"{place}: tick {excerpt(tick)}; must be a whole number from {least} on")
     if before and isinstance(before[-1].act, End):
         raise InputError(f"{place}: {excerpt(name)} after the end; must be the last line")
-    kind = ACTS[check_choice(f"{place}: action", name, ACTS)]
+    kinds = {kind.model_fields["do"].default: kind for kind in get_args(Act)}
+    kind = kinds[check_choice(f"{place}: action", name, kinds)]
+    return Action(tick, _checked(f"{place}: {name}", kind, content))
+
+
+def _checked(place: str, kind: type[T], content: object) -> T:
     try:
-        return Action(tick, kind.model_validate(content))
+        return kind.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{place}: {name}: {first_problem(error)}") from None
+        raise InputError(f"{place}: {first_problem(error)}") from None
 
 
 def first_problem(error: ValidationError) -> str:
@@ -198,11 +208,13 @@ def first_problem(error: ValidationError) -> str:
     return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
 
 
-Parameters = Mapping[str, Mapping[str, Value]]  # by instance and scalar variable
-
-
 class Adjustments:
-    """The inputs, parameters, waypoints and coupling of a run, as its actions change them."""
+    """The inputs, parameters, waypoints and coupling of a run, as its actions change them.
+
+    `Execution` makes one for each run, and `replay` one to check a journal before it runs. It
+    knows no FMUs: `Session.act` gives them what `take` returns. A scenario that is to run otherwise
+    from its start is changed before it is prepared, by `Scenario.changed`.
+    """
 
     def __init__(self, prepared: Prepared) -> None:
         self._scenario = prepared.scenario

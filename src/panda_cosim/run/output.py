@@ -19,7 +19,7 @@ from ..result.judging.verdict import Verdict
 from ..result.recording import MemoryRecorder, Recorder, Recording
 from ..task.scenario import is_shipped
 from .folder import SCENARIO_FOLDER, keep_scenario
-from .journal import JOURNAL_FILE, Action, append_action, begin_journal
+from .journal import JOURNAL_FILE, Action, Head, append_action, begin_journal
 from .prepare import Prepared
 from .start import played_rows
 from .summary import summarize
@@ -38,17 +38,20 @@ class Output:
         self._journal = self._place / JOURNAL_FILE if journals else None
         columns = prepared.assembly.recorded(prepared.scenario.coupling)
         self.signals = tuple(column.name for column in columns)
+        self.columns: dict[str, list[int]] = {}  # of the master's rows, by signal
+        for number, name in enumerate(self.signals):
+            self.columns.setdefault(name.partition("[")[0], []).append(number)
         provenance = _provenance(system, prepared.scenario.mujoco) if writes else {}
         code = {name: fmu.code for name, fmu in system.fmus.items()}
         metadata = {**_metadata(prepared), "code": code, **provenance}
         metadata |= {"session": JOURNAL_FILE} if journals else {}
         make = Recorder if writes else MemoryRecorder
         self.recorder: MemoryRecorder = make(folder, columns, metadata)
-        self.head = {
-            "scenario": prepared.scenario.name,
-            "kind": prepared.options.kind,
-            "fmus": provenance.get("fmus", {}),
-        }
+        self.head = Head(
+            scenario=prepared.scenario.name,
+            kind=prepared.options.kind,
+            fmus=provenance.get("fmus", {}),
+        )
 
     def begin(self) -> None:
         """Write the scenario, and the journal's head."""
@@ -81,10 +84,10 @@ class Output:
         return summary
 
 
-def _metadata(prepared: Prepared) -> dict[str, Any]:
+def _metadata(prepared: Prepared) -> dict[str, object]:
     """Metadata of the recording, as JSON holds it."""
     scenario, values, assembly = prepared.scenario, prepared.values, prepared.assembly
-    ours: dict[str, Any] = {}
+    ours: dict[str, object] = {}
     if scenario.system:
         ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
     scene = values.get("plant", {}).get("scene")

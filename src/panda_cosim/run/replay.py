@@ -42,10 +42,10 @@ def replay(
     session = Session(scenario, out, options)
     _check_actions(journal, session.prepared)  # before anything is run
     with session:
-        before = journal.head["fmus"]
+        before = journal.head.fmus
         session.warnings += [
             f"{name}: another FMU than the session's; the values may differ"
-            for name, fmu in session.head["fmus"].items()
+            for name, fmu in session.head.fmus.items()
             if before.get(name) != fmu
         ]
         for action in journal.actions:
@@ -61,8 +61,8 @@ def read_session(place: str | Path, options: Options) -> tuple[Scenario, Options
     """Read the scenario of a session, and complete the options of the run."""
     journal = Journal.read(place)
     scenario = Scenario.read(journal.path.parent / SCENARIO_FOLDER)
-    scenario = replace(scenario, name=journal.head["scenario"])
-    return scenario, replace(options, kind=journal.head["kind"])
+    scenario = replace(scenario, name=journal.head.scenario)
+    return scenario, replace(options, kind=journal.head.kind)
 
 
 def _check_actions(journal: Journal, prepared: Prepared) -> None:

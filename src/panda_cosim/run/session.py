@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE
 from ..fmus.errors import InputError
@@ -32,19 +31,20 @@ from ..fmus.interface.plant import FORCES
 from ..fmus.interface.tables import INTERFACES
 from ..fmus.interface.variables import Scalar, Value
 from ..fmus.master.step import Coupling
+from ..fmus.master.wiring import Array
 from ..task.scenario import Push, Scenario, load_scenario
 from ..task.table import TrajectoryTable
 from ..task.trajectory import StartPose, Trajectory
 from ..task.values import Values
 from .execution import Execution, Progress
 from .folder import keep_scenario, refuse_existing
-from .journal import Act, Action, Adjustments, MoveWaypoint, Release, Set, SetCoupling
+from .inputs import Inputs
+from .journal import Act, Action, Adjustments, Head, MoveWaypoint, Release, Set, SetCoupling
 from .options import Options
-from .prepare import Inputs, Prepared, prepare
-from .start import resolve, start_pose
+from .prepare import Prepared, prepare
+from .start import start_pose
 from .stopping import stopping_on_signals
 
-Array = NDArray[np.float64]
 _DIGITS: Final = 9  # of a time in a scenario [s]; a tick is 1e-3
 
 
@@ -61,11 +61,15 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
     for action in actions:
         rows.append(inputs[first : action.tick])
         first = action.tick
-        if isinstance(action.act, Set) and action.act.name not in inputs:
-            started = _with_parameter(prepared, started, action.tick, action.act)
-        elif isinstance(action.act, SetCoupling) and action.tick > 0:
-            raise InputError(f"session: the coupling was changed at {_time(prepared, action.tick)};"
-                             " a scenario has one")  # fmt: skip
+        when = f"at {_time(prepared, action.tick)}; a scenario has"
+        match action.act:
+            case Set(name=name, value=value) if name not in inputs:
+                if action.tick > 0:
+                    only = "values of parameters at its start only"
+                    raise InputError(f"session: {name} was set {when} {only}")
+                started = started.changed({name: value})
+            case SetCoupling() if action.tick > 0:
+                raise InputError(f"session: the coupling was changed {when} one")
         adjustments.take(action)
     session = np.vstack([*rows, inputs[first:ticks]])
     start, duration = prepared.assembly.start_time, round(ticks * scenario.step, _DIGITS)
@@ -91,16 +95,6 @@ def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Sc
             "held, or a waypoint was moved when the hand was on its way to it"
         )
     return written
-
-
-def _with_parameter(prepared: Prepared, scenario: Scenario, tick: int, act: Set) -> Scenario:
-    """Return the scenario with a parameter that was set before the first step."""
-    if tick > 0:
-        raise InputError(
-            f"session: {act.name} was set at {_time(prepared, tick)}; a scenario has values of "
-            "parameters at its start only"
-        )
-    return scenario.changed({act.name: act.value})
 
 
 def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
@@ -224,7 +218,7 @@ class Session(Execution):
         return self._begun.signals
 
     @property
-    def head(self) -> dict[str, Any]:
+    def head(self) -> Head:
         """Scenario and FMUs, as the journal has them."""
         return self._begun.head
 
@@ -251,10 +245,9 @@ class Session(Execution):
     @property
     def table(self) -> TrajectoryTable:
         """The current trajectory table; raises InputError if the scenario is a system."""
-        table = self._adjustments.inputs.table
-        if table is None:
-            raise InputError(f"{self.scenario.name}: a system has no trajectory table")
-        return table
+        if table := self._adjustments.inputs.table:
+            return table
+        raise InputError(f"{self.scenario.name}: a system has no trajectory table")
 
     @property
     def is_panda(self) -> bool:
@@ -263,14 +256,14 @@ class Session(Execution):
 
     @property
     def trajectory(self) -> Trajectory:
-        """The current commanded path: the table's rows in the world."""
-        return resolve(replace(self.scenario, table=self.table), self.prepared.values)
+        """The current commanded path: the table's rows in the world; a system has none."""
+        assert self.table
+        return self._adjustments.inputs.guarded.path
 
     @property
     def start_pose(self) -> StartPose:
         """Poses of hand and block that the table refers to, the block's as the camera sees it."""
-        values = self.prepared.values
-        return start_pose(values["plant"], values.get("sensors"))
+        return start_pose(self.prepared.values)
 
     @property
     def held(self) -> list[str]:

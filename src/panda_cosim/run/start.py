@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
@@ -22,7 +22,6 @@ from ..plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters, block_start_h
 from ..result.judging.signals import check_bodies, check_signals
 from ..result.recording.storage import TEXTS
 from ..task.scenario import SCENARIO_FILE, TOUCH, Scenario
-from ..task.table import TrajectoryTable
 from ..task.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from .system.assembly import Assembly, assemble
 
@@ -77,9 +76,10 @@ def check_tolerances(scenario: Scenario, assembly: Assembly | None = None) -> No
         scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
 
 
-def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = None) -> StartPose:
+def start_pose(values: StartValues) -> StartPose:
     """Poses of hand and block at the start, the block's as the camera sees it."""
-    block, errors = PlantParameters(), seen or {}  # a foreign plant has no block
+    plant, errors = values["plant"], values.get("sensors", {})
+    block = PlantParameters()  # a foreign plant has none
     x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
     top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
     yaw = float(plant.get("block_yaw", block.block_yaw))
@@ -92,33 +92,28 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
     """Resolve the scenario's table for these parameters."""
     if scenario.timing != "table":
         return new_timing(scenario, values).trajectory
-    start = start_pose(values["plant"], values.get("sensors"))
+    return _as_written(scenario, values)
+
+
+# A run resolves its table several times, as do rows of a sweep.
+_from_table = lru_cache(maxsize=4)(Trajectory.from_table)
+
+
+def _as_written(scenario: Scenario, values: StartValues) -> Trajectory:
+    """Resolve the scenario's table with its own times."""
     assert scenario.table is not None
-    return _resolved(scenario.table, start, scenario.interpolation, scenario.align)
-
-
-@lru_cache(maxsize=4)  # a run resolves its table several times, as do rows of a sweep
-def _resolved(
-    table: TrajectoryTable, start: StartPose, interpolation: str, align: bool
-) -> Trajectory:
-    return Trajectory.from_table(table, start, interpolation=interpolation, align=align)
+    start = start_pose(values)
+    about = {"interpolation": scenario.interpolation, "align": scenario.align}
+    return _from_table(scenario.table, start, **about)
 
 
 def new_timing(scenario: Scenario, values: StartValues) -> Timing:
     """Make the new times of the scenario's table that its `timing` asks for."""
-    assert scenario.table is not None
     if scenario.timing == "feasible":
         _check_duration(scenario, scenario.rows[-1].time)  # new times are never earlier
-    timing = _timed(
-        scenario.table,
-        start_pose(values["plant"], values.get("sensors")),
-        scenario.interpolation,
-        scenario.align,
-        scenario.timing,
-        scenario.timing_share,
-        law_gains(scenario, values),
-        carried_mass(scenario, values),
-    )
+    loaded = law_gains(scenario, values), carried_mass(scenario, values), scenario.timing_share
+    blends = tuple(row.blend for row in scenario.rows) if scenario.timing == "optimal" else ()
+    timing = _timed(_as_written(scenario, values), blends, *loaded)
     _check_duration(scenario, timing.cycle)
     return timing
 
@@ -141,25 +136,17 @@ def _check_duration(scenario: Scenario, cycle: float) -> None:
 
 
 @lru_cache(maxsize=1)  # a run resolves its table several times
-def _timed(  # noqa: PLR0913 - all that new times depend on
-    table: TrajectoryTable,
-    start: StartPose,
-    interpolation: str,
-    align: bool,
-    timing: str,
-    share: float,
-    gains: Gains,
-    load: float,
+def _timed(
+    path: Trajectory, blends: tuple[float, ...], gains: Gains, load: float, share: float
 ) -> Timing:
-    trajectory = _resolved(table, start, interpolation, align)
-    if timing == "optimal":
+    """Return the fastest times, with these blends of the rows, or those of rows as they are."""
+    if blends:
         from ..task.timing.optimal import retimed  # noqa: PLC0415 - few scenarios need it
 
-        blends = np.array([row.blend for row in table.rows])
-        return retimed(trajectory, blends, gains, load, share)
+        return retimed(path, np.array(blends), gains, load, share)
     from ..task.timing.stretched import stretched  # noqa: PLC0415 - few scenarios need it
 
-    return stretched(trajectory, gains, load, share)
+    return stretched(path, gains, load, share)
 
 
 def law_gains(scenario: Scenario, values: StartValues) -> Gains:

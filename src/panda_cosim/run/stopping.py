@@ -1,22 +1,15 @@
-"""Ends of a run before its time: on a signal, an event or a time limit, and by an FMU's exit()."""
+"""Ends of a run before its time: on a signal, an event or a time limit."""
 
 from __future__ import annotations
 
-import atexit
-import ctypes
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
-from pathlib import Path
+from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any
-
-from ..fmus.errors import SimulationError
 
 if TYPE_CHECKING:  # the command line reads this module first: it must be quick
     from ..fmus.master.master import Master
@@ -96,58 +89,3 @@ def stopping_on_signals(event: threading.Event | None = None) -> Iterator[StopRe
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
-
-
-# An FMU runs in this process, unless it is isolated. If it calls exit(), the process ends as a
-# failure. Rows that were flushed before stay, and the recording says that it is incomplete.
-
-_under_way: list[tuple[int, Path | None]] = []  # thread and folder of each run of this process
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_under_way.clear)
-
-
-@contextmanager
-def exit_guard(folder: Path) -> Iterator[None]:
-    """Make the process fail if it ends while the block runs."""
-    _watch()
-    run = (threading.get_ident(), folder.absolute() if folder.name else None)
-    _under_way.append(run)
-    try:
-        yield
-    finally:
-        if run in _under_way:  # not in a process that was forked since
-            _under_way.remove(run)
-
-
-def _fail(*_: object) -> None:
-    if not _under_way:
-        return
-    for _thread, folder in _under_way:
-        if folder is not None:
-            with suppress(OSError):  # it holds what was recorded
-                folder.rmdir()
-        text = f"Error: {folder or 'a run'}: exit() was called, by an FMU for instance, which ends "
-        os.write(2, f"{text}the whole process; --isolate gives each FMU its own\n".encode())
-    with suppress(Exception):
-        sys.stdout.flush()
-    os._exit(SimulationError.exit_code)
-
-
-_handler = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_fail)
-_key = ctypes.c_char()  # by whose address the handler is taken back
-
-
-@cache
-def _watch() -> None:
-    """Call `_fail` when the process exits: exit() in C does not end Python first."""
-    # glibc and macOS; with other C libraries a handler stays, and Python is gone when it is called.
-    if sys.platform == "darwin" or "CS_GNU_LIBC_VERSION" in getattr(os, "confstr_names", ()):
-        ctypes.CDLL(None)["__cxa_atexit"](_handler, None, ctypes.byref(_key))
-        atexit.register(_end_python)
-
-
-def _end_python() -> None:
-    if threading.get_ident() in [thread for thread, _ in _under_way]:
-        _fail()
-    _under_way.clear()
-    ctypes.CDLL(None)["__cxa_finalize"](ctypes.byref(_key))

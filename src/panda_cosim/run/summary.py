@@ -6,9 +6,9 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..fmus.master.master import RunStatistics
+from ..fmus.master.wiring import Array
 from ..result.judging.block import measure_block
 from ..result.judging.contacts import SIGNAL as UNWANTED
 from ..result.judging.contacts import unwanted_contacts
@@ -24,8 +24,6 @@ from ..task import rotations
 from ..task.criteria import Direction, Success, split_instant
 from ..task.fields import field_names
 from ..task.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 _HAND, _FORCE = ("plant.hand_xpos", "plant.hand_xquat"), "plant.contact_force"
 # Signals without which a section is empty; foreign FMUs may lack some.
@@ -123,12 +121,8 @@ def _tracking(recording: Recording) -> Metrics:
 
 
 def _orientation(recording: Recording) -> Metrics:
-
-    def between(command: Array, hand: Array) -> Any:
-        turn = rotations.log(rotations.multiply(command, rotations.conjugate(hand)))
-        return np.degrees(np.linalg.norm(turn, axis=1))
-
-    angle = by_rows(recording, between, "controller.quat_cmd", "plant.hand_xquat")
+    places = ("controller.quat_cmd", "plant.hand_xquat")
+    angle = by_rows(recording, rotations.angle_deg, *places)
     return {"rms_deg": _rms(angle), "max_deg": _peak(angle)}
 
 

@@ -15,14 +15,13 @@ import tempfile
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from subprocess import DEVNULL, PIPE
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 import numpy as np
 from fmpy.simulation import apply_start_values, instantiate_fmu
-from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE
 from ..fmus.errors import CosimError
@@ -30,19 +29,18 @@ from ..fmus.interface.controller import COMMANDS
 from ..fmus.interface.tables import CONNECTIONS, INTERFACES
 from ..fmus.master.fmu_file import Fmu
 from ..fmus.master.step import Stepper
-from ..fmus.master.system import OpenSystem, System, open_system
+from ..fmus.master.system import OpenSystem
+from ..fmus.master.wiring import Array, Name
 from ..fmus.sources.targets import Kind
 from ..plant.parameters import PlantParameters
 from ..plant.plant import Plant
 from ..plant.scene import load_scene
+from ..run.execution import Execution
 from ..run.options import Options
 from ..run.output import versions
-from ..run.prepare import prepare
-from ..run.start import instants, resolve, start_values
-from ..task.scenario import Scenario, load_scenario
+from ..run.prepare import Prepared, prepare
+from ..task.scenario import load_scenario
 from .work import processor
-
-Array = NDArray[np.float64]
 
 FORMAT: Final = 4  # of the JSON file
 MICRO: Final = 1e6  # [us/s]
@@ -63,36 +61,45 @@ RATIOS: Final = {
 }
 OURS: Final = (sys.executable, "-m", "panda_cosim")
 IMPORTS: Final = "import numpy, mujoco, fmpy, pyarrow"  # what a cold run is compared with
+IMPORTING: Final = f'python -c "{IMPORTS}"'
 
+
+# Commands are measured as in a shell, without what our command line sets for its own process, and
+# with byte code, which modules of an editable install keep, too, as those that it imports do.
+OF_PROGRAM: Final = (
+    "MUJOCO_GL", "OPENBLAS_NUM_THREADS", "PANDA_COSIM_GL", "PYDANTIC_DISABLE_PLUGINS",
+    "PYTHONDONTWRITEBYTECODE", "PYTHONSAFEPATH",
+)  # fmt: skip
 
 # Takes a number of steps from a tick on, and returns positions of arm, fingers and block (16,).
 Way = tuple[Callable[[int, int], object], Callable[[], Array]]
 
 
+@dataclass(frozen=True)
 class _Workload:
-    """A scenario as the ways take it: start values, commands (steps + 1, 14), ctrl (steps, 8)."""
+    """What all ways do: a scenario, and the servo targets that its run gives (steps, 8)."""
 
-    def __init__(self, scenario: Scenario, system: System) -> None:
-        self.system, self.values = system, start_values(scenario)
-        self.commands = resolve(scenario, self.values).sample(instants(scenario))
-        self.steps, self.scene = scenario.ticks, PlantParameters(scene=scenario.scene)
-        rows: list[Array] = []
-        with self.opened() as session:
-            session.master.run(self.steps, self.commands, lambda block: rows.append(block.copy()))
-            columns = [("controller", name) for name in _names("controller", "ctrl")]
-            where = [1 + session.master.columns.index(column) for column in columns]
-        self.ctrl: Array = np.concatenate(rows)[: self.steps, where]
+    prepared: Prepared
+    targets: Array
 
-    def opened(self, stepper: Stepper = "kernel") -> AbstractContextManager[OpenSystem]:
-        stop = self.steps * STEP_SIZE
-        return open_system(self.system, self.values, stop=stop, stepper=stepper)
+    @classmethod
+    def of(cls, prepared: Prepared) -> _Workload:
+        """Run the scenario once, for the servo targets."""
+        with Execution(prepared, writes=False) as execution:
+            execution.advance()
+            recording = execution.close().recording
+        return cls(prepared, recording["controller.ctrl"][: prepared.scenario.ticks])
+
+    def opened(self, stepper: Stepper) -> AbstractContextManager[OpenSystem]:
+        return replace(self.prepared, options=Options(master=stepper)).open([])
 
 
 def _physics(workload: _Workload, *, drawn: bool) -> Way:
     """(a) Bare `mj_step` with the servo targets of the whole loop."""
-    model, targets, step = load_scene(workload.scene, drawn=drawn), workload.ctrl, mujoco.mj_step
+    scene = PlantParameters(scene=workload.prepared.scenario.scene)
+    model, targets, step = load_scene(scene, drawn=drawn), workload.targets, mujoco.mj_step
     data = mujoco.MjData(model)
-    data.qpos[:], data.ctrl[:] = Plant(workload.scene).data.qpos, targets[0]
+    data.qpos[:], data.ctrl[:] = Plant(scene).data.qpos, targets[0]
     mujoco.mj_forward(model, data)
     ctrl = data.ctrl
 
@@ -104,37 +111,36 @@ def _physics(workload: _Workload, *, drawn: bool) -> Way:
     return advance, lambda: np.array(data.qpos)
 
 
-def _own_master(workload: _Workload, session: OpenSystem) -> Way:
+def _own_master(workload: _Workload, system: OpenSystem) -> Way:
     """(c) This project's master over the FMUs."""
-    master, names = session.master, _names("plant", "qpos")
-    values: Array = np.zeros((1, len(names)))
-    read = session.slaves["plant"].bind_get(names, values)
+    master, commands = system.master, workload.prepared.inputs()
+    where = [1 + master.columns.index(("plant", name)) for name in _names("plant", "qpos")]
     master.begin(lambda _rows: None)
 
     def state() -> Array:
-        read(0)
-        return np.array(values[0])
+        return np.asarray(master.latest()[where], float)
 
-    return lambda _, count: master.step(count, workload.commands), state
+    return lambda _, count: master.step(count, commands), state
 
 
 @contextmanager
 def _plain_loop(workload: _Workload) -> Iterator[Way]:
     """(b) A plain loop over FMPy's `FMU2Slave` as its documentation shows it, with lists."""
-    slaves: dict[str, Any] = {}
-    references: dict[str, dict[str, int]] = {}
-    for name, path in workload.system.fmus.items():
+    prepared, slaves = workload.prepared, {}
+    references: dict[Name, int] = {}
+    for name, path in prepared.assembly.system.fmus.items():
         fmu = Fmu(path)
         slaves[name] = slave = instantiate_fmu(str(fmu.folder), fmu.description)
         slave.setupExperiment(startTime=0.0)
-        values = {n: fmu.variable(n).converted(v) for n, v in workload.values[name].items()}
+        given = prepared.start_values()[name].items()
+        values = {n: fmu.variable(n).converted(v) for n, v in given}
         apply_start_values(slave, fmu.description, values)
         slave.enterInitializationMode()
         slave.exitInitializationMode()
-        references[name] = {n: v.value_reference for n, v in fmu.variables.items()}
+        references |= {(name, n): v.value_reference for n, v in fmu.variables.items()}
 
     def of(instance: str, *variables: str) -> list[int]:
-        return [references[instance][n] for v in variables for n in _names(instance, v)]
+        return [references[instance, n] for v in variables for n in _names(instance, v)]
 
     plant, controller = slaves["plant"], slaves["controller"]
     targets, servos = of("controller", *COMMANDS), of("plant", "ctrl")
@@ -143,9 +149,9 @@ def _plain_loop(workload: _Workload) -> Iterator[Way]:
         for name in ("plant", "controller")
     )
     wires = [c for c in CONNECTIONS if c.source[0] == "plant"]
-    measured = [references["controller"][c.target[1]] for c in wires]
-    where = [outputs.index(references["plant"][c.source[1]]) for c in wires]
-    commands, rows = workload.commands.tolist(), []
+    measured = [references[c.target] for c in wires]
+    where = [outputs.index(references[c.source]) for c in wires]
+    commands, rows = prepared.inputs()[:].tolist(), []
 
     def advance(first: int, count: int) -> None:
         state = plant.getReal(outputs)
@@ -181,10 +187,9 @@ class Spread:
     high: float
 
     @classmethod
-    def of(cls, values: Any) -> Spread:
+    def of(cls, values: Array) -> Spread:
         """Return that of some values."""
-        low, median, high = np.percentile(values, (25, 50, 75)).tolist()
-        return cls(median, low, high)
+        return cls(*np.percentile(values, (50, 25, 75)).tolist())
 
     def texts(self, digits: int) -> tuple[str, str]:
         """Return the median and the quartiles with some digits after the point."""
@@ -214,20 +219,25 @@ def bench(
     kind: Kind = "native",
 ) -> BenchResult:
     """Measure steps and whole commands."""
-    prepared = prepare(load_scenario(scenario), Options(kind=kind))
-    workload = _Workload(prepared.scenario, prepared.assembly.system)
+    workload = _Workload.of(prepare(load_scenario(scenario), Options(kind=kind)))
     passes = [_one_pass(workload, chunk) for _ in range(repeats)]
     costs = {way: np.array([taken[way] for taken in passes]) for way in LABELS}
     steps = {way: Spread.of(values) for way, values in costs.items()}
-    times = start_up(scenario, kind)
-    costs |= {"run": np.array(times[_run_of(scenario)]), "imports": np.array(times[_IMPORTING])}
+    run = f"panda-cosim run {scenario} --no-video"
+    times = start_up(run, kind)
+    costs |= {"run": np.array(times[run]), "imports": np.array(times[IMPORTING])}
     return BenchResult(
         scenario,
         steps,
         {name: Spread.of(costs[over] / costs[by]) for name, (over, by, _) in RATIOS.items()},
         STEP_SIZE * MICRO / steps["master"].median,
         {command: min(taken) for command, taken in times.items()},
-        _machine(),
+        {
+            "processor": processor(),
+            "cores": str(os.cpu_count()),
+            "system": f"{platform.system()} {platform.machine()}",
+            **versions(),
+        },
     )
 
 
@@ -235,18 +245,18 @@ def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
     """Cost of a step by way over a whole pass, as contacts make some steps dearer [us]."""
     with (
         _plain_loop(workload) as plain,
-        workload.opened() as session,
+        workload.opened("kernel") as ours,
         workload.opened("fmpy") as other,
     ):
         ways: dict[str, Way] = {
             "physics": _physics(workload, drawn=True),
             "bare": _physics(workload, drawn=False),
             "lists": plain,
-            "master": _own_master(workload, session),
+            "master": _own_master(workload, ours),
             "fmpy": _own_master(workload, other),
         }
         taken = dict.fromkeys(ways, 0.0)
-        done = range(0, workload.steps - chunk + 1, chunk)
+        done = range(0, workload.prepared.scenario.ticks - chunk + 1, chunk)
         for first in done:
             for name, (advance, _) in ways.items():
                 # The processor's time, as all that is measured computes and never waits: what
@@ -261,54 +271,31 @@ def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
     return {name: seconds / (len(done) * chunk) * MICRO for name, seconds in taken.items()}
 
 
-_IMPORTING: Final = f'python -c "{IMPORTS}"'
-# Commands are measured as in a shell, without what our command line sets for its own process, and
-# with byte code, which modules of an editable install keep, too, as those that it imports do.
-OF_PROGRAM: Final = (
-    "MUJOCO_GL", "OPENBLAS_NUM_THREADS", "PANDA_COSIM_GL", "PYDANTIC_DISABLE_PLUGINS",
-    "PYTHONDONTWRITEBYTECODE", "PYTHONSAFEPATH",
-)  # fmt: skip
-
-
-def _run_of(scenario: str) -> str:
-    return f"panda-cosim run {scenario} --no-video"
-
-
-def start_up(scenario: str, kind: Kind, times: int = 7) -> dict[str, list[float]]:
-    """Times of whole commands, which take turns [s]."""
+def start_up(run: str, kind: Kind, times: int = 7) -> dict[str, list[float]]:
+    """Times of whole commands, such as `run`, a run, which take turns [s]."""
+    program, *arguments = run.split()
     taken: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for i in range(times):
-            out = f"{folder}/{i}"
-            for name, command in {
+            commands = {
                 "python -c pass": [sys.executable, "-c", "pass"],
-                _IMPORTING: [sys.executable, "-c", IMPORTS],
-                "panda-cosim --help": [*OURS, "--help"],
-                _run_of(scenario): [*OURS, "run", scenario, "--no-video", "--kind", kind,
-                                    "--out", out],
-            }.items():  # fmt: skip
+                IMPORTING: [sys.executable, "-c", IMPORTS],
+                f"{program} --help": [*OURS, "--help"],
+                run: [*OURS, *arguments, "--kind", kind, "--out", f"{folder}/{i}"],
+            }
+            for name, command in commands.items():
                 taken.setdefault(name, []).append(cost_of(command)[0])
     return taken
 
 
-def cost_of(command: Sequence[object]) -> tuple[float, float]:
+def cost_of(command: Sequence[str]) -> tuple[float, float]:
     """Run a command; return its wall time [s], and the most memory of one of its processes [MB]."""
     env = {name: value for name, value in os.environ.items() if name not in OF_PROGRAM}
     start = clock.perf_counter()
-    with subprocess.Popen([*map(str, command)], stdout=DEVNULL, stderr=PIPE, env=env) as process:
-        message = process.stderr.read() if process.stderr else b""
+    with subprocess.Popen(command, stdout=DEVNULL, stderr=PIPE, env=env, text=True) as process:
+        message = process.stderr.read() if process.stderr else ""
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode not in (0, 3):
-        why = f"ended with {process.returncode}:\n{message.decode()}"
-        raise CosimError(f"{' '.join(map(str, command))} {why}")
+        raise CosimError(f"{' '.join(command)} ended with {process.returncode}:\n{message}")
     return clock.perf_counter() - start, usage.ru_maxrss / 1024
-
-
-def _machine() -> dict[str, str]:
-    return {
-        "processor": processor(),
-        "cores": str(os.cpu_count()),
-        "system": f"{platform.system()} {platform.machine()}",
-        **versions(),
-    }

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..fmus.atomic import MARK, replacing
+from ..fmus.atomic import MARK, write_whole
 from ..fmus.errors import InputError, excerpt, one_line
 from ..fmus.reading import open_regular
 
@@ -86,8 +86,7 @@ def write_all(contents: Mapping[Path, str]) -> None:
     """Write several new files, each of them whole."""
     check_new(contents)
     for path, text in contents.items():
-        with replacing(path) as partial:
-            partial.write_text(text, encoding="utf-8")
+        write_whole(path, text)
 
 
 def read_toml(path: Path, max_bytes: int) -> dict[str, Any]:

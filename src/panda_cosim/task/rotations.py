@@ -44,6 +44,11 @@ def log(q: Array) -> Array:
     return np.asarray(factor * shortest[..., 1:])
 
 
+def angle_deg(one: Array, other: Array) -> Array:
+    """Return the angle between orientations (n, 4), (n,) [deg]."""
+    return np.asarray(np.degrees(np.linalg.norm(log(multiply(one, conjugate(other))), axis=1)))
+
+
 def about_z(angle: float) -> Array:
     """Return the quaternion of a rotation about z [rad]. Shape (4,)."""
     return np.array([np.cos(0.5 * angle), 0.0, 0.0, np.sin(0.5 * angle)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import cast
 
@@ -26,24 +26,30 @@ from ...fmus.master.wiring import Array, Name
 from ...fmus.sources.targets import Kind
 from ...result.recording import Column
 from ...task.scenario import MAX_STEPS, SCENARIO_FILE, Coupling, Scenario
-from .connector import RARE, Connector, DrivenInput, driven_inputs
+from .connector import RARE, Connector
+from .driven import DrivenInput, driven_inputs
 from .parts import Part, measures_a_panda, read_parts
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """A coupled system, as a scenario describes it."""
+    """A coupled system, as a scenario describes it: which FMUs, connected how, recorded how.
+
+    `assemble` makes it from a scenario, without building FMUs or running code of theirs; only
+    `system` builds them. It has no start values of the scenario and no commands: `prepare` adds
+    these. To open an .ssp file without a scenario, `system_from_ssp` is enough.
+    """
 
     interfaces: Mapping[str, Interface]  # of each FMU, in the order of stepping
+    parts: Sequence[Part]  # where the FMUs come from
     connections: Sequence[Connection]
-    external: Sequence[Name] = ()  # inputs that are given at each tick
-    parts: Sequence[Part] = ()  # where the FMUs come from; empty for an .ssp file
-    notes: Sequence[str] = ()  # unconnected inputs
-    asked: frozenset[str] = frozenset()  # signals of criteria, recorded in any case
-    driven: Mapping[Name, DrivenInput] = field(default_factory=dict)  # among the external ones
-    steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
-    not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
-    # Of an .ssp file: its system, start values and start time [s].
+    external: Sequence[Name]  # inputs that are given at each tick
+    driven: Mapping[Name, DrivenInput]  # among the external ones
+    notes: Sequence[str]  # unconnected inputs, or what has no effect in an .ssp file
+    asked: frozenset[str]  # signals of criteria, recorded in any case
+    steps: Mapping[str, int]  # of FMUs, in the system's
+    not_finite: Sequence[Name]  # outputs that may be NaN or infinite
+    # Of an .ssp file: the system in it, its start values and start time [s].
     ssp: System | None = None
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     start_time: float = 0.0
@@ -51,8 +57,6 @@ class Assembly:
     @cached_property
     def system(self) -> System:
         """The system with its FMU files; what has to be built is built."""
-        if self.ssp is not None:
-            return self.ssp
         return System(
             {part.name: part.make() for part in self.parts},
             self.connections,
@@ -60,12 +64,13 @@ class Assembly:
             self.outputs,
             steps=self.steps,
             not_finite=self.not_finite,
+            labels=self.ssp.labels if self.ssp else {},
         )
 
     @cached_property
     def outputs(self) -> Mapping[str, Sequence[str]]:
-        """Recorded outputs, the plant's first."""
-        if self.ssp is not None:
+        """Recorded outputs, the plant's first; those of an .ssp file, connected ones first."""
+        if self.ssp:
             return self.ssp.outputs
         order = sorted(self.interfaces, key=lambda name: name != "plant")
         return {
@@ -155,9 +160,7 @@ class Assembly:
         for layer in layers:
             for name in layer:
                 if layer[name] and name not in self.interfaces:
-                    valid = ", ".join(self.interfaces)
-                    hint = did_you_mean(name, self.interfaces)
-                    raise InputError(f"{name}: no FMU of this name; valid: {valid}{hint}")
+                    raise InputError(f"{name}: {_no_fmu(name, self.interfaces)}")
         values: dict[str, dict[str, Value]] = {}
         for name, interface in self.interfaces.items():
             parameters = [s for s in interface.scalars() if s.variable.causality == "parameter"]
@@ -208,50 +211,50 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
         is_modelled = scenario.mismatch.values.get("hand_pose_source") == "model"
         connector.connect_sensors((*MEASURED, *SEEN, *([INERTIA] if is_modelled else [])))
     connector.connect_rest_by_name()
-    if not scenario.is_system and not connector.is_fed("plant", "ctrl"):
-        raise InputError(connector.unfed_message("plant", "ctrl"))
-    _check_names(scenario, interfaces)
-    scale, notes = scenario.input_scale, connector.notes
+    if not scenario.is_system:
+        connector.require("plant", "ctrl")
+    scale, notes = scenario.input_scale, [] if from_outside else connector.notes
     connections = [
         replace(c, factor=scale * c.factor, offset=scale * c.offset)
         if c.target[0] == "plant"
         else c
         for c in connector.connections
     ]
-    interfaces = _ordered(interfaces, connections, scenario.order)
-    places = _places(interfaces)
-    connections.sort(key=lambda each: places[each.target])
-    external += sorted(driven, key=places.__getitem__)
-    if from_outside:
-        external, notes = [*_unfed(interfaces, connections, external), *external], []
-    ordered = [connector.parts[name] for name in interfaces]
-    asked, steps, free = scenario.asked, scenario.steps, _not_finite(scenario, interfaces)
-    return Assembly(interfaces, connections, external, ordered, notes, asked, driven, steps, free)
+    order = scenario.order or stepping_order(interfaces, connections)
+    made = Assembly(interfaces, parts, connections, external, driven, notes, scenario.asked,
+                    scenario.steps, _not_finite(scenario, interfaces))  # fmt: skip
+    return _ordered(scenario, made, order, from_outside=from_outside)
 
 
 def _ordered(
-    interfaces: Mapping[str, Interface], connections: Sequence[Connection], stated: Sequence[str]
-) -> dict[str, Interface]:
-    """Return the FMUs in the order of stepping, which a scenario may state."""
-    if stated and sorted(stated) != sorted(interfaces):
-        valid = ", ".join(sorted(interfaces))
-        raise InputError(f"order: value {[*stated]!r}; must name each FMU once: {valid}")
-    return {name: interfaces[name] for name in stated or stepping_order(interfaces, connections)}
-
-
-def _places(interfaces: Mapping[str, Interface]) -> dict[Name, int]:
-    """Each scalar's place among those of all FMUs, so that no order of lines is seen."""
-    names = ((name, s.name) for name, each in interfaces.items() for s in each.scalars())
-    return {name: place for place, name in enumerate(names)}
-
-
-def _check_names(scenario: Scenario, interfaces: Mapping[str, Interface]) -> None:
-    """Check the FMUs that sections name."""
+    scenario: Scenario, made: Assembly, order: Sequence[str], *, from_outside: bool
+) -> Assembly:
+    """Return the FMUs in the order of stepping, which no order of lines changes."""
     sections = {f"[parameters.{name}]": name for name in scenario.parameters}
-    for place, name in {**sections, **{f"[steps] {name}": name for name in scenario.steps}}.items():
-        if name not in interfaces:
-            hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
-            raise InputError(f"{place}: no FMU of this name; {hint}")
+    sections |= {f"[steps] {name}": name for name in scenario.steps}
+    for place, name in sections.items():
+        if name not in made.interfaces:
+            raise InputError(f"{place}: {_no_fmu(name, made.interfaces)}")
+    if sorted(order) != sorted(made.interfaces):
+        valid = ", ".join(sorted(made.interfaces))
+        raise InputError(f"order: value {[*order]!r}; must name each FMU once: {valid}")
+    interfaces = {name: made.interfaces[name] for name in order}
+    names = ((name, s.name) for name, each in interfaces.items() for s in each.scalars())
+    places = {name: place for place, name in enumerate(names)}
+    external = [*made.external, *sorted(made.driven, key=places.__getitem__)]
+    unfed = _unfed(interfaces, made.connections, external) if from_outside else []
+    return replace(
+        made,
+        interfaces=interfaces,
+        parts=sorted(made.parts, key=lambda part: order.index(part.name)),
+        connections=sorted(made.connections, key=lambda each: places[each.target]),
+        external=[*unfed, *external],
+    )
+
+
+def _no_fmu(name: str, interfaces: Mapping[str, Interface]) -> str:
+    hint = did_you_mean(name, interfaces)
+    return f"no FMU of this name; valid: {', '.join(interfaces)}{hint}"
 
 
 def _not_finite(scenario: Scenario, interfaces: Mapping[str, Interface]) -> list[Name]:
@@ -309,34 +312,19 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
 
     coupled = system_from_ssp((scenario.folder or Path()) / scenario.system)
-    system = coupled.system
-    interfaces = {
-        name: described_interface(read_fmu(file).restructured(coupled.start_values.get(name, {})))
-        for name, file in system.fmus.items()
-    }
+    system, parts = coupled.system, []
+    for name, file in system.fmus.items():
+        fmu = read_fmu(file).restructured(coupled.start_values.get(name, {}))
+        parts.append(Part(name, file, described_interface(fmu), partial(Path, file)))
+    interfaces = {part.name: part.interface for part in parts}
     connector, driven = Connector([]), driven_inputs(scenario, interfaces)
     connector.drive([connection.target for connection in system.connections])
     connector.drive(driven)
-    unfed = _unfed(interfaces, system.connections, [*driven]) if from_outside else []
-    _check_names(scenario, interfaces)
-    interfaces = _ordered(interfaces, system.connections, scenario.order or [*system.fmus])
-    system = replace(
-        system,
-        fmus={name: system.fmus[name] for name in interfaces},
-        external=[*unfed, *sorted(driven, key=_places(interfaces).__getitem__)],
-        steps=scenario.steps,
-        not_finite=_not_finite(scenario, interfaces),
-    )
-    return Assembly(
-        interfaces,
-        system.connections,
-        system.external,
-        notes=coupled.warnings,
-        driven=driven,
-        ssp=system,
-        start=coupled.start_values,
-        start_time=coupled.start_time,
-    )
+    made = Assembly(interfaces, parts, system.connections, [], driven, coupled.warnings,
+                    scenario.asked, scenario.steps, _not_finite(scenario, interfaces), system,
+                    coupled.start_values, coupled.start_time)  # fmt: skip
+    order = scenario.order or [*system.fmus]
+    return _ordered(scenario, made, order, from_outside=from_outside)
 
 
 def system_scenario(path: Path, duration: float | None = None) -> Scenario:

@@ -1,31 +1,22 @@
-"""What feeds the FMUs of a scenario: connections, by name or as [connect] says, and its inputs.
-
-Inputs that the scenario drives have one value each, or values over time.
-"""
+"""Connects the FMUs of a scenario: as [connect] says, and by name."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import Final
 
 from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
-from ...fmus.interface.parameters import ParameterValue, expand, targets
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import measurement_of
 from ...fmus.interface.tables import Connection
-from ...fmus.interface.types import can_convert, in_row, is_lossless, type_of
+from ...fmus.interface.types import can_convert, is_lossless, type_of
 from ...fmus.interface.units import OUR_UNITS, Units, conversion
-from ...fmus.interface.variables import Interface, Scalar, Value, Variable
-from ...fmus.master.fmu_file import read_value
+from ...fmus.interface.variables import Variable
 from ...fmus.master.wiring import Name
 from ...plant.parameters import ARM_JOINTS
-from ...task.scenario import Scenario
 from .parts import Part, measures_a_panda
 
 # Inputs of PandaPlant and PandaController that act only in some scenarios; those that may stay
@@ -40,7 +31,11 @@ SHOWN: Final = 8  # unconnected inputs of an FMU that are named
 
 
 class Connector:
-    """Connects the FMUs of a scenario, and checks shapes and units on the way."""
+    """Connects the FMUs of a scenario, and checks shapes, types and units on the way.
+
+    `assemble` makes one for each scenario with parts of its own, and keeps only the connections
+    that it has found. Those of an .ssp file are complete: of them, it only learns what is fed.
+    """
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = {part.name: part for part in parts}
@@ -121,9 +116,8 @@ class Connector:
         unfed = [name for name in variable.names() if (part.name, name) not in self._fed]
         if not unfed:
             return
-        outputs = [
-            (name, v) for name, v in self._outputs.get(variable.name, ()) if name != part.name
-        ]
+        same = self._outputs.get(variable.name, ())
+        outputs = [(name, v) for name, v in same if name != part.name]
         target = f"{part.name}.{variable.name}"
         if not outputs:
             if part.file is not None and variable.name not in OPTIONAL:
@@ -152,15 +146,12 @@ class Connector:
     ) -> None:
         """Check that shapes, types and units of both ends match."""
         ends = f"{place}{source} {_shape_and_unit(giving)} feeds {target} {_shape_and_unit(fed)}"
+        is_of_fmu = source.partition(".")[0] in self.parts
         if giving.shape != fed.shape:
-            hint = ""
-            if source.partition(".")[0] in self.parts:
-                item = fed.names()[0].removeprefix(fed.name)
-                source_item = giving.names()[0].removeprefix(giving.name)
-                hint = ", or [connect] must name elements, such as "
-                hint += f'"{target}{item}" = "{source}{source_item}"'
-            raise InputError(f"{ends}; must have the same shape{hint}")
-        can_ask = can_convert(giving, fed) and source.partition(".")[0] in self.parts
+            to, of = (v.names()[0].removeprefix(v.name) for v in (fed, giving))
+            hint = f', or [connect] must name elements, such as "{target}{to}" = "{source}{of}"'
+            raise InputError(f"{ends}; must have the same shape{hint * is_of_fmu}")
+        can_ask = can_convert(giving, fed) and is_of_fmu
         hint = f', or be asked for in [connect]: "{target}" = "convert({source})"' * can_ask
         if not (can_convert if converts else is_lossless)(giving, fed):
             raise InputError(
@@ -181,16 +172,17 @@ class Connector:
         part = self.parts.get(end.partition(".")[0])
         return part.interface.units or OUR_UNITS if part else {}
 
-    def unfed_message(self, instance: str, name: str) -> str:
-        """Return the error for an input that must be connected; it lists the candidates."""
+    def require(self, instance: str, name: str) -> None:
+        """Refuse an input that is not connected; the message lists the candidates."""
         _, variable = self._end(f"{instance}.{name}", "input")
-        outputs = [f"{p.name}.{v.name} {_shape_and_unit(v)}" for p in self.parts.values()
-                   if p.name != instance for v in p.interface.of("output")]  # fmt: skip
-        return (
-            f"{instance}.{name} {_shape_and_unit(variable)}: nothing feeds it; must be an output "
-            f"{name} of another FMU, or connected in [connect]; outputs: "
-            f"{', '.join(outputs) or 'none'}"
-        )
+        if not self.is_fed(instance, name):
+            outputs = [f"{p.name}.{v.name} {_shape_and_unit(v)}" for p in self.parts.values()
+                       if p.name != instance for v in p.interface.of("output")]  # fmt: skip
+            raise InputError(
+                f"{instance}.{name} {_shape_and_unit(variable)}: nothing feeds it; must be an "
+                f"output {name} of another FMU, or connected in [connect]; outputs: "
+                f"{', '.join(outputs) or 'none'}"
+            )
 
     def _connect(
         self, source: str, giving: Variable, target: str, fed: Variable, *, converts: bool = False
@@ -225,91 +217,3 @@ def _shape_and_unit(variable: Variable) -> str:
     """Shape and unit, as `(7) [rad]`."""
     shape = "x".join(map(str, variable.shape)) or "scalar"
     return f"({shape}) [{', '.join(dict.fromkeys(variable.units))}]"
-
-
-Array = NDArray[np.float64]
-EARLY: Final = 1e-9  # [s] by which a tick may be before the row that holds from its time on
-
-
-@dataclass(frozen=True, eq=False)
-class DrivenInput:
-    """An input over time: one row, or several at times that do not decrease.
-
-    A continuous Real is interpolated linearly, others are held from their row on; before the first
-    row and after the last, the input has these rows' values. At a jump, the later row counts.
-    """
-
-    scalar: Scalar
-    values: Sequence[Value]  # of each row
-    times: Array  # (n,) [s]
-
-    @property
-    def _is_interpolated(self) -> bool:
-        variable = self.scalar.variable
-        is_real = type_of(variable) in ("Float64", "Float32")
-        return is_real and variable.variability == "continuous" and len(self.values) > 1
-
-    def _rows(self, times: Array) -> Any:
-        """The last row up to each time; the first one before it."""
-        return (np.searchsorted(self.times, times + EARLY, side="right") - 1).clip(0)
-
-    def at_start(self, time: float) -> Value:
-        """Start value, for the time of the start [s]."""
-        at = np.array([time])
-        return (
-            float(self.sample(at)[0]) if self._is_interpolated else self.values[self._rows(at)[0]]
-        )
-
-    def sample(self, times: Array) -> Any:
-        """Values at some times, as rows hold them."""
-        if not self._is_interpolated:
-            column = [in_row(self.scalar, value) for value in self.values]
-            return [column[row] for row in self._rows(times)]
-        values, before = np.array(self.values), self._rows(times).clip(max=len(self.values) - 2)
-        t0, t1 = self.times[before], self.times[before + 1]
-        share = ((t1 - times) / np.where(t1 > t0, t1 - t0, 1.0)).clip(0.0, 1.0)
-        return share * values[before] + (1.0 - share) * values[before + 1]
-
-
-def driven_inputs(
-    scenario: Scenario, interfaces: Mapping[str, Interface]
-) -> dict[Name, DrivenInput]:
-    """Check the inputs of [inputs] and of its file against the FMUs; by FMU and scalar."""
-    by_fmu: dict[str, dict[str, ParameterValue]] = {}
-    for key, value in scenario.inputs.items():
-        if key != "file":
-            instance, name = _split(key, interfaces)
-            by_fmu.setdefault(instance, {})[name] = value
-    driven: dict[Name, DrivenInput] = {}
-    by_name = {i: {s.name: s for s in each.scalars()} for i, each in interfaces.items()}
-    for instance, values in by_fmu.items():
-        place = f"[inputs] {instance}"
-        for name, value in expand(place, interfaces[instance], values, "input").items():
-            driven[instance, name] = DrivenInput(by_name[instance][name], [value], np.zeros(1))
-    table = scenario.input_table
-    for key, cells in table.columns.items():
-        instance, name = _split(key, interfaces)
-        scalar, *others = targets(instance, interfaces[instance], by_name[instance], name, "input")
-        if others or (instance, scalar.name) in driven:
-            what = "has several elements" if others else "is in [inputs], too"
-            raise InputError(f"{table.place}: {key}: {what}; must be one element, given once")
-        place = f"{table.place}: {key}: row"
-        values_over_time = [
-            scalar.checked(f"{place} {row}", read_value(f"{place} {row}:", scalar.variable, cell))
-            for row, cell in enumerate(cells, 1)
-        ]
-        times = np.array(table.times)
-        driven[instance, scalar.name] = DrivenInput(scalar, values_over_time, times)
-    return driven
-
-
-def _split(key: str, interfaces: Mapping[str, Interface]) -> Name:
-    """FMU and variable that a key names; an FMU's name may have dots."""
-    fitting = [name for name in interfaces if key.startswith(f"{name}.")]
-    if not fitting:
-        raise InputError(
-            f"[inputs] {excerpt(key)}: no such FMU; valid: {', '.join(interfaces)}"
-            f"{did_you_mean(key.partition('.')[0], interfaces)}"
-        )
-    instance = max(fitting, key=len)
-    return instance, key.removeprefix(f"{instance}.")

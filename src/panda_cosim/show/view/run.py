@@ -173,7 +173,7 @@ def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> li
         if error.max(initial=0.0) >= CLEAR * max(_quanta(source, hand)):
             add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
     if _has(source, turn, ROLES["commanded_turn"]):
-        angle = _each_row(source, _angle, ROLES["commanded_turn"], turn)
+        angle = _each_row(source, rotations.angle_deg, ROLES["commanded_turn"], turn)
         if angle.max(initial=0.0) >= CLEAR * np.degrees(2 * max(_quanta(source, turn))):
             add("orientation error", "deg", "Angle of the hand from its command", angle)
     if against is not None and _has(source, hand) and _has(against, hand):
@@ -197,12 +197,6 @@ def _each_row(source: RunData, function: Callable[..., Array], *signals: str) ->
 
 def _distance(one: Array, other: Array) -> Array:
     return np.asarray(np.linalg.norm(one - other, axis=1))
-
-
-def _angle(commanded: Array, actual: Array) -> Array:
-    """Return the angle between orientations (n, 4) (w, x, y, z), (n,) [deg]."""
-    turn = rotations.log(rotations.multiply(commanded, rotations.conjugate(actual)))
-    return np.asarray(np.degrees(np.linalg.norm(turn, axis=1)))
 
 
 def _difference(source: RunData, other: RunData, signal: str) -> Array:

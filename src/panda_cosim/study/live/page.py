@@ -85,17 +85,18 @@ def page_of(session: Session) -> str:
     return live_page(f"{session.scenario.name} live", content)
 
 
-def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
+def _pushes(session: Session, model: Any) -> Iterator[dict[str, object]]:
     """Yield the bodies that can be dragged: arm, block, and all with an input `NAME_force`."""
-    if _is_given(session, PUSH):
+    given = session.inputs  # from outside
+    if PUSH in given:
         yield HAND
     for body in range(1, model.nbody):
         name = model.body(body).name
         force = BLOCK.get(name, re.sub(r"\W+", "_", name) + "_force")
         signal = f"plant.{force}"
-        if name in FORCES and _is_given(session, signal):
+        if name in FORCES and signal in given:
             yield {**HAND, "signal": signal, "bodies": [name]}
-        elif name and _is_given(session, signal):
+        elif name and f"{signal}[3]" in given:
             mass = float(model.body_subtreemass[body])
             yield {
                 "signal": signal,
@@ -104,13 +105,6 @@ def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
                 "damping": mass * SWING,
                 "limit": min(LOAD * mass, FORCE_MAX),
             }
-
-
-def _is_given(session: Session, signal: str) -> bool:
-    """Return whether a force (3,) is an external input."""
-    instance, _, name = signal.partition(".")
-    inputs = session.interfaces[instance].of("input") if instance in session.interfaces else ()
-    return any(v.name == name for v in inputs) and f"{signal}[3]" in session.signals
 
 
 def _model(session: Session) -> Any:
@@ -123,12 +117,12 @@ def _model(session: Session) -> Any:
                 "to show; `panda-cosim run` records it"
             )
         return load_model(str(kept))
-    plant: dict[str, Any] = session.parameters["plant"]
+    plant: Any = session.parameters["plant"]
     drawn = ("scene", "robot", "block_mass", "block_friction")
     return load_scene(PlantParameters(**{key: plant[key] for key in drawn}), drawn=True)
 
 
-def _about(session: Session) -> dict[str, Any]:
+def _about(session: Session) -> dict[str, object]:
     scenario, curves = session.scenario, shown_curves(CURVES, dict.fromkeys(session.signals, ""))
     facts = [f"{scenario.duration:.2f} s"]
     if session.is_panda:
@@ -146,25 +140,19 @@ def _about(session: Session) -> dict[str, Any]:
     }
 
 
-def _signals(session: Session) -> list[dict[str, Any]]:
-    scalars = {
-        f"{instance}.{scalar.name}": scalar
-        for instance, interface in session.interfaces.items()
-        for scalar in interface.scalars()
-    }
-    signals = []
-    names_of_numbers = list(session.numbers())[1:]
-    for signal, group in groupby(names_of_numbers, key=lambda name: name.partition("[")[0]):
-        names = list(group)
-        units = [scalars[name].unit for name in names]
-        words = scalars[names[0]].variable.description
-        signals.append(
-            {"name": signal, "columns": names, "units": units, "unit": units[0], "words": words}
-        )
+def _signals(session: Session) -> list[dict[str, object]]:
+    numbers, signals = session.numbers(), []
+    recorded = session.prepared.assembly.recorded(session.scenario.coupling)[1:]  # without time
+    columns = [column for column in recorded if column.name in numbers]
+    for signal, group in groupby(columns, key=lambda column: column.name.partition("[")[0]):
+        own = list(group)
+        about = {"unit": own[0].unit, "units": [column.unit for column in own]}
+        about |= {"columns": [column.name for column in own], "words": own[0].description}
+        signals.append({"name": signal, **about})
     return signals
 
 
-def plan(session: Session) -> dict[str, Any]:
+def plan(session: Session) -> dict[str, object]:
     """Return the commanded path and its waypoints in the world, as `Plan` in live/link.ts."""
     if session.scenario.is_system:
         return {"time": [], "points": [], "waypoints": []}

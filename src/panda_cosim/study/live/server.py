@@ -22,7 +22,7 @@ from functools import partial
 from html import escape
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -175,12 +175,12 @@ class LiveServer:
         """Send rows to all clients; called from the simulation's thread."""
         self._loop.call_soon_threadsafe(broadcast, self._viewers, rows.tobytes())
 
-    def status(self, status: dict[str, Any]) -> None:
+    def status(self, status: dict[str, object]) -> None:
         """Send the simulation's status to all clients; called from the simulation's thread."""
         self._status = status
         self._loop.call_soon_threadsafe(self._tell_status)
 
-    def plan(self, plan: dict[str, Any]) -> None:
+    def plan(self, plan: dict[str, object]) -> None:
         """Send a new commanded path to all clients; called from the simulation's thread."""
         self._plan = plan
         self._loop.call_soon_threadsafe(broadcast, self._viewers, json.dumps({"plan": plan}))

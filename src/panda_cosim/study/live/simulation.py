@@ -12,14 +12,14 @@ import zipfile
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, RootModel, ValidationError
 
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.step import Coupling
+from ...fmus.master.wiring import Array
 from ...run.folder import SCENARIO_FOLDER
 from ...run.journal import JOURNAL_FILE, Release, Set, first_problem
 from ...run.session import Session
@@ -27,6 +27,16 @@ from .page import offset_of, plan
 
 if TYPE_CHECKING:
     from .server import LiveServer
+
+
+ROW: Final = 0.01  # [s] least wall time between two rows
+REST: Final = 0.05  # [s] between two checks for commands while paused
+KEPT: Final = 6000  # rows kept for pages opened later
+LAG: Final = 0.25  # [s] behind the clock beyond which it does not catch up
+STATUS: Final = 0.25  # [s] between two reports of the status
+QUEUED: Final = 64  # commands
+TURN: Final = 8  # most commands between two rows
+OVER: Final = "the scenario is over; restart begins another run"
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Place = Annotated[Number, Field(ge=-10.0, le=10.0)]  # [m]
@@ -78,31 +88,19 @@ class Couple(_Command):
     coupling: Coupling
 
 
-Command = Annotated[
-    Act | Step | Speed | Set | Release | Drag | Keep | Couple,
-    Field(discriminator="do"),
-]
-_ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
+Command = Act | Step | Speed | Set | Release | Drag | Keep | Couple
+
+
+class _Message(RootModel[Annotated[Command, Field(discriminator="do")]]):
+    """What a page sends."""
 
 
 def parse_command(text: str | bytes) -> Command:
     """Read a command."""
     try:
-        return _ADAPTER.validate_json(text)
+        return _Message.model_validate_json(text).root
     except ValidationError as error:
         raise InputError(f"command: {first_problem(error)}") from None
-
-
-Array = NDArray[np.float64]
-
-ROW: Final = 0.01  # [s] least wall time between two rows
-REST: Final = 0.05  # [s] between two checks for commands while paused
-KEPT: Final = 6000  # rows kept for pages opened later
-LAG: Final = 0.25  # [s] behind the clock beyond which it does not catch up
-STATUS: Final = 0.25  # [s] between two reports of the status
-QUEUED: Final = 64  # commands
-TURN: Final = 8  # most commands between two rows
-OVER: Final = "the scenario is over; restart begins another run"
 
 
 def _row(session: Session) -> Array:
@@ -139,7 +137,7 @@ class Simulation:
                 self._told = time.monotonic()
                 server.status(self.status())
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> dict[str, object]:
         """The simulation's status, in the page's form."""
         session = self._session
         named = session.parameters.items()
@@ -147,7 +145,7 @@ class Simulation:
         return {
             "run": self._run,
             "playing": self._playing,
-            "over": self._is_over,
+            "over": self._session.is_over,
             "speed": self._speed,
             "coupling": session.coupling,
             "values": {name: values[name] for name in session.tunables},
@@ -156,7 +154,7 @@ class Simulation:
             "message": self._message,
         }
 
-    def plan(self) -> dict[str, Any]:
+    def plan(self) -> dict[str, object]:
         """The commanded path and its waypoints."""
         return plan(self._session)
 
@@ -168,10 +166,6 @@ class Simulation:
                 if path.is_file():
                     packed.write(path, Path(folder.name) / path.relative_to(folder))
         return archive.getvalue()
-
-    @property
-    def _is_over(self) -> bool:
-        return self._session.is_over
 
     def _anchor(self) -> None:
         """Restart the clock from here."""
@@ -200,7 +194,7 @@ class Simulation:
             self._playing, self._message = False, str(error)
             return
         self._show(server)
-        if self._is_over:
+        if self._session.is_over:
             outcome = self._session.close().summary.brief  # nothing is journalled from now on
             self._playing, self._message = False, f"the scenario is over: {outcome}"
 
@@ -222,10 +216,10 @@ class Simulation:
             try:
                 self._do(command, server)
             except CosimError as error:
-                if not (self._session.is_open or self._is_over):  # after a restart that failed
+                is_over = self._session.is_over
+                if not (self._session.is_open or is_over):  # after a restart that failed
                     raise
-                is_late = self._is_over and not isinstance(command, Keep)
-                refuse(OVER if is_late else str(error))
+                refuse(OVER if is_over and not isinstance(command, Keep) else str(error))
         return done
 
     def _do(self, command: Command, server: LiveServer) -> None:
@@ -267,7 +261,7 @@ class Simulation:
             for name in dict.fromkeys(held.partition("[")[0] for held in session.held):
                 if name.endswith("_force"):
                     session.release(name)
-        elif do == "play" and self._is_over:
+        elif do == "play" and session.is_over:
             raise InputError(OVER)
         else:
             self._playing = do == "play"

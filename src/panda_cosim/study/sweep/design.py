@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError, located
 from ...fmus.extras import needing
 from ...fmus.interface.parameters import ParameterValue, literal
-from ...run.prepare import CHUNK, prepare
+from ...run.inputs import CHUNK
+from ...run.prepare import prepare
 from ...run.start import start_values
 from ...task.files import parse_csv, read_text
 from ...task.scenario import Scenario

@@ -1,0 +1,145 @@
+"""The external inputs of a run, row by row."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..assets import STEP_SIZE
+from ..fmus.errors import InputError, did_you_mean
+from ..fmus.interface.plant import FORCES
+from ..fmus.interface.tables import INTERFACES
+from ..fmus.interface.types import in_row
+from ..fmus.master.wiring import Array
+from ..task.scenario import Scenario
+from .guarded import GuardedCommands
+from .start import StartValues, resolve
+from .system.assembly import Assembly
+
+CHUNK = 16_384  # ticks of inputs computed at a time; a whole hour would take 0.4 GB
+
+
+class Inputs:
+    """External inputs of a run, row by row: commands and pushes, and values held instead.
+
+    They are computed chunk by chunk, so that memory stays flat. Inputs that the scenario does not
+    give keep their start values.
+    """
+
+    def __init__(self, scenario: Scenario, values: StartValues, assembly: Assembly) -> None:
+        self._values, self._assembly = values, assembly
+        self._scalars = {".".join(name): assembly.scalars[name] for name in assembly.external}
+        self._columns = {name: column for column, name in enumerate(self._scalars)}
+        self._start = assembly.inputs_at_start(values)
+        self._of_plant = [i for i, (fmu, _) in enumerate(assembly.external) if fmu == "plant"]
+        self._scale = scenario.input_scale
+        self._from_time, self._step = assembly.start_time, scenario.step
+        self._held: dict[int, float] = {}
+        self.guarded = GuardedCommands()
+        self.shape = (scenario.ticks + 1, len(self._columns))  # instants, inputs
+        self.use(scenario)
+
+    # The scenario's values.
+
+    def use(self, scenario: Scenario) -> None:
+        """Take commands and pushes from a scenario."""
+        if not scenario.is_system:
+            self.guarded = GuardedCommands(resolve(scenario, self._values), self.guarded)
+            outputs = {f"{i}.{n.partition('[')[0]}" for i, names in self._assembly.outputs.items()
+                       for n in names}  # fmt: skip
+            for signal in self.guarded.signals - outputs:
+                raise InputError(f"column until: needs {signal}, which is no output of an FMU")
+        self._pushes, self._pushed, self.table = scenario.push, scenario.pushed, scenario.table
+        variables = [("plant", FORCES[body]) for body in scenario.pushed]
+        variables += [("controller", command) for command in scenario.commands]
+        names = [f"{i}.{n}" for i, v in variables for n in INTERFACES[i].variable(v).names()]
+        self._from = [i for i, name in enumerate(names) if name in self._columns]
+        self._to = [self._columns[names[i]] for i in self._from]
+        self._inputs_move = scenario.inputs_move
+        self._chunk = (-1, 0)  # first tick, and early ends of rows
+        self._part = np.empty((0, len(self._columns)))
+
+    def __getitem__(self, ticks: slice, /) -> Array:
+        """Return the rows of a range of ticks, cut off at the last one."""
+        start, stop, _ = ticks.indices(self.shape[0])
+        rows = np.empty((max(stop - start, 0), self.shape[1]), self._start.dtype)
+        for first in range(start - start % CHUNK, stop, CHUNK):
+            if (chunk := (first, len(self.guarded.ends))) != self._chunk:
+                self._chunk, self._part = chunk, self._computed(first, CHUNK)
+            low, high = max(start, first), min(stop, first + CHUNK)
+            rows[low - start : high - start] = self._part[low - first : high - first]
+        for column, value in self._held.items():
+            rows[:, column] = value
+        return rows
+
+    def at_start(self) -> Array:
+        """Return the row of the start (1, inputs)."""
+        return self._computed(0, 1)
+
+    def _computed(self, first: int, count: int) -> Array:
+        count = min(count, self.shape[0] - first)
+        rows, ticks = np.tile(self._start, (count, 1)), np.arange(first, first + count)
+        places = self.guarded.places(ticks) if self._inputs_move else ticks
+        for name, driven in self._assembly.driven.items():
+            times = self._from_time + self._step * places.astype(np.float64)
+            rows[:, self._columns[".".join(name)]] = driven.sample(times)
+        if self.guarded.trajectory is not None:
+            times = STEP_SIZE * ticks.astype(np.float64)
+            commands = self.guarded.commands(first, count)
+            scenario = np.hstack((self._forces(times), commands))
+            rows[:, self._to] = scenario[:, self._from]
+        if self._scale != 1.0:
+            rows[:, self._of_plant] *= self._scale
+        return rows
+
+    def _forces(self, times: Array) -> Array:
+        forces = np.zeros((len(times), len(self._pushed), 3))
+        for push in self._pushes:
+            active = (times >= push.start - STEP_SIZE / 2) & (
+                times < push.start + push.duration - STEP_SIZE / 2
+            )
+            forces[active, self._pushed.index(push.on)] += push.force
+        return forces.reshape(len(times), -1)
+
+    # Values held instead.
+
+    @property
+    def held(self) -> list[str]:
+        """Held scalars."""
+        return [scalar for scalar, column in self._columns.items() if column in self._held]
+
+    def hold(self, name: str, value: object) -> None:
+        """Hold `controller.pos_cmd` or one of its scalars: one value for all, or one each."""
+        names = self._named(name)
+        values = value if isinstance(value, list) else [value] * len(names)
+        if len(values) != len(names):
+            raise InputError(f"{name}: value of {len(values)} items; must be {len(names)} numbers")
+        scalars = [self._scalars[each] for each in names]
+        held = [in_row(s, s.checked(name, v)) for s, v in zip(scalars, values, strict=True)]
+        for column, content in zip(self.columns(name), held, strict=True):
+            self._held[column] = content + 0.0 if content == 0.0 else content  # no -0.0
+
+    def release(self, name: str) -> None:
+        """Give an input the scenario's values again."""
+        held = [column for column in self.columns(name) if column in self._held]
+        if not held:
+            raise InputError(f"{name}: is not held; `set` holds an input")
+        for column in held:
+            del self._held[column]
+
+    def columns(self, name: str) -> list[int]:
+        """Columns of an input."""
+        return [self._columns[scalar] for scalar in self._named(name)]
+
+    def _named(self, name: str) -> list[str]:
+        """Return the scalars of an input, or the one of that name."""
+        if name not in self:
+            valid = list(dict.fromkeys(n.partition("[")[0] for n in self._columns))
+            raise InputError(
+                f"{name}: is not an external input; valid: {', '.join(valid)}"
+                f"{did_you_mean(name, valid)}"
+            )
+        return [n for n in self._columns if name in (n, n.partition("[")[0])]
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether there is such an input."""
+        return any(name in (n, n.partition("[")[0]) for n in self._columns)
