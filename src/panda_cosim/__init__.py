@@ -13,55 +13,31 @@ The public names are imported when first used, so that `import panda_cosim` cost
 # `python -m panda_cosim` runs this while the working directory is still on sys.path (see __main__),
 # so only modules that Python has already imported may be imported here.
 TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
-    from panda_cosim.result.recording.reader import Recording
-    from panda_cosim.run.execution import run_scenario
-    from panda_cosim.run.options import Options
-    from panda_cosim.run.replay import replay
-    from panda_cosim.run.result import Run
-    from panda_cosim.run.session import Session
-    from panda_cosim.study.analysis.margins import Analysis, analyze
-    from panda_cosim.study.compare.between_runs import RunComparison, compare
-    from panda_cosim.study.sweep.definition import Sweep
-    from panda_cosim.study.sweep.engine import sweep
-    from panda_cosim.task.criteria import SignalCriterion, Success
-    from panda_cosim.task.scenario import (
-        Push,
-        Scenario,
-        load_scenario,
-        shipped_scenarios,
-    )
-    from panda_cosim.task.table import TableRow, TrajectoryTable
-    from panda_cosim.task.trajectory import Trajectory
-
-__all__ = [
-    "Analysis",
-    "CosimError",
-    "InputError",
-    "Options",
-    "Push",
-    "Recording",
-    "Run",
-    "RunComparison",
-    "Scenario",
-    "Session",
-    "SignalCriterion",
-    "SimulationError",
-    "Success",
-    "Sweep",
-    "TableRow",
-    "Trajectory",
-    "TrajectoryTable",
-    "__version__",
-    "analyze",
-    "compare",
-    "load_scenario",
-    "replay",
-    "run_scenario",
-    "shipped_scenarios",
-    "sweep",
-]
+if TYPE_CHECKING:  # what type checkers know of the names below
+    from panda_cosim.fmus.errors import CosimError as CosimError
+    from panda_cosim.fmus.errors import InputError as InputError
+    from panda_cosim.fmus.errors import SimulationError as SimulationError
+    from panda_cosim.result.recording.reader import Recording as Recording
+    from panda_cosim.run.execution import run_scenario as run_scenario
+    from panda_cosim.run.options import Options as Options
+    from panda_cosim.run.replay import replay as replay
+    from panda_cosim.run.result import Run as Run
+    from panda_cosim.run.session import Session as Session
+    from panda_cosim.study.analysis.margins import Analysis as Analysis
+    from panda_cosim.study.analysis.margins import analyze as analyze
+    from panda_cosim.study.compare.between_runs import RunComparison as RunComparison
+    from panda_cosim.study.compare.between_runs import compare as compare
+    from panda_cosim.study.sweep.definition import Sweep as Sweep
+    from panda_cosim.study.sweep.engine import sweep as sweep
+    from panda_cosim.task.criteria import SignalCriterion as SignalCriterion
+    from panda_cosim.task.criteria import Success as Success
+    from panda_cosim.task.scenario import Push as Push
+    from panda_cosim.task.scenario import Scenario as Scenario
+    from panda_cosim.task.scenario import load_scenario as load_scenario
+    from panda_cosim.task.scenario import shipped_scenarios as shipped_scenarios
+    from panda_cosim.task.table import TableRow as TableRow
+    from panda_cosim.task.table import TrajectoryTable as TrajectoryTable
+    from panda_cosim.task.trajectory import Trajectory as Trajectory
 
 _NAMES = {
     "fmus.errors": "CosimError InputError SimulationError",
@@ -87,6 +63,8 @@ def __getattr__(name: str) -> object:
     """Import a public name's module when the name is first used."""
     from importlib import import_module  # noqa: PLC0415 - see the comment above
 
+    if name == "__all__":
+        return __dir__()
     if name == "__version__":
         from importlib.metadata import version  # noqa: PLC0415 - see the comment above
 
@@ -98,4 +76,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """Return the public names, for completion."""
-    return sorted(__all__)
+    return sorted(["__version__", *_MODULES])

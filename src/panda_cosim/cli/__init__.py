@@ -13,12 +13,13 @@ import time
 
 from . import startup
 
+AGAIN = 0.05  # [s] after which a signal comes again, when other code runs
+
 
 class Terminated(BaseException):
     """SIGTERM arrived while no FMU was stepping."""
 
 
-AGAIN = 0.05  # [s] later, when other code runs
 INTERRUPTS = (KeyboardInterrupt, Terminated)
 
 

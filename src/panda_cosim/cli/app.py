@@ -10,7 +10,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Annotated, Any, NoReturn
+from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -22,6 +22,7 @@ from ..show.pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code, startup
 from .commands import COMMANDS, ELSEWHERE
 from .console import complain, show
+from .forms import flag
 
 MIN_COLUMNS = 20  # of a terminal
 HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
@@ -179,13 +180,10 @@ app = typer.Typer(
 @app.callback()
 def program(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
-    debug: Annotated[
-        bool,
-        typer.Option(
-            "--debug", help="Show the traceback of an error. Can stand anywhere in a command."
-        ),
-    ] = False,
+    version: bool = flag("--version", "Show the version."),
+    debug: bool = flag(
+        "--debug", "Show the traceback of an error. Can stand anywhere in a command."
+    ),
 ) -> None:
     """Show the version, or the help if no command is given; `Program.main` takes `--debug`."""
     del debug

@@ -28,7 +28,6 @@ FOLDED = 12  # characters to which a column that may wrap is narrowed at most
 COLUMN_GAP = 3  # characters between two columns
 LINE_INTERVAL = 5.0  # [s] between two lines of progress in a file
 LONGEST = 4000  # characters of an error
-DRAW_INTERVAL = 0.1  # [s] between two updates of a progress bar
 
 
 class QuietConsole(Console):
@@ -185,13 +184,10 @@ class Update:
 
 
 class _Bar(Update):
-    """Draws a bar, at most ten times a second."""
+    """Draws a bar."""
 
     def __init__(self, bar: Any, label: str) -> None:
-        self._bar = bar
-        self._task = bar.add_task(label, total=None)
-        self._drawn = 0.0
-        bar.refresh()
+        self._bar, self._task = bar, bar.add_task(label, total=None)
 
     def say(self, text: str, style: str | None = "dim") -> None:
         """Print a line above the bar."""
@@ -199,10 +195,7 @@ class _Bar(Update):
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` is done."""
-        self._bar.update(self._task, completed=done, total=total)
-        if done >= total or time.monotonic() - self._drawn >= DRAW_INTERVAL:
-            self._drawn = time.monotonic()
-            self._bar.refresh()
+        self._bar.update(self._task, completed=done, total=total, refresh=True)
 
 
 @contextmanager

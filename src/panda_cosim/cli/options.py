@@ -1,12 +1,10 @@
-"""Arguments and options shared by several commands, and how they are written."""
+"""Arguments and options shared by several commands, and what they stand for."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
-
-import typer
+from typing import Literal
 
 from ..fmus.build.platforms import PLATFORMS
 from ..fmus.errors import InputError, did_you_mean
@@ -14,32 +12,16 @@ from ..fmus.interface.parameters import ParameterValue, literal
 from ..fmus.sources.targets import Kind, Target, outdated
 from ..fmus.twins import IN_RUNS, notice
 from ..result.judging.checks import ARMS
-from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
+from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario
 from ..task.values import Values
 from .console import tell, warn
+from .forms import argument, flag, option, scenario_argument
 
 DEFAULT_SCENARIO = "pick_and_place"
 FmiVersion = Literal["2", "3"]
 Names = Literal["structured", "flat"]
 Robot = Literal["fer", "fr3"]
 Meshes = Literal["never", "auto", "always"]
-
-
-def option(form: str, words: str, default: Any = None, **more: Any) -> Any:
-    """Return an option of this form, such as `--out -o DIR`, with its help."""
-    names = [name for name in form.split() if name.startswith("-")]
-    metavar = " ".join(word for word in form.split() if word not in names) or None
-    return typer.Option(default, *names, metavar=metavar, help=words, **more)
-
-
-def argument(metavar: str, words: str, default: Any = ..., **more: Any) -> Any:
-    """Return an argument with its help; without a default, it is required."""
-    return typer.Argument(default, metavar=metavar, help=words, **more)
-
-
-def scenario_argument(words: str, default: Any = ...) -> Any:
-    """Return an argument that takes a scenario; the shell completes the shipped ones."""
-    return argument("SCENARIO", words, default, autocompletion=lambda: list(shipped_scenarios()))
 
 
 _NAME_OR_FOLDER = "Name of a shipped scenario, or a scenario's folder."
@@ -61,13 +43,11 @@ PLANT = option(
     "--plant FILE", "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file."
 )
 ROBOT = option("--robot", "Real robot whose limits count: the Panda is fer.")
-JSON = option("--json", "Print the result as JSON instead of tables.", False)
-OPEN_PAGE = option("--open", "Open the page in the browser.", False)
-OVERWRITE = option("--overwrite", "Also replace files that panda-cosim did not write.", False)
+JSON = flag("--json", "Print the result as JSON instead of tables.")
+OPEN_PAGE = flag("--open", "Open the page in the browser.")
+OVERWRITE = flag("--overwrite", "Also replace files that panda-cosim did not write.")
 MESHES = option(
-    "--meshes",
-    "Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are installed.",
-    "never",
+    "--meshes", "Draw the arm with meshes of MuJoCo Menagerie; auto: if they are there.", "never"
 )
 OUT_RUN = option("--out -o DIR", "New folder for the run. Default: one in runs/.")
 KIND = option(
@@ -82,15 +62,11 @@ PLATFORM = option(
     "machine's. Others need the extra `cross`.",
     "",
 )
-
-
 MUJOCO = option(
     "--mujoco VERSION", "MuJoCo version, such as 3.11.0. Default: the installed one.", ""
 )
 ENGINES = option("--mujoco LIST", "Versions of MuJoCo to run with, such as 3.10.0,3.17.0.", "")
-SCALARS = option(
-    "--scalars", "FMI 3.0 without arrays, for importers that read only scalars.", False
-)
+SCALARS = flag("--scalars", "FMI 3.0 without arrays, for importers that read only scalars.")
 NAMES = option("--names", "Names of elements: q[1,2], or q_1_2 for tools without brackets.",
                "structured")  # fmt: skip
 
@@ -148,6 +124,5 @@ def announce_python(kind: Kind = "auto", twins: Iterable[str] = IN_RUNS) -> None
 
 def announce_build(target: Target | None = None) -> None:
     """Print which FMUs are about to be built, if any."""
-    names = outdated(target=target)
-    if names:
+    if names := outdated(target=target):
         tell(f"Building {' and '.join(names)}: the cache has none for this version of the code ...")

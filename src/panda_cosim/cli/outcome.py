@@ -29,7 +29,7 @@ from ..result.recording import Recording
 from ..run.folder import claimed_folder
 from ..run.result import VIDEO_FILE, Run
 from ..show.pictures.gl import RenderError
-from ..show.pictures.motion import refuse_without_model
+from ..show.pictures.motion import position_columns
 from ..task.scenario import Scenario
 from . import INTERRUPTS
 from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
@@ -56,28 +56,27 @@ class Output:
     junit: Path | None
     json: bool  # instead of tables
     fps: float = 30.0  # of the video
+    realtime: bool = False  # nothing else is done meanwhile, and late steps are told
 
 
-def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
+def perform(
     scenario: Scenario,
     kind: Kind,
     output: Output,
     run: Callable[[Path, Progress], Run],
-    *,
-    early: bool = True,
-    values: Mapping[str, Any] | None = None,
-) -> Run:
-    """Run in a new folder; an error names the place of the recording.
+    values: Mapping[str, object] | None = None,
+) -> None:
+    """Run in a new folder, show the outcome, draw it, and exit with its exit code.
 
-    `early`: modules that are needed afterwards are imported while the FMUs step, and the scene of
-    these parameters, by FMU, is described.
+    Modules that are needed afterwards are imported while the FMUs step, and the scene of these
+    parameters, by FMU, is described.
     """
     if output.junit is not None:
         check_replaceable(output.junit)
     # No warning: an overflow leads to a value that is not finite, which is an error.
     warnings.simplefilter("ignore", RuntimeWarning)
     began = time.monotonic()
-    get_ready = cache(partial(_get_ready, output.view, values))
+    get_ready = cache(partial(meanwhile, partial(_get_ready, output.view, values)))
     with claimed_folder(output.out, scenario.name) as folder:
         if not scenario.is_system:
             announce_build(Target(kind))
@@ -86,10 +85,10 @@ def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
 
                 def hear(done: int, total: int) -> None:
                     update(done, total)
-                    if early:
+                    if not output.realtime:
                         get_ready()
 
-                return run(folder, hear)
+                done = run(folder, hear)
         except SimulationError as error:
             announce_python(kind)
             seconds = time.monotonic() - began
@@ -97,45 +96,48 @@ def simulate(  # noqa: PLR0913 - what a run is, and what is made of it
             kept = any(folder.glob("recording.*"))
             where = f"; the recording up to then is in {folder}" if kept else ""
             raise CosimError(f"{error}{where}") from error
+    conclude(done, output, ours=not scenario.has_own_parts)
 
 
-def _get_ready(view: bool, values: Mapping[str, Any] | None) -> None:
+def _get_ready(view: bool, values: Mapping[str, object] | None) -> None:
     """Import what closes and draws a run, and describe the scene that it shows."""
-
-    def load() -> None:
-        import_module("rich.table")
-        import_module("pyarrow.parquet")
-        if view:
-            page = import_module("..show.view.page", __package__)
-            if values is not None:
-                page.plant_model({"parameters": values})
-
-    meanwhile(load)
+    import_module("rich.table")
+    import_module("pyarrow.parquet")
+    if view:
+        page = import_module("..show.view.page", __package__)
+        if values is not None:
+            page.plant_model({"parameters": values})
 
 
-def conclude(done: Run, output: Output, *, ours: bool, realtime: bool = False) -> None:
+def conclude(done: Run, output: Output, *, ours: bool) -> None:
     """Show a finished run, draw its pictures, and exit with its exit code; `ours`: all FMUs are."""
-    for message in dict.fromkeys(done.warnings):
+    told = list(dict.fromkeys(done.warnings))
+    for message in told:
         warn(message)
     summary = done.summary
     seconds = summary.timing.get("wall_s") or 0.0
     write_case(output.junit, "run", summary.scenario, seconds, summary.verdict, summary.detail)
     if done.signal:
-        name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
+        name, end = signal.Signals(done.signal).name, summary.timing["simulated_s"]
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
     else:
         if not output.json:
             if done.summary.criteria:
                 show(verdict_table(done.summary))
             for text, style in outcome_lines(
-                done.summary, done.recording, realtime=realtime, ours=ours
+                summary, done.recording, realtime=output.realtime, ours=ours
             ):
                 show(text, style)
         draw_view(output, done)
         for path in chain(_files(done), _draw(done, output)):
             if not output.json:
                 show_file(path)
-    _end(done, output)
+    if output.json:
+        files = [path.name for path in _files(done)]
+        about = {"folder": done.folder, "files": files, "exit_code": done.exit_code}
+        show_json({**about, "warnings": told, "summary": done.summary.to_dict()})
+    if done.exit_code:
+        raise typer.Exit(done.exit_code)
 
 
 def _files(done: Run) -> list[Path]:
@@ -159,10 +161,9 @@ def draw_view(output: Output, done: Run) -> None:
 
 def _is_drawable(done: Run) -> bool:
     try:
-        refuse_without_model(done.recording)
+        return bool(position_columns(done.recording))
     except InputError:
         return False
-    return "plant.qpos" in done.recording
 
 
 def _draw(done: Run, output: Output) -> Iterator[Path]:
@@ -189,22 +190,6 @@ def _drawing(done: Run) -> Iterator[None]:
     except INTERRUPTS:
         warn(f"interrupted while drawing; recording and summary are in {done.folder}")
         raise
-
-
-def _end(done: Run, output: Output) -> None:
-    """Print the results and exit with the exit code."""
-    if output.json:
-        show_json(
-            {
-                "folder": done.folder,
-                "files": [path.name for path in _files(done)],
-                "exit_code": done.exit_code,
-                "warnings": list(dict.fromkeys(done.warnings)),
-                "summary": done.summary.to_dict(),
-            }
-        )
-    if done.exit_code:
-        raise typer.Exit(done.exit_code)
 
 
 def write_case(  # noqa: PLR0913 - what the file says
@@ -234,24 +219,17 @@ def outcome_lines(
     yield summary.headline, LEVELS[summary.verdict.level]
     yield _speed_line(summary), ""
     for end in summary.row_ends:
-        name, at = f"Row {end['row']} ({end['until']})", end["ended_s"]
-        yield (
-            (f"{name} never ended early", "yellow")
-            if at is None
-            else (f"{name} ended early, at t = {at:.3f} s", "")
-        )
+        at = end["ended_s"]
+        how = "never ended early" if at is None else f"ended early, at t = {at:.3f} s"
+        yield f"Row {end['row']} ({end['until']}) {how}", "yellow" if at is None else ""
     for line in advise(recording, summary, ours=ours):
         yield line, STYLES["hint"]
     for level, text in refusals(summary.preflight, complete=summary.complete):
         yield text, STYLES[level]
     if realtime:
         timing = summary.timing
-        late = f"{timing['worst_lateness_s'] * 1e3:.1f} ms"
-        yield (
-            f"Real time: {timing['overruns']} of {timing['steps']} steps were late, the latest by "
-            f"{late}",
-            "",
-        )
+        late = f"{timing['overruns']} of {timing['steps']} steps were late"
+        yield f"Real time: {late}, the latest by {timing['worst_lateness_s'] * 1e3:.1f} ms", ""
 
 
 def _speed_line(summary: Summary) -> str:

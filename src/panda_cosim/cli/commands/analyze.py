@@ -20,6 +20,7 @@ from ...task.files import marked_json
 from ...task.scenario import Scenario
 from ...task.values import Values
 from ..console import show, show_json, table, tell, warn
+from ..forms import option
 from ..options import (
     CONTROLLER,
     JSON,
@@ -28,7 +29,6 @@ from ..options import (
     SCENARIO_OR_DEFAULT,
     SETTINGS,
     find_scenario,
-    option,
     values_of,
 )
 
@@ -52,7 +52,7 @@ def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO_OR_DEFAULT,
     at: str = option(
         "--at TIME",
-        "Instant of the run: seconds, or an event such as grasp or 'release + 0.5'.",
+        "Instant of the run: seconds, or an event, as grasp or 'release + 0.5'.",
         "start",
     ),
     loop: str = option(
@@ -96,8 +96,7 @@ def command(  # noqa: PLR0913 - one for each option
         "scenario": first.scenario, "folder": out, "at": first.at, "left_out": LEFT_OUT,
         "remarks": first.remarks, "variants": variants, "model": model,
     }  # fmt: skip
-    text = to_json(content, inf_nan_mode="null").decode()
-    write_whole(files[0], marked_json(text))
+    write_whole(files[0], marked_json(to_json(content, inf_nan_mode="null").decode()))
     with replacing(files[1]) as path:
         plot_analysis(first, variants, path, MARK)
     with replacing(files[2]) as path:

@@ -12,7 +12,8 @@ from ...fmus.sources.targets import Kind
 from ...study.benchmark import LABELS, RATIOS, BenchResult, bench
 from ...task.files import marked_json
 from ..console import show, table, tell
-from ..options import KIND, OVERWRITE, announce_python, option
+from ..forms import option
+from ..options import KIND, OVERWRITE, announce_python
 
 
 def command(

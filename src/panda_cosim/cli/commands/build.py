@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -27,6 +27,7 @@ from ...study.check.embedding import add_experiment, experiments_of, write_compa
 from ...study.check.experiments import Experiment
 from ...task.scenario import Scenario
 from ..console import show_file, warn
+from ..forms import argument, flag, option
 from ..options import (
     DEFAULT_SCENARIO,
     FMI,
@@ -40,9 +41,7 @@ from ..options import (
     Names,
     announce_build,
     announce_python,
-    argument,
     find_scenario,
-    option,
     target_of,
 )
 
@@ -56,10 +55,9 @@ def command(  # noqa: PLR0913 - one for each option
         "Scenario to build: its FMUs, and Panda.ssp with its connections and parameters.",
         DEFAULT_SCENARIO,
     ),
-    container: bool = option(
+    container: bool = flag(
         "--container",
         "Build only Panda.fmu, which contains the whole system. Needs the extra `container`.",
-        False,
     ),
     kind: Kind = KIND,
     fmi: FmiVersion = FMI,
@@ -68,14 +66,11 @@ def command(  # noqa: PLR0913 - one for each option
     names: Names = NAMES,
     mujoco: str = MUJOCO,
     slave: str = option(
-        "--slave FILE.py[:CLASS]",
-        "Build only this: a slave class of your own, written for PythonFMU.",
-        "",
+        "--slave FILE.py[:CLASS]", "Build only this slave of your own, written for PythonFMU.", ""
     ),
-    compatibility: bool = option(
+    compatibility: bool = flag(
         "--compatibility",
         "Add a folder for each FMU, with the files that the FMI cross-check asks for.",
-        False,
     ),
     overwrite: bool = OVERWRITE,
 ) -> None:
@@ -104,9 +99,7 @@ def command(  # noqa: PLR0913 - one for each option
         for name in (name for name, is_used in others.items() if is_used):
             raise InputError(f"{name}: cannot be combined with --slave")
         fmu = _slave(slave)
-        path = out / f"{fmu.model}.fmu"
-        check_replaceable(path, overwrite=overwrite)
-        write_files({path: _made(fmu, target)}, {}, compatibility=compatibility)
+        build = Build({out / f"{fmu.model}.fmu": _made(fmu, target)})
     else:
         chosen = find_scenario(scenario)
         if mujoco:
@@ -114,35 +107,38 @@ def command(  # noqa: PLR0913 - one for each option
         if not chosen.is_system:
             announce_build(target)
             announce_python(kind, [name for name in FMUS if name not in chosen.fmus])
-        build = _build_container if container else build_all
-        build(chosen, out, target, compatibility=compatibility, overwrite=overwrite)
+        build = (_container_of if container else build_of)(chosen, out, target)
+    build.write(compatibility=compatibility, overwrite=overwrite)
 
 
 Make = Callable[[Path], object]  # writes a file
 
 
-def write_files(
-    files: Mapping[Path, Make],
-    experiments: Mapping[Path, Experiment],
-    *,
-    compatibility: bool = False,
-) -> None:
-    """Write files, FMUs with an experiment each; they replace older ones when all are whole."""
-    whole: dict[Path, Experiment] = {}
-    with ExitStack() as stack:
-        for path, make in files.items():
-            make(new := stack.enter_context(replacing(path)))
-            if path.suffix == ".fmu":
-                try:
-                    whole[path] = add_experiment(new, experiments.get(path))
-                except CosimError as error:
-                    reason = str(error).replace(str(new), str(path))
-                    warn(f"{path}: holds no reference experiment, as it cannot be run here: "
-                         f"{reason}")  # fmt: skip
-    for path in files:
-        if compatibility and path in whole:
-            write_compatibility(path, whole[path])
-        show_file(path)
+@dataclass(frozen=True)
+class Build:
+    """Files to write, FMUs with an experiment each, and how the scenario's drive them."""
+
+    files: Mapping[Path, Make]
+    experiments: Callable[[], Mapping[Path, Experiment]] = dict  # a scenario is run for them
+
+    def write(self, *, compatibility: bool = False, overwrite: bool = False) -> None:
+        """Write the files; they replace older ones when all are whole."""
+        check_replaceable(*self.files, overwrite=overwrite)
+        experiments, whole = self.experiments(), {}
+        with ExitStack() as stack:
+            for path, make in self.files.items():
+                make(new := stack.enter_context(replacing(path)))
+                if path.suffix == ".fmu":
+                    try:
+                        whole[path] = add_experiment(new, experiments.get(path))
+                    except CosimError as error:
+                        reason = str(error).replace(str(new), str(path))
+                        lacks = "holds no reference experiment, as it cannot be run here"
+                        warn(f"{path}: {lacks}: {reason}")
+        for path in self.files:
+            if compatibility and path in whole:
+                write_compatibility(path, whole[path])
+            show_file(path)
 
 
 def _made(fmu: NativeFmu, target: Target) -> Make:
@@ -157,42 +153,31 @@ def _slave(slave: str) -> NativeFmu:
     return slave_fmu(Path(f"{file}.py"), name[1:])
 
 
-def build_all(
-    scenario: Scenario,
-    out: Path,
-    target: Target | None = None,
-    *,
-    compatibility: bool = False,
-    overwrite: bool = True,
-) -> None:
+def build_of(scenario: Scenario, out: Path, target: Target) -> Build:
     """Build a scenario as FMUs, one of which plays its inputs, and Panda.ssp."""
-    system = written_system(scenario, target or Target())
-    paths = {out / each.file_name: name for name, each in system.components.items()}
-    check_replaceable(*paths, out / SYSTEM_FILE, overwrite=overwrite)
+    system = written_system(scenario, target)
+    paths = {name: out / each.file_name for name, each in system.components.items()}
     files: dict[Path, Make] = {
-        path: partial(shutil.copyfile, system.components[name].file) for path, name in paths.items()
+        path: partial(shutil.copyfile, system.components[name].file) for name, path in paths.items()
     }
     files[out / SYSTEM_FILE] = lambda path: write_ssp(path, system)
-    found = experiments_of(scenario)
-    experiments = {path: found[name] for path, name in paths.items() if name in found}
-    write_files(files, experiments, compatibility=compatibility)
+
+    def experiments() -> dict[Path, Experiment]:
+        return {paths[name]: each for name, each in experiments_of(scenario).items()}
+
+    return Build(files, experiments)
 
 
-def _build_container(
-    scenario: Scenario, out: Path, target: Target, *, compatibility: bool, overwrite: bool
-) -> None:
+def _container_of(scenario: Scenario, out: Path, target: Target) -> Build:
     """Build a scenario as one FMU."""
-    check_replaceable(out / CONTAINER_FILE, overwrite=overwrite)
     system = written_system(scenario, replace(target, fmi=2))
-    make = partial(write_container, system=system, fmi=target.fmi)
-    write_files({out / CONTAINER_FILE: make}, {}, compatibility=compatibility)
+    return Build({out / CONTAINER_FILE: partial(write_container, system=system, fmi=target.fmi)})
 
 
 def mjcf2fmu(  # noqa: PLR0913 - one for each option
     models: list[Path] = argument("MODEL.xml...", "MJCF, MJB or URDF files."),
     out: Path | None = option(
-        "--out -o PATH",
-        "File NAME.fmu to write, or a folder. Default: MODEL.fmu in this folder.",
+        "--out -o PATH", "File NAME.fmu to write, or a folder. Default: MODEL.fmu in this folder."
     ),
     fmi: FmiVersion = FMI,
     platform: str = PLATFORM,
@@ -210,15 +195,12 @@ def mjcf2fmu(  # noqa: PLR0913 - one for each option
     ),
     parameters: list[str] | None = option(
         "--parameter SOURCE",
-        'Further parameter, such as "body hand mass", "qpos" or "geom box friction"; may be '
-        "repeated.",
+        'Further parameter, such as "body hand mass" or "geom box friction"; may be repeated.',
     ),
     interface: Path | None = option(
         "--interface FILE.toml", "Interface file, as written by --print-interface."
     ),
-    print_interface: bool = option(
-        "--print-interface", "Print the interface as TOML and stop.", False
-    ),
+    print_interface: bool = flag("--print-interface", "Print the interface as TOML and stop."),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Build an FMU from any MuJoCo model, without run-time dependencies.
@@ -256,9 +238,8 @@ def mjcf2fmu(  # noqa: PLR0913 - one for each option
     target = target_of("native", fmi, platform, scalars=scalars, names=names)
     target = replace(target, mujoco=check_engine(mujoco))
     paths = _paths(models, out)
-    check_replaceable(*paths.values(), overwrite=overwrite)
     fmus = {path: model_fmu(model, options, path.stem, warn) for model, path in paths.items()}
-    write_files({path: _made(fmu, target) for path, fmu in fmus.items()}, {})
+    Build({path: _made(fmu, target) for path, fmu in fmus.items()}).write(overwrite=overwrite)
 
 
 def _paths(models: Sequence[Path], out: Path | None) -> dict[Path, Path]:

@@ -13,16 +13,8 @@ from ...study.check.diagnosis import check_folder
 from ...study.check.experiments import check_experiments
 from ...task.scenario import shipped_scenarios
 from ..console import show, show_json
-from ..options import (
-    CONTROLLER,
-    JSON,
-    PLANT,
-    ROBOT,
-    SETTINGS,
-    Robot,
-    scenario_argument,
-    values_of,
-)
+from ..forms import scenario_argument
+from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, Robot, values_of
 from ..outcome import STYLES
 
 

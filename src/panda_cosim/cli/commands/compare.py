@@ -9,7 +9,8 @@ from ...fmus.errors import InputError
 from ...study.compare.between_runs import RunComparison, compare
 from ...study.compare.wording import signal_names
 from ..console import as_cell, show, show_json, table
-from ..options import JSON, OVERWRITE, argument, option
+from ..forms import argument, option
+from ..options import JSON, OVERWRITE
 
 SHOWN = 8  # rows of a table
 PAGE = "compare.html"

@@ -9,9 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import requires, version
-from typing import Annotated, Literal, NamedTuple
-
-import typer
+from typing import Literal, NamedTuple
 
 from ...fmus.atomic import cache_folder
 from ...fmus.build.libraries import BACKENDS, compiler, is_prebuilt
@@ -20,11 +18,12 @@ from ...fmus.errors import CosimError
 from ...fmus.extras import last_python
 from ...fmus.twins import LONGER, changed, notice
 from ..console import as_cell, show, show_json, table, tell
+from ..forms import flag
 
 State = Literal["ok", "optional", "needed"]
 
-# Not `options.Json`: this command must start without numpy, which `options` imports.
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
+# Not that of `options`: this command must start without numpy, which `options` imports.
+JSON = flag("--json", "Print the result as JSON instead of tables.")
 STATES = {
     "ok": "[green]ok[/green]",
     "optional": "[yellow]--[/yellow]",
@@ -45,7 +44,7 @@ class Finding(NamedTuple):
     remedy: str = ""  # how to get it
 
 
-def command(json: Json = False) -> None:
+def command(json: bool = JSON) -> None:
     """Show what is installed, what is missing, and how to get it.
 
     Exit code 0: scenarios can be run and recorded, even if something for pictures or other tools is
@@ -63,14 +62,10 @@ def command(json: Json = False) -> None:
         listed = [finding._asdict() for finding in findings]
         show_json({"ready": not missing, "findings": listed})
     else:
-        rows = [
-            (
-                STATES[state],
-                what,
-                as_cell(detail) + (f"\n[bold]{as_cell(remedy)}" if remedy else ""),
-            )
-            for what, state, detail, remedy in findings
-        ]
+        rows = []
+        for what, state, detail, remedy in findings:
+            found = [as_cell(detail), *([f"[bold]{as_cell(remedy)}"] if remedy else [])]
+            rows.append((STATES[state], what, "\n".join(found)))
         show(table(("", "what*", "found*"), rows))
     if missing:
         raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}")

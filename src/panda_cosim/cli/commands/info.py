@@ -21,7 +21,8 @@ from ...run.system.assembly import assemble, system_scenario
 from ...run.system.parts import UnreadSlaveError
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ..console import as_cell, show, show_json, table
-from ..options import JSON, announce_python, argument, option
+from ..forms import argument, flag
+from ..options import JSON, announce_python
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
 LATE = "a step late"
@@ -36,7 +37,7 @@ def command(
         None,
         show_default=False,
     ),
-    markdown: bool = option("--markdown", "Print the variables as a Markdown table.", False),
+    markdown: bool = flag("--markdown", "Print the variables as a Markdown table."),
     json: bool = JSON,
 ) -> None:
     """Show the FMUs' variables and how they are connected.
@@ -131,16 +132,10 @@ def _quoted(text: str) -> str:
 
 def _described(
     interfaces: Mapping[str, Interface], connections: Iterable[Connection]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return all variables of some instances, and the connections from or to them."""
-    fmus = {
-        name: {
-            "model": interface.model,
-            "description": interface.description,
-            "variables": interface.variables,
-        }
-        for name, interface in interfaces.items()
-    }
+    about = ("model", "description", "variables")
+    fmus = {name: {key: getattr(i, key) for key in about} for name, i in interfaces.items()}
     wires = [
         {"from": ".".join(c.source), "to": ".".join(c.target)}
         for c in connections

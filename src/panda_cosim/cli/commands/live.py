@@ -16,6 +16,7 @@ from ...study.live.server import LOCAL, LiveServer, opened
 from ...study.live.simulation import Simulation
 from .. import ending
 from ..console import show, warn
+from ..forms import flag, option
 from ..options import (
     KIND,
     OPEN_PAGE,
@@ -24,7 +25,6 @@ from ..options import (
     SETTINGS,
     announce_build,
     find_scenario,
-    option,
     values_of,
 )
 
@@ -42,7 +42,7 @@ def command(  # noqa: PLR0913 - one for each option
         LOCAL,
     ),
     kind: Kind = KIND,
-    paused: bool = option("--paused", "Start paused, at t = 0 s.", False),
+    paused: bool = flag("--paused", "Start paused, at t = 0 s."),
     open_page: bool = OPEN_PAGE,
 ) -> None:
     """Run a scenario in real time, and interact with it in the browser.

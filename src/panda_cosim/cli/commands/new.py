@@ -11,17 +11,8 @@ from ...task.files import as_argument
 from ...task.scenario import TABLE_FILE, Scenario, shipped_scenarios
 from ...task.writer import make_scenario, write_input_csv
 from ..console import show, show_json, table
-from ..options import (
-    CSV_FILE,
-    JSON,
-    OVERWRITE,
-    SCENARIO,
-    SETTINGS,
-    argument,
-    find_scenario,
-    option,
-    values_of,
-)
+from ..forms import argument, flag, option
+from ..options import CSV_FILE, JSON, OVERWRITE, SCENARIO, SETTINGS, find_scenario, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -30,14 +21,10 @@ def command(  # noqa: PLR0913 - one for each option
         "--from SCENARIO",
         "Copy a shipped scenario, without its reference; or run the experiment in an X.fmu.",
     ),
-    law: bool = option(
-        "--law --controller", "Add a control law in Python, for you to edit.", False
-    ),
-    plant: bool = option(
-        "--plant", "Add a scene of your own with one more body, for you to edit.", False
-    ),
-    slave: bool = option("--slave", "Add a slave for PythonFMU, which blows at the hand.", False),
-    sweep: bool = option("--sweep", "Add a sweep, which `regress` judges, too.", False),
+    law: bool = flag("--law --controller", "Add a control law in Python, for you to edit."),
+    plant: bool = flag("--plant", "Add a scene of your own with one more body, for you to edit."),
+    slave: bool = flag("--slave", "Add a slave for PythonFMU, which blows at the hand."),
+    sweep: bool = flag("--sweep", "Add a sweep, which `regress` judges, too."),
 ) -> None:
     """Create a scenario of your own, ready to run.
 

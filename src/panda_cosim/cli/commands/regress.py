@@ -37,17 +37,8 @@ from ...task.fields import check_rules
 from ...task.scenario import Scenario
 from ...task.values import Values
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
-from ..options import (
-    ENGINES,
-    JSON,
-    KIND,
-    OVERWRITE,
-    SETTINGS,
-    announce_python,
-    argument,
-    option,
-    values_of,
-)
+from ..forms import argument, flag, option
+from ..options import ENGINES, JSON, KIND, OVERWRITE, SETTINGS, announce_python, values_of
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES = {"good": "green", "warn": "yellow", "bad": "bold red"}  # of the levels of a verdict
@@ -66,16 +57,13 @@ def command(  # noqa: PLR0913 - one for each option
     report: Path | None = option(
         "--report DIR", "Write report.html and junit.xml there, and keep the runs that differ."
     ),
-    update: bool = option(
+    update: bool = flag(
         "--update",
         "Record the results as new references. Lists the changes, also in a page, and asks first.",
-        False,
     ),
     assignments: list[str] | None = SETTINGS,
-    exact: bool = option(
-        "--exact",
-        "Require the same bits. Use it only on the same machine, with the same versions.",
-        False,
+    exact: bool = flag(
+        "--exact", "Require the same bits. Use it only on the same machine, with the same versions."
     ),
     folder: Path | None = option(
         "--scenarios DIR",
@@ -89,7 +77,7 @@ def command(  # noqa: PLR0913 - one for each option
     overwrite: bool = OVERWRITE,
     kind: Kind = KIND,
     mujoco: str = ENGINES,
-    yes: bool = option("--yes -y", "With --update: do not ask.", False),
+    yes: bool = flag("--yes -y", "With --update: do not ask."),
     json: bool = JSON,
 ) -> None:
     """Run scenarios and compare each with its reference.

@@ -19,7 +19,8 @@ from ...show.view.run import Shown
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
 from ..console import show, show_file, tell
-from ..options import CSV_FILE, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, option
+from ..forms import option
+from ..options import CSV_FILE, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes
 from ..outcome import PLOTTING, TILING, draw_video
 
 
@@ -29,9 +30,7 @@ def command(  # noqa: PLR0913 - one for each option
         "--out -o DIR", "Folder for the pictures. Default: the folder of the run."
     ),
     camera: str = option(
-        "--camera NAME",
-        "Camera: overview, closeup, front, or another one of the plant's model.",
-        "overview",
+        "--camera NAME", "Camera: overview, closeup, front, or another of the model.", "overview"
     ),
     size: str = option("--size WxH", "Size of the video [px]; even numbers.", "640x480"),
     fps: float = option("--fps HZ", "Frames per second.", 30.0),
@@ -68,8 +67,7 @@ def command(  # noqa: PLR0913 - one for each option
 def plot(
     run: Path = RUN,
     out: Path | None = option(
-        "--out -o FILE.png|DIR",
-        f"File to write, or the folder for {PLOT_FILE}. Default: the run's folder.",
+        "--out -o FILE.png|DIR", f"File, or folder of {PLOT_FILE}. Default: the run's folder."
     ),
     overwrite: bool = OVERWRITE,
 ) -> None:

@@ -17,7 +17,8 @@ from ...task.table import TrajectoryTable
 from ...task.timing.demand import Shares
 from ...task.writer import write_scenario
 from ..console import show, table, tell
-from ..options import ROBOT, SCENARIO, SETTINGS, Robot, arm_of, find_scenario, option, values_of
+from ..forms import flag, option
+from ..options import ROBOT, SCENARIO, SETTINGS, Robot, arm_of, find_scenario, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -31,7 +32,7 @@ def command(  # noqa: PLR0913 - one for each option
         min=0.1,
         max=1.0,
     ),
-    keep_times: bool = option("--keep-times", "Only slow down rows that exceed the share.", False),
+    keep_times: bool = flag("--keep-times", "Only slow down rows that exceed the share."),
     robot: Robot | None = ROBOT,
     assignments: list[str] | None = SETTINGS,
 ) -> None:

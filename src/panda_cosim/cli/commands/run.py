@@ -15,6 +15,7 @@ from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.stopping import stopping_on_signals
 from ...task.scenario import Scenario
+from ..forms import argument, flag, option, scenario_argument
 from ..options import (
     CONTROLLER,
     DEFAULT_SCENARIO,
@@ -24,30 +25,24 @@ from ..options import (
     OUT_RUN,
     PLANT,
     SETTINGS,
-    argument,
     find_scenario,
-    option,
-    scenario_argument,
     values_of,
 )
-from ..outcome import Output, Progress, conclude, draw_view, simulate
+from ..outcome import Output, Progress, draw_view, perform
 
 VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
 FPS = option("--fps HZ", "Frames per second of the video; 60 takes twice as long.", 30.0, min=1)
 PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
 VIEW = option("--view/--no-view", "Write the page that shows the run in 3D.", True)
-ISOLATE = option(
-    "--isolate",
-    "Run each FMU in a process of its own, so that a crash ends only that process.",
-    False,
+ISOLATE = flag(
+    "--isolate", "Run each FMU in a process of its own, so that a crash ends only that process."
 )
 STEP_TIMEOUT = option(
     "--step-timeout SECONDS", "With --isolate: stop the run if an FMU takes longer for one step."
 )
 MASTER = option(
     "--master NAME",
-    "What steps the FMUs: kernel, in C where it can, or fmpy, always by FMPy's methods. Both give "
-    "the same bits.",
+    "What steps the FMUs, with equal bits: kernel, in C where it can, or fmpy, by FMPy's methods.",
     "kernel",
 )
 JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
@@ -55,9 +50,7 @@ JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
 
 def command(  # noqa: PLR0913 - one for each option
     scenario: str | None = scenario_argument(
-        "Name of a shipped scenario, a scenario's folder, or an .ssp file. Default: "
-        f"{DEFAULT_SCENARIO}.",
-        None,
+        f"Name of a shipped scenario, a folder, or an .ssp file. Default: {DEFAULT_SCENARIO}.", None
     ),
     out: Path | None = OUT_RUN,
     assignments: list[str] | None = SETTINGS,
@@ -67,7 +60,7 @@ def command(  # noqa: PLR0913 - one for each option
         "Overrides the scenario's coupling: gauss-seidel, jacobi (the controller's output acts one "
         "tick later) or iterated.",
     ),
-    realtime: bool = option("--realtime", "Run in real time, paced by the wall clock.", False),
+    realtime: bool = flag("--realtime", "Run in real time, paced by the wall clock."),
     video: bool = VIDEO,
     fps: float = FPS,
     plot: bool | None = PLOT,
@@ -103,7 +96,7 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     options = Options(
-        realtime=1.0 if realtime else 0.0,
+        realtime=float(realtime),
         isolate=isolate,
         step_timeout=step_timeout,
         kind=kind,
@@ -114,17 +107,14 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
     values = values_of(assignments, controller, plant, coupling=coupling, mujoco=mujoco or None)
     prepared = prepare(chosen.changed(values), options)  # refuses bad input
-    output = Output(out, video, plot, view, junit, json, fps)
+    output = Output(out, video, plot, view, junit, json, fps, realtime)
 
     def run(folder: Path, update: Progress) -> Run:
         with stopping_on_signals() as stop, Execution(prepared, folder) as execution:
-            execution.advance(execution.ticks, stop, update)
-            draw = partial(draw_view, output)
-            return execution.close(stop=stop, meanwhile=draw)
+            execution.advance(stop=stop, progress=update)
+            return execution.close(stop=stop, meanwhile=partial(draw_view, output))
 
-    early, parameters = not realtime, prepared.values
-    done = simulate(prepared.scenario, kind, output, run, early=early, values=parameters)
-    conclude(done, output, ours=not prepared.scenario.has_own_parts, realtime=realtime)
+    perform(prepared.scenario, kind, output, run, prepared.values)
 
 
 def replay(  # noqa: PLR0913 - one for each option
@@ -158,8 +148,7 @@ def replay(  # noqa: PLR0913 - one for each option
     def repeat(folder: Path, update: Progress) -> Run:
         return journal.replay(run, folder, options, progress=update)
 
-    done = simulate(scenario, options.kind, output, repeat)
-    conclude(done, output, ours=not scenario.has_own_parts)
+    perform(scenario, options.kind, output, repeat)
 
 
 def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:

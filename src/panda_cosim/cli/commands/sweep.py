@@ -27,7 +27,8 @@ from ...study.sweep.row import STATUSES, UNJUDGED
 from ...study.sweep.store import Store
 from ...task.fields import check_rules
 from ..console import progress, show, show_file, show_json, table, tell, warn
-from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
+from ..forms import argument, option
+from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build
 from ..outcome import write_case
 
 SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)

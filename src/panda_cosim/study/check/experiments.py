@@ -26,7 +26,6 @@ from ...result.judging.advice import Level
 from ...result.recording import Recording
 from ...run.execution import Execution
 from ...run.prepare import prepare
-from ...run.stopping import StopRequest
 from ...task.criteria import SignalCriterion, Success
 from ...task.files import as_argument, check_new
 from ...task.input_table import InputTable
@@ -156,7 +155,7 @@ def answer(fmu: Fmu, experiment: Experiment) -> Recording:
     prepared = prepare(_scenario(fmu, experiment))
     assembly = replace(prepared.assembly, start_time=experiment.start)
     with Execution(replace(prepared, assembly=assembly), writes=False) as execution:
-        execution.advance(execution.ticks, StopRequest())
+        execution.advance()
         return execution.close().recording
 
 
