@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.atomic import writing
 from ...fmus.errors import InputError, SimulationError
 from . import storage
 from .reader import Recording
@@ -80,10 +81,7 @@ class MemoryRecorder:
             column.name: values[: self._filled].astype(storage.read_type(column.type), copy=False)
             for column, values in zip(self._columns, self._values, strict=True)
         }
-
-        def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
-            yield [by_name[name] for name in names]
-
+        blocks = storage.in_one_block(by_name.__getitem__)
         return storage.Source(self._columns, self._metadata, self._filled, blocks)
 
     def _state(self, complete: bool, reason: str | None) -> dict[str, object]:
@@ -119,15 +117,12 @@ class Recorder(MemoryRecorder):
         self._size = 0  # of the stream's whole messages [bytes]
         self._error: SimulationError | None = None
         self._file_made: Future[None] | None = None
-        try:
+        with writing(Path(folder)):
             place.mkdir(parents=True, exist_ok=True)
             for path in filter(Path.exists, (self._stream, self._parquet)):
                 raise InputError(f"{path}: already exists; must be a folder without a recording")
             self._file = self._stream.open("xb", buffering=0)
-            self._last_flush = time.monotonic()
-        except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-            reason = getattr(error, "strerror", None) or str(error)
-            raise InputError(f"{folder}: cannot be written to: {reason}") from error
+        self._last_flush = time.monotonic()
         # A thread imports pyarrow and writes the stream's head, while FMUs in C begin to step.
         self._schema: Future[Any] = ThreadPoolExecutor(1).submit(self._write_head, self._metadata)
 

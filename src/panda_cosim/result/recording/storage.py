@@ -9,7 +9,7 @@ module and `reference` use pyarrow; functions import it, since it takes 0.1 s th
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from ...task.files import read_integer
 
 Array = NDArray[np.float64]
 Metadata = dict[str, Any]
+Blocks = Callable[[Sequence[str]], Iterator[list[Array]]]  # named columns in blocks of rows
 
 FORMAT = 1  # of the recording; one of another number cannot be read
 STREAM_FILE = "recording.arrows"
@@ -60,7 +61,12 @@ class Source:
     columns: tuple[Column, ...]
     metadata: Metadata  # scenario, versions, parameters and so on
     rows: int
-    blocks: Callable[[Sequence[str]], Iterator[list[Array]]]  # named columns in blocks of rows
+    blocks: Blocks
+
+
+def in_one_block(column: Callable[[str], Array]) -> Blocks:
+    """Return what reads columns in blocks of rows, of which there is one."""
+    return lambda names: iter([[column(name) for name in names]])
 
 
 def literal(path: Path) -> str:
@@ -106,26 +112,36 @@ def serialize_end(schema: Any, state: Mapping[str, object]) -> Any:
 
 def write_parquet(source: Source, parquet: Path) -> None:
     """Write a recording's rows and metadata as Parquet."""
+    schema = make_schema(source.columns, source.metadata)
+    doubles = [column.name for column in source.columns if column.type == "double"]
+    with parquet_writer(parquet, schema, doubles) as writer:
+        for block in source.blocks(schema.names):
+            writer.write_batch(make_batch(schema, block), row_group_size=BLOCK_ROWS)
+
+
+@contextmanager
+def parquet_writer(
+    path: Path, schema: Any, numbers: Sequence[str], **options: object
+) -> Iterator[Any]:
+    """Yield what writes a Parquet file, which replaces another once it is whole and on disk."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-    schema = make_schema(source.columns, source.metadata)
     try:
-        with replacing(parquet) as partial, partial.open("wb") as file:
+        with replacing(path) as partial, partial.open("wb") as file:
             with pq.ParquetWriter(
                 file,
                 schema,
                 compression="zstd",
                 use_dictionary=False,
-                # Groups exponents: the file is a quarter smaller.
-                use_byte_stream_split=[c.name for c in source.columns if c.type == "double"],
+                use_byte_stream_split=numbers,  # groups exponents: the file is a quarter smaller
                 write_statistics=False,
                 write_page_checksum=True,  # detects flipped bits
+                **options,
             ) as writer:
-                for block in source.blocks(schema.names):
-                    writer.write_batch(make_batch(schema, block), row_group_size=BLOCK_ROWS)
+                yield writer
             file.flush()
-            os.fsync(file.fileno())  # before the stream is deleted
+            os.fsync(file.fileno())
     except pa.ArrowException as error:
         raise OSError(str(error)) from error
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -21,12 +21,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
 from ...result.judging.summary import Summary
 from ...result.recording import Column, Recording
 from ...result.recording.reader import bits
-from ...result.recording.storage import METADATA_KEY, Source, literal, make_batch, values_of
+from ...result.recording.storage import (
+    METADATA_KEY,
+    Source,
+    in_one_block,
+    literal,
+    make_batch,
+    parquet_writer,
+    values_of,
+)
 from ...task.files import as_argument
 from ...task.scenario import Scenario
 from ...task.tolerances import Tolerances
@@ -98,7 +105,8 @@ class Reference(Recording):
             for name, kind in recording.types.items()
             if name == "time" or name in half
         ]
-        source = Source(tuple(columns), kept_metadata(recording), recording.rows, _reader(column))
+        blocks = in_one_block(column)
+        source = Source(tuple(columns), kept_metadata(recording), recording.rows, blocks)
         recorded = {c.name: (c.unit, column_digest(recording[c.name]), c.type) for c in columns}
         return cls(recording.path, source, quanta, recorded, summary)
 
@@ -118,20 +126,9 @@ class Reference(Recording):
                 "summary": self.summary.to_dict(),
             }
         )
-        with (
-            replacing(path) as temporary,
-            pq.ParquetWriter(
-                literal(temporary),
-                schema := _schema(self.quanta, self.kinds),
-                compression="zstd",
-                compression_level=19,
-                use_dictionary=False,
-                use_byte_stream_split=list(self.quanta),
-                write_statistics=False,
-                write_page_checksum=True,
-                store_schema=False,
-            ) as writer,
-        ):
+        schema, numbers = _schema(self.quanta, self.kinds), list(self.quanta)
+        options = {"compression_level": 19, "store_schema": False}
+        with parquet_writer(path, schema, numbers, **options) as writer:
             for columns in self._blocks(recording, origins):
                 writer.write_batch(make_batch(schema, columns))
             writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
@@ -176,13 +173,8 @@ class Reference(Recording):
         for field in file.schema_arrow:
             name, kind = field.name, "double" if field.name in quanta else str(field.type)
             columns.append(Column(name, recorded[name][0], "", kind, nominals.get(name)))
-        source = Source(tuple(columns), metadata, rows, _reader(column))
+        source = Source(tuple(columns), metadata, rows, in_one_block(column))
         return cls(path, source, quanta, recorded, Summary.read(description["summary"]))
-
-
-def _reader(column: Callable[[str], Array]) -> Callable[[Sequence[str]], Iterator[list[Array]]]:
-    """Return what reads columns in blocks of rows, of which there is one."""
-    return lambda names: iter([[column(name) for name in names]])
 
 
 def _schema(quanta: Mapping[str, float], kinds: Mapping[str, str]) -> Any:
