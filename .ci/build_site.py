@@ -31,6 +31,7 @@ from panda_cosim.cli.commands.info import variables_markdown
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.definitions import DEFINITIONS
+from panda_cosim.task.rules import AT_TOP, OF_ARM, OF_MODELS, RULES
 
 ROOT = Path(__file__).parents[1]
 
@@ -82,6 +83,17 @@ def definitions() -> str:
         table(["key", "what it is", "rows", "signals", "null if"], numbers),
         table(["criterion", "bounds", "unit"], criteria),
     ))  # fmt: skip
+
+
+def rules() -> str:
+    """Return what keys of a scenario exclude or need each other."""
+    found = iter((", ".join(OF_ARM), ", ".join(OF_MODELS), ", ".join(key for _, key in AT_TOP)))
+    rows = []
+    for text in RULES:
+        said = re.sub(r" value \{0\.[^}]*\};?", "", text)
+        key, _, rule = re.sub(r"\{1\}", lambda _: next(found), said).partition(": ")
+        rows.append((f"`{key}`", rule))
+    return table(["key", "rule"], rows)
 
 
 def margins() -> str:
@@ -143,7 +155,10 @@ def build(out: Path, *, with_gallery: bool) -> None:
         work, docs = Path(name), Path(name, "docs")
         shutil.copytree(ROOT / "docs", docs)
         (work / "src").symlink_to(ROOT / "src")
-        made = {f.__name__: f for f in (commands, definitions, history, margins, python, variables)}
+        made = {
+            f.__name__: f
+            for f in (commands, definitions, history, margins, python, rules, variables)
+        }
         made["gallery"] = partial(gallery, docs) if with_gallery else str
         for page in docs.rglob("*.md"):
             text = page.read_text(encoding="utf-8")

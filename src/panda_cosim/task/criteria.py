@@ -6,13 +6,14 @@ A criterion is only data, which `judging` interprets; no code in it is run.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BeforeValidator, PlainValidator
 
-from ..fmus.errors import did_you_mean, excerpt
+from ..fmus.errors import did_you_mean, excerpt, located
 from .fields import Choice, Line, Quantity, Vector, checked, field_names, key_of
 from .table import POSITION
 
@@ -56,6 +57,11 @@ _INSTANT = re.compile(
 )
 _TIME = Quantity(0.0, 3600.0, "s")
 _ANY = Quantity()
+BLOCK: Final = "obj"  # the body of PandaPlant's block
+# Bounds of a body's criteria, with their units.
+BOUNDS: Final = {"tolerance": "m", "max_tilt": "deg", "max_shift": "m", "min_lift": "m"}
+_LENGTH = Quantity(0.0, 10.0, "m")
+_ANGLE = Quantity(0.0, 180.0, "deg")
 
 Signal = str | tuple[str, tuple[str, ...]]  # a name, or an operation and its operands
 Instant = float | str
@@ -231,25 +237,18 @@ def signal_text(signal: Signal) -> str:
 
 def from_toml(value: object) -> object:
     """Rename the key `from` to the field's name."""
-    if not isinstance(value, Mapping) or "from" not in value:
-        return value
-    return {("from_" if key == "from" else key): each for key, each in value.items()}
+    if isinstance(value, Mapping):
+        return {("from_" if key == "from" else key): each for key, each in value.items()}
+    return value
 
 
-def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
+def toml_keys(criterion: SignalCriterion) -> dict[str, object]:
     """Return a criterion's keys and values for scenario.toml."""
     values = {key_of(name): getattr(criterion, name) for name in field_names(criterion)}
     if not isinstance(criterion.signal, str):
         operation, names = criterion.signal
         values["signal"] = {operation: names}
     return {key: value for key, value in values.items() if value not in (None, "")}
-
-
-BLOCK: Final = "obj"  # the body of PandaPlant's block
-# Bounds of a body's criteria, with their units.
-BOUNDS: Final = {"tolerance": "m", "max_tilt": "deg", "max_shift": "m", "min_lift": "m"}
-_LENGTH = Quantity(0.0, 10.0, "m")
-_ANGLE = Quantity(0.0, 180.0, "deg")
 
 
 @checked
@@ -350,21 +349,17 @@ class Success:
     def within(self, start: float, end: float) -> Self:
         """Return the criteria that a run from `start` to `end` [s] can measure."""
 
-        def fits(criterion: SignalCriterion | BodyCriterion) -> bool:
-            try:
-                criterion.check_window(start, end)
-            except ValueError:
-                return False
-            return True
+        def fitting(criteria: Iterable[Any]) -> Iterator[Any]:
+            for criterion in criteria:
+                with suppress(ValueError):
+                    criterion.check_window(start, end)
+                    yield criterion
 
-        body = tuple(each for each in self.body if fits(each))
-        return replace(self, body=body, signal=tuple(each for each in self.signal if fits(each)))
+        return replace(self, body=tuple(fitting(self.body)), signal=tuple(fitting(self.signal)))
 
     def check_windows(self, start: float, end: float) -> None:
         """Check that all instants lie within a run from `start` to `end` [s]."""
         for section in ("signal", "body"):
             for number, criterion in enumerate(getattr(self, section), 1):
-                try:
+                with located(f"[[success.{section}]] {number}"):
                     criterion.check_window(start, end)
-                except ValueError as error:
-                    raise ValueError(f"[[success.{section}]] {number}: {error}") from None

@@ -13,6 +13,18 @@ from ..assets import franka
 
 Array = NDArray[np.float64]
 
+# Names of the metrics under `limits` in summary.json.
+METRICS: Final = {
+    "position_share": "joint position",
+    "velocity_share": "joint velocity",
+    "torque_share": "joint torque",
+    "torque_rate_share": "torque rate",
+    "finger_speed_share": "finger speed",
+    "reference_velocity_share": "joint-reference velocity",
+    "reference_acceleration_share": "joint-reference acceleration",
+    "reference_jerk_share": "joint-reference jerk",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Limit:
@@ -38,18 +50,6 @@ LIMITS_OF: Final = {
     for name, robot in franka.ROBOTS.items()
 }
 LIMITS: Final = LIMITS_OF[franka.DEFAULT_ROBOT]
-
-# Names of the metrics under `limits` in summary.json.
-METRICS: Final = {
-    "position_share": "joint position",
-    "velocity_share": "joint velocity",
-    "torque_share": "joint torque",
-    "torque_rate_share": "torque rate",
-    "finger_speed_share": "finger speed",
-    "reference_velocity_share": "joint-reference velocity",
-    "reference_acceleration_share": "joint-reference acceleration",
-    "reference_jerk_share": "joint-reference jerk",
-}
 
 
 def shares(quantity: str, values: Array, robot: str = franka.DEFAULT_ROBOT) -> Array:

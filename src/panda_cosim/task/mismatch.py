@@ -9,7 +9,7 @@ the Franka Emika Panda Robot With Retrieval of Feasible Parameters", IEEE RA-L 4
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Final, cast
 
 import numpy as np
@@ -18,9 +18,11 @@ from pydantic import PlainValidator
 from ..fmus.interface.plant import PLANT
 from ..fmus.interface.sensors import SENSORS
 from ..fmus.interface.variables import Interface
-from .fields import Choice, Quantity, Vector, Whole, checked, field_names
+from .fields import Choice, Quantity, Vector, Whole, checked
 
 JointValues = tuple[float, ...]
+
+SENSOR_KEYS: Final = frozenset(v.name for v in SENSORS.of("parameter")) - {"seed", "robot"}
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,6 @@ SIZES: Final[Mapping[str, Sizes]] = {
     "calibrated": Sizes(math.radians(0.02), 1e-5, (0.2, 1.0), 0.05, 0.001, 5e-4, math.radians(0.3)),
     "worn": Sizes(math.radians(0.06), 3e-5, (0.6, 3.0), 0.15, 0.003, 1.5e-3, math.radians(0.9)),
 }
-PRESETS: Final = ("nominal", *SIZES)
 
 
 def draw_robot(sizes: Sizes, seed: int) -> dict[str, Any]:
@@ -89,7 +90,7 @@ def _as(interface: Interface, name: str) -> PlainValidator:
 class Mismatch:
     """Differences of robot and camera from the controller's model; None: as in the preset."""
 
-    preset: Annotated[str, Choice(PRESETS)] = "nominal"
+    preset: Annotated[str, Choice(("nominal", *SIZES))] = "nominal"
     seed: Annotated[int, Whole(0, 2**32 - 1)] = 0  # of the preset's robot, and of all noise
     # Parameters of PandaSensors, which is used if one of them is given.
     joint_offset: Annotated[JointValues, _as(SENSORS, "joint_offset")] | None = None
@@ -112,11 +113,7 @@ class Mismatch:
     @property
     def given(self) -> dict[str, Any]:
         """Keys and values that differ from the defaults."""
-        return {
-            name: getattr(self, name)
-            for name in field_names(Mismatch)
-            if getattr(self, name) != getattr(NOMINAL, name)
-        }
+        return {n: v for n, v in asdict(self).items() if v != getattr(Mismatch, n)}
 
     @property
     def values(self) -> dict[str, Any]:
@@ -124,11 +121,9 @@ class Mismatch:
         sizes = SIZES.get(self.preset)
         drawn = {} if sizes is None else draw_robot(sizes, self.seed)
         values = drawn | {n: v for n, v in self.given.items() if n not in ("preset", "seed")}
-        # The truth would tell the controller of these masses.
-        default = (
-            {"hand_pose_source": "model"} if {"payload", "link_mass_scale"} & values.keys() else {}
-        )
-        return values | default | values
+        if {"payload", "link_mass_scale"} & values.keys():  # the truth would tell of these masses
+            values.setdefault("hand_pose_source", "model")
+        return values
 
     @property
     def known_delay(self) -> float:
@@ -148,10 +143,6 @@ class Mismatch:
             return {"plant": plant}
         sensors = {n: v for n, v in values.items() if n in SENSOR_KEYS}
         return {"plant": plant, "sensors": {"seed": float(self.seed), **sensors}}
-
-
-SENSOR_KEYS: Final = frozenset(v.name for v in SENSORS.of("parameter")) - {"seed", "robot"}
-NOMINAL: Final = Mismatch()
 
 
 def default_of(name: str) -> Any:

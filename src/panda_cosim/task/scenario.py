@@ -27,7 +27,6 @@ from .fields import (
     Vector,
     Whole,
     check_keys,
-    check_rules,
     checked,
     field_names,
     numbers,
@@ -35,6 +34,7 @@ from .fields import (
 from .files import read_toml
 from .input_table import InputTable
 from .mismatch import Mismatch
+from .rules import check_combinations
 from .table import TableRow, TrajectoryTable, read_tables
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
@@ -45,7 +45,7 @@ TIMINGS = ("table", "feasible", "optimal")
 ROUTES = ("", "auto")
 Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
 COUPLINGS = get_args(Coupling)
-Expectation = Literal["success", "failure"]
+EXPECTATIONS = ("success", "failure")
 MAX_DURATION = 3600.0  # s; an hour of recording is 4 GB before compression
 
 SCENARIO_FILE = "scenario.toml"
@@ -57,9 +57,6 @@ _MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 
 DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
 SYSTEM_DURATION = Quantity(0.0, 1e12, "s")
-# Keys that act on the project's plant and controller.
-_OF_ARM = ("scene", "robot", "gains", "interpolation", "timing", "timing_share", "align",
-           "push")  # fmt: skip
 # Outputs of PandaController that are computed only if one of them is asked for.
 TOUCH = frozenset(f"controller.{name}" for name in OBSERVED)
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
@@ -84,6 +81,8 @@ def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
 
 
 Parameter = Annotated[float | bool | str | tuple[float, ...], PlainValidator(_parameter)]
+Parameters = Mapping[str, Parameter]  # by name
+Regression = Annotated[Tolerances, BeforeValidator(Tolerances.of)]
 
 
 @checked
@@ -108,141 +107,134 @@ class Push:
 
 @checked
 class Scenario:
-    """A task: the scene, the parameters, the path of the hand, and what counts as success.
+    """A task: the scene, its parameters, the path of the hand, and what counts as success.
+
+    It is what a user asks for, and nothing of how it is run: options are in `Options`, FMUs and
+    start values in `Prepared`. `load_scenario` and `Scenario.read` make it from a folder; a program
+    makes it from a table, `Scenario("mine", TrajectoryTable(rows), duration=3.0)`. It is checked as
+    a whole when it is made, and never changes: `changed` returns another one. Do not make one to
+    open FMUs (`read_fmus` does), nor to look at a run, whose recording tells what was done.
+
+    Attributes:
+        name: In titles and results; the folder's name, so that it needs no key of its own.
+            What identifies a scenario is its content, not its name.
+        table: Rows of the hand's path. None: there is no commanded hand, as in a system of
+            foreign FMUs, or the route is still to be planned.
+        duration: End of the run [s], a whole number of steps: no last step is cut short, and
+            all FMUs end at the same instant.
+        purpose: One line for lists and pages. It says what the scenario shows, which a reader
+            cannot see from its numbers.
+        scene: Which of the shipped scenes; a key and not a path, as plant, drawing and limits
+            must agree on it. `[fmus] plant` brings one's own.
+        robot: Panda or FR3. It is stated once here, since plant, controller, sensors and limits
+            all depend on it.
+        gains: A named set of the controller's values, tested as a whole. Single values go into
+            `controller`.
+        coupling: Whether FMUs see values of this step or of the one before; results depend on it,
+            so it belongs to the task and not to the options of a run.
+        interpolation: The path between rows: it stops at each (quintic), passes through (spline),
+            or is as simple as can be (linear).
+        timing: Whether the table's times are kept, stretched where they ask too much of the robot
+            ("feasible"), or made anew, as short as its limits allow ("optimal").
+        timing_share: The share of the limits that new times may use; below 1, since the real arm
+            deviates from its model.
+        route: "auto": table and duration are planned for the block, its place and what stands in
+            the way, when the scenario is prepared; the plan is kept with the run.
+        align: Rows relative to the target turn with the block, as the fingers must meet its
+            sides. False where a path is meant as it is written.
+        plant: Start values of the plant's parameters by name. They are checked against the FMU
+            later, as a scenario may bring its own.
+        controller: The same of the controller, on top of `gains`; a value of `kp` counts for all
+            joints that have none of their own.
+        mismatch: How robot and camera differ from the controller's model; apart from `plant`,
+            since a controller must not know of it.
+        success: What must hold at the end. Without any criterion a run has no verdict, and is
+            never a success.
+        mujoco: Version of MuJoCo in FMUs that are made of models, and in our controller's, to see
+            what a new version changes; empty: the installed one.
+        preflight: The real robot whose interface judges the run: what works in a simulation may
+            be refused there. Empty: none.
+        input_scale: Factor on all inputs of the FMU `plant`; 1.00000000000001 shows how rounding
+            errors grow, which says how wide tubes must be.
+        expect: "failure" makes a test of something that must not work. It is in the file, so
+            that each command judges it in the same way.
+        expect_reason: Why it must fail; without a reason, an expected failure hides a fault.
+            It is shown wherever the verdict is.
+        regression: How far a run may deviate from its reference. Contacts amplify rounding, so
+            it is the scenario's to say, and not the comparison's.
+        push: Forces on hand and block, of some duration. They are inputs of the plant, so that
+            they are recorded as any other.
+        system: An .ssp file to run instead of our FMUs; it has its own FMUs, connections and
+            start time, so most keys do not go with it.
+        step: The master's step [s]. Only systems choose it: the twins in C and all references
+            are of 1 ms.
+        fmus: FMUs by instance, "law.py:Class", a model or an .fmu; paths are relative to the
+            folder, so that it can be moved. `plant` and `controller` replace ours.
+        connect: Connections by input, as an input has one source while an output may feed many.
+            Names that fit are connected without it.
+        tolerance: Relative tolerance that FMUs are told; 0 leaves it to each of them, as most
+            have a fixed step.
+        order: In which FMUs step. Empty: as the connections ask, which only a loop of them leaves
+            open.
+        not_finite: Outputs that may be NaN or infinite. All others end the run, since a NaN
+            spreads in silence.
+        steps: Steps of an FMU as multiples of the system's, for slow controllers; between them
+            its outputs are held.
+        inputs: Values of unconnected inputs; `file` names a table of inputs over time. Given here
+            or connected, never both.
+        input_table: Inputs over time, of that file or of columns in the table. They are texts
+            until the FMUs' types are known.
+        parameters: Start values of all other FMUs by instance; apart from `plant` and
+            `controller`, whose sections every scenario may have.
+        folder: Where it was read from, and where relative paths begin; None: it was made in
+            Python, and paths are relative to the working directory.
 
     Raises:
         InputError: A value is out of range; the message names key, value and bound.
     """
 
     name: Annotated[str, Line()]
-    table: TrajectoryTable | None  # None: a system without a commanded hand
-    duration: Annotated[float, SkipValidation]  # see `_check_time`: a whole number of steps
+    table: TrajectoryTable | None
+    duration: Annotated[float, SkipValidation]  # see `_check_time`
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
     robot: Annotated[str, Choice(tuple(ROBOTS))] = DEFAULT_ROBOT
-    gains: Annotated[str, Choice(GAINS)] = "default"  # the controller's set of values
+    gains: Annotated[str, Choice(GAINS)] = "default"
     coupling: Annotated[Coupling, Choice(COUPLINGS)] = "gauss-seidel"
     interpolation: Annotated[str, Choice(INTERPOLATIONS)] = "quintic"
-    # "feasible": rows that ask too much of the robot get more time. "optimal": all times are made
-    # anew, as short as a share of the limits allows.
     timing: Annotated[str, Choice(TIMINGS)] = "table"
     timing_share: Annotated[float, Quantity(0.1, 1.0, "1")] = 0.9
-    # "auto": table and duration are planned for the block, its place and what stands in the way.
     route: Annotated[str, Choice(ROUTES)] = ""
-    align: Annotated[bool, Switch()] = True  # rows relative to the target turn with the block
-    plant: Mapping[str, Parameter] = field(default_factory=dict)  # FMU start values by name
-    controller: Mapping[str, Parameter] = field(default_factory=dict)
-    mismatch: Mismatch = field(default_factory=Mismatch)  # robot and camera against the model
+    align: Annotated[bool, Switch()] = True
+    plant: Parameters = field(default_factory=dict)
+    controller: Parameters = field(default_factory=dict)
+    mismatch: Mismatch = field(default_factory=Mismatch)
     success: Success = field(default_factory=Success)
-    # Version of MuJoCo in the FMUs that are made of models, and in our controller's; empty: the
-    # installed one.
     mujoco: Annotated[str, PlainValidator(check_engine)] = ""
-    # The real robot whose interface the run is judged by; empty: none.
     preflight: Annotated[str, Choice(("", *LIMIT_FILES))] = ""
-    # Factor on all inputs of the FMU `plant`; 1.00000000000001 shows how rounding errors grow.
     input_scale: Annotated[float, Quantity(0.99, 1.01, "1")] = 1.0
-    # With an expected failure and its reason, a scenario tests that something does not work.
-    expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"
+    expect: Annotated[str, Choice(EXPECTATIONS)] = "success"
     expect_reason: Annotated[str, Line()] = ""
-    # How far a run may deviate from its reference recording.
-    regression: Annotated[Tolerances, BeforeValidator(Tolerances.of)] = field(
-        default_factory=Tolerances
-    )
-    push: tuple[Push, ...] = ()  # forces on hand and block
-    system: Annotated[str, Line()] = ""  # an .ssp file to run instead of our FMUs
-    step: Annotated[float, Quantity(1e-9, 1e6, "s")] = (
-        STEP_SIZE  # only for systems; the project's FMUs take 1 ms
-    )
-    # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
+    regression: Regression = field(default_factory=Tolerances)
+    push: tuple[Push, ...] = ()
+    system: Annotated[str, Line()] = ""
+    step: Annotated[float, Quantity(1e-9, 1e6, "s")] = STEP_SIZE
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
-    connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
-    tolerance: Annotated[float, Quantity(0.0, 1.0, "1")] = 0.0  # of FMUs; 0: as they say
-    order: tuple[Annotated[str, Line()], ...] = ()  # of stepping; empty: by the connections
-    not_finite: tuple[Annotated[str, Line()], ...] = ()  # outputs that may be NaN or infinite
-    # Steps of an FMU as multiples of the system's.
+    connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
+    tolerance: Annotated[float, Quantity(0.0, 1.0, "1")] = 0.0
+    order: tuple[Annotated[str, Line()], ...] = ()
+    not_finite: tuple[Annotated[str, Line()], ...] = ()
     steps: Mapping[str, Annotated[int, Whole(1, MAX_MULTIPLE)]] = field(default_factory=dict)
-    # Values of unconnected inputs; `file`: a table of inputs over time.
-    inputs: Mapping[str, Parameter] = field(default_factory=dict)
+    inputs: Parameters = field(default_factory=dict)
     input_table: InputTable = field(default_factory=InputTable)
-    # Start values of FMUs that are neither `plant` nor `controller`.
-    parameters: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
-    folder: Path | None = None  # where it was read from
+    parameters: Mapping[str, Parameters] = field(default_factory=dict)
+    folder: Path | None = None
 
     def __post_init__(self) -> None:
         self._check_time()
-        check_rules(self._rules_of_sections() | self._rules_of_arm() | self._rules_of_table())
+        check_combinations(self)
         if not self.system:  # whose start time is in its file
             self.success.check_windows(0.0, self.duration)
-
-    def _rules_of_sections(self) -> dict[str, object]:
-        """What a system and sections must not be combined with; message, and whether it is."""
-        of_arm, of_models = map(self._first_changed, (_OF_ARM, ("mujoco", "input_scale")))
-        sections = (("plant", "scene"), ("plant", "robot"), ("controller", "gains"),
-                    ("controller", "robot"))  # fmt: skip
-        low = next((f"[{name}] {key}" for name, key in sections if key in self.sections[name]), "")
-        return {
-            f"{TABLE_FILE}: must be there, unless there is system, [fmus] or route": (
-                self.table is None and not (self.system or self.fmus or self.route)
-            ),
-            "system: cannot be combined with [fmus] and [connect]; must be one of them": (
-                self.system and (self.fmus or self.connect)
-            ),
-            f"{of_arm}: acts only on a scenario with a {TABLE_FILE}; must be left out here, as a "
-            "system has none": self.is_system and of_arm,
-            f"{of_models}: must be left out with system, which has its own FMUs": (
-                self.system and of_models
-            ),
-            'coupling: value "iterated"; must be another one with [steps], or with a '
-            f"{TABLE_FILE}": self.coupling == "iterated" and (self.steps or not self.is_system),
-            "mismatch: only valid with the project's own plant": (
-                self.mismatch.values and self.is_system
-            ),
-            f"{low}: must stand at the top, before all sections": low,
-        }
-
-    def _rules_of_arm(self) -> dict[str, object]:
-        """What scene, gains and controller must not be combined with."""
-        is_ours = not self.is_system and "controller" not in self.fmus
-        has_impedance = self.controller.get("impedance", self.gains == "impedance")
-        reaction = self.controller.get("reaction", "none")
-        has_torque = any(name.partition("[")[0] == "plant.torque" for name in self.inputs)
-        return {
-            f"scene: value {self.scene!r}; must come with a controller that gives torques, such as "
-            'gains = "impedance", or [fmus] controller = "my_law.py:MyLaw"': (
-                self.is_torque_driven and is_ours and not has_impedance
-            ),
-            f'gains: value {self.gains!r}; must come with scene = "{TORQUE_DRIVEN}"': (
-                has_impedance and is_ours and not self.is_torque_driven
-            ),
-            f'[inputs] plant.torque: acts only with scene = "{TORQUE_DRIVEN}"': (
-                has_torque
-                and "plant" not in self.fmus
-                and not (self.is_system or self.is_torque_driven)
-            ),
-            f"[controller] reaction: value {reaction!r} moves servos; with impedance, it must be "
-            '"none"': has_impedance and reaction != "none",
-        }
-
-    def _rules_of_table(self) -> dict[str, object]:
-        """What the table, its route and its success must not be combined with."""
-        return {
-            'until: is in the table; must have interpolation "quintic" or "linear", and timing '
-            '"table"': (self.interpolation == "spline" or self.timing != "table") and self.untils,
-            'grip_force: the gripper of scene "tutorial" is too weak for it; must be left out of '
-            "the table": self.scene == "tutorial" and any(row.grip_force for row in self.rows),
-            f"route: value {self.route!r}; must come with [success] block_position, and with the "
-            "project's own controller": self.route
-            and (not self.success.block_position or self.system or "controller" in self.fmus),
-            'q1 to q7: must be left out of the table with gains = "tutorial" or timing = '
-            '"optimal"': self.has_posture
-            and (self.gains == "tutorial" or self.timing == "optimal"),
-            'expect_reason: must say why expect is "failure", and only then be set': (
-                (self.expect == "failure") != bool(self.expect_reason)
-            ),
-        }
-
-    def _first_changed(self, keys: Sequence[str]) -> str:
-        return next((key for key in keys if getattr(self, key) != getattr(Scenario, key)), "")
 
     def _check_time(self) -> None:
         if not self.is_system and self.step != STEP_SIZE:
@@ -268,7 +260,7 @@ class Scenario:
         return self.table is None and not self.route
 
     @property
-    def sections(self) -> dict[str, Mapping[str, Parameter]]:
+    def sections(self) -> dict[str, Parameters]:
         """Start values that it states, by FMU."""
         return {"plant": self.plant, "controller": self.controller, **self.parameters}
 
@@ -369,8 +361,9 @@ class Scenario:
 
 
 # Keys of scenario.toml; the other fields come from the folder.
-_FROM_FOLDER = ("name", "table", "input_table", "folder")
-KEYS = tuple(name for name in field_names(Scenario) if name not in _FROM_FOLDER)
+KEYS = tuple(
+    name for name in field_names(Scenario) if name not in ("name", "table", "input_table", "folder")
+)
 
 
 def shipped_scenarios() -> dict[str, Path]:

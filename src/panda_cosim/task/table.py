@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import PlainValidator
 
 from ..assets.franka import GRIP_FORCE_MAX, GRIP_STIFFNESS, OPENING_MAX, Q_MAX, Q_MIN
@@ -192,6 +194,19 @@ class TrajectoryTable:
             orientation = row.orientation or _BLANK
             rows.append((row.time, row.frame, *row.position, *orientation, row.grip, *last))
         return csv_text(rows)
+
+
+def world_table(
+    times: ArrayLike, poses: ArrayLike, grips: ArrayLike, names: Mapping[int, str] | None = None
+) -> TrajectoryTable:
+    """Return a table in the world; poses (n, 7 or 14) may have postures, names are by row."""
+    rows = enumerate(np.column_stack((times, grips, poses)).tolist())
+    made = (
+        TableRow(time, "world", pose[:3], grip, pose[3:7], name=(names or {}).get(row, ""),
+                 posture=pose[7:] or None)
+        for row, (time, grip, *pose) in rows
+    )  # fmt: skip
+    return TrajectoryTable(tuple(made))
 
 
 def _check_order(before: float, after: float) -> None:

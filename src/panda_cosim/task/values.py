@@ -28,23 +28,8 @@ if TYPE_CHECKING:
     from .scenario import Scenario
 
 Values = Mapping[str, ParameterValue]
-TOP: Final = (
-    "duration",
-    "step",
-    "scene",
-    "robot",
-    "gains",
-    "coupling",
-    "tolerance",
-    "interpolation",
-    "timing",
-    "timing_share",
-    "route",
-    "align",
-    "mujoco",
-    "preflight",
-    "input_scale",
-)
+# Texts and numbers of a scenario that have no key: they say what it is, not how it is.
+_FIXED: Final = ("name", "purpose", "system", "expect", "expect_reason")
 _SECTIONS: Final = ("table.", "push[", "success.", "mismatch.")
 _BY_NAME: Final = ("inputs", "fmus", "plant", "controller")  # sections with names of variables
 _OF_SCENE: Final = ("plant.scene", "plant.robot")  # parameters of our plant that a scenario states
@@ -88,6 +73,8 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
             "gains" in values and "controller" in fmus
         ),
     })  # fmt: skip
+    top = [name for name in field_names(scenario) if name not in _FIXED
+           and isinstance(getattr(scenario, name), str | bool | float)]  # fmt: skip
     changes: dict[Steps, Any] = {}
     for key, value in values.items():
         if key in _OF_SCENE and "plant" in ours and "plant" not in fmus:
@@ -95,7 +82,7 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
         elif key.startswith("fmus."):
             changes["fmus", key[5:]] = _from_here(Line().check(key, value))
         else:
-            changes[_steps(key, instances)] = value
+            changes[_steps(key, top, instances)] = value
     if scenario.is_system and any(steps[0] == "table" for steps in changes):
         raise InputError("the scenario is a system, which has no trajectory.csv")
     if "inputs.file" in values:
@@ -111,14 +98,14 @@ def _from_here(text: str) -> str:
     return f"{os.path.realpath(file)}:{name}" if has_class else os.path.realpath(text)
 
 
-def _steps(key: str, instances: Collection[str] | None) -> Steps:
-    """Return the way to a key's place; None: the scenario's FMUs are not known yet."""
+def _steps(key: str, top: Collection[str], instances: Collection[str] | None) -> Steps:
+    """Return the way to a key's place; instances None: the scenario's FMUs are not known yet."""
     section, dot, name = key.partition(".")
     if dot and section in _BY_NAME[:2]:
         return section, name
-    if key not in TOP and not key.startswith(_SECTIONS):
+    if key not in top and not key.startswith(_SECTIONS):
         if not dot or not name:
-            raise _no_such(key)
+            raise _no_such(key, top)
         if instances is not None and section not in instances:
             hint = did_you_mean(section, instances)
             raise InputError(f"{key}: no instance {section!r}; valid: {', '.join(instances)}{hint}")
@@ -127,18 +114,18 @@ def _steps(key: str, instances: Collection[str] | None) -> Steps:
     for part in key.split("."):
         match = _STEP.fullmatch(part)
         if match is None:
-            raise _no_such(key)
+            raise _no_such(key, top)
         is_column = steps[:1] == ["table"] and part in _COLUMNS
         steps += _COLUMNS[part] if is_column else [match[1]]
         steps += [int(match[2]) - 1] if match[2] else []
     return tuple(steps)
 
 
-def _no_such(key: str) -> InputError:
+def _no_such(key: str, top: Collection[str]) -> InputError:
     bare = key.partition("[")[0]
     owners = [f"{fmu}.{key}" for fmu, interface in INTERFACES.items()
               if bare in {variable.name for variable in interface.of("parameter")}]  # fmt: skip
-    valid = (*TOP, "mismatch.preset", "table.rows[1].x", "push[1].force[1]", "success.max_slip",
+    valid = (*top, "mismatch.preset", "table.rows[1].x", "push[1].force[1]", "success.max_slip",
              "inputs.plant.torque", "fmus.controller", "plant.block_mass")  # fmt: skip
     hint = f"; did you mean {owners[0]!r}?" if owners else did_you_mean(key, valid)
     return InputError(f"{key}: no such key; valid: {', '.join(valid)}{hint}")

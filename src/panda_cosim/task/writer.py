@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,9 +34,6 @@ _FMUS: Final = {  # lines of the section [fmus]
 _GUST: Final = '\n[connect]\n"plant.push_force[2]" = "convert(gust.force)"\n'
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
-# Keys that are written if they say something.
-_RARE = ("system", "step", "tolerance", "order", "timing", "timing_share", "route", "mujoco",
-         "preflight", "input_scale")  # fmt: skip
 
 
 def make_scenario(
@@ -112,47 +109,51 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
 
 
 def settings_text(scenario: Scenario) -> str:
-    """Return the text of scenario.toml."""
-    values = {name: getattr(scenario, name) for name in KEYS}
-    top = {n: v for n, v in values.items() if n == "order" or isinstance(v, bool | str | float)}
-    for name in _RARE:
-        if top[name] == getattr(Scenario, name):
-            del top[name]
-    success, tolerances = asdict(scenario.success), scenario.regression
-    del success["signal"], success["body"]
-    file = {"file": INPUTS_FILE} if scenario.input_table.columns else {}
-    inputs = {**{n: v for n, v in scenario.inputs.items() if n != "file"}, **file}
-    sections: list[tuple[str, Mapping[str, Any]]] = [
-        *((f"[{name}]", values[name]) for name in ("fmus", "connect", "steps") if values[name]),
-        *([("[inputs]", inputs)] if inputs else []),
-        *((f"[parameters.{name}]", own) for name, own in scenario.parameters.items()),
-        ("[plant]", scenario.plant),
-        ("[controller]", scenario.controller),
-        ("[mismatch]", scenario.mismatch.given),
-        ("[success]", success),
-        *(("[[success.body]]", asdict(each)) for each in scenario.success.body),
-        *(("[[success.signal]]", toml_keys(each)) for each in scenario.success.signal),
-        ("[regression]", {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values}),
-        *(("[[push]]", asdict(push)) for push in scenario.push),
-    ]
-    lines = [*_lines(top)]
-    for head, content in sections:
-        lines += ["", head, *_lines(content)]
-    return "\n".join(lines) + "\n"
+    """Return the text of scenario.toml: the keys that differ from their defaults."""
+    values, tolerances = {name: getattr(scenario, name) for name in KEYS}, scenario.regression
+    # A default that is a mapping is made anew, empty, and the class does not have it.
+    given = {name: each for name, each in values.items() if each != getattr(Scenario, name, {})}
+    inputs = {name: value for name, value in scenario.inputs.items() if name != "file"}
+    if scenario.input_table.columns:
+        inputs["file"] = INPUTS_FILE
+    sections = {
+        "inputs": inputs,
+        "mismatch": scenario.mismatch.given,
+        "success": {
+            **asdict(scenario.success),
+            "signal": [*map(toml_keys, scenario.success.signal)],
+            "body": [*map(asdict, scenario.success.body)],
+        },
+        "regression": {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values},
+        "push": [*map(asdict, scenario.push)],
+    }
+    return "\n".join(_section(given | sections)) + "\n"
 
 
-def _lines(values: Mapping[str, Any]) -> Iterator[str]:
-    for name, value in values.items():
-        if value is not None:
-            key = name if name.isidentifier() and name.isascii() else _literal(name)
-            yield f"{key} = {_literal(value)}"
+def _section(values: Mapping[str, object], *path: str) -> Iterator[str]:
+    """Yield the lines of a section: its plain values, then those of the sections in it."""
+    inner = {name: each for name, each in values.items() if isinstance(each, Mapping | list)}
+    yield from _lines({name: each for name, each in values.items() if name not in inner})
+    for name, each in inner.items():
+        head = ".".join((*path, _key(name)))
+        if isinstance(each, list):
+            for item in each:
+                yield from ("", f"[[{head}]]", *_lines(item))
+        elif each:
+            yield from ("", f"[{head}]", *_section(each, *path, _key(name)))
 
 
-def _literal(value: Any) -> str:
+def _lines(values: Mapping[str, object]) -> Iterator[str]:
+    return (f"{_key(name)} = {_literal(v)}" for name, v in values.items() if v is not None)
+
+
+def _key(name: str) -> str:
+    return name if name.isidentifier() and name.isascii() else _literal(name)
+
+
+def _literal(value: object) -> str:
     """Return a value as TOML; a float's repr keeps its bits."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):  # one printable line, where JSON's escapes are TOML's
+    if isinstance(value, bool | str):  # one printable line, where JSON's escapes are TOML's
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, tuple):
         return f"[{', '.join(map(_literal, value))}]"

@@ -12,7 +12,7 @@ from ...assets import STEP_SIZE
 from ...assets.franka import QD_MAX, ROBOTS
 from ...controller.limits import APPROACH_RATE
 from ...fmus.errors import InputError
-from ..table import TableRow, TrajectoryTable
+from ..table import TrajectoryTable, world_table
 from ..timing.demand import demands
 from ..timing.reference import JointReference
 from ..timing.stretched import ORDERS
@@ -82,14 +82,9 @@ def timed(
                     factor = SPARE * excess ** (1.0 / min(ORDERS.get(name, 1.0), 2.0))
                     slower[number] = max(slower[number], before[number] * factor)
         if (slower == before).all():
-            columns = np.column_stack((times, poses, grips, knots))
             begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
             names = {row: each.name for row, each in zip(begins, motions, strict=True)}
-            rows = (
-                TableRow(n[0], "world", n[1:4], n[8], n[4:8], name=names.get(i, ""), posture=n[9:])
-                for i, n in enumerate(columns.tolist())
-            )
-            return TrajectoryTable(tuple(rows))
+            return world_table(times, np.hstack((poses, knots)), grips, names)
     raise InputError(f"no times within {share:.0%} of the limits were found")
 
 

@@ -19,7 +19,7 @@ from ...assets import STEP_SIZE
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
-from ..table import TableRow, TrajectoryTable
+from ..table import TrajectoryTable, world_table
 from ..trajectory import StartPose, Trajectory
 from .demand import (
     AWAY,
@@ -199,18 +199,9 @@ def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
         count = -(-(last - first) // SPACING)
         ticks |= set(np.linspace(first, last, count + 1).round().astype(int).tolist())
     start = float(trajectory.times[0])
-    return TrajectoryTable(
-        tuple(
-            TableRow(
-                time=round(start + tick * STEP_SIZE, DIGITS),
-                frame="world",
-                position=tuple(course.poses[tick, :3].round(DIGITS).tolist()),
-                grip=float(trajectory.grips[course.rows[tick]]),
-                orientation=tuple(course.poses[tick, 3:].round(DIGITS).tolist()),
-            )
-            for tick in sorted(ticks)
-        )
-    )
+    at = sorted(ticks)
+    times = [round(start + tick * STEP_SIZE, DIGITS) for tick in at]
+    return world_table(times, course.poses[at].round(DIGITS), trajectory.grips[course.rows[at]])
 
 
 def _joints(reference: JointReference, part: Motion, law: Array, start: int) -> Array:
