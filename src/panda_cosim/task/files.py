@@ -128,10 +128,10 @@ def parse_csv(text: str, check: Callable[[list[str]], None] = lambda _: None) ->
     rows = {}
     try:
         names = [name.strip() for name in next(lines, [])]
+        check(names)
         for name, count in Counter(names).most_common(1):
             if count > 1:
                 raise InputError(f"column {excerpt(name)} occurs {count} times; must occur once")
-        check(names)
         if not all(names):
             raise InputError("a column has no name; must have one above each cell")
         for cells in lines:

@@ -254,7 +254,8 @@ def _check_names(names: Sequence[str]) -> None:
     check_keys("", [name for name in names if "." not in name], valid, "column")
     absent = {n for group in _TOGETHER if not set(group) & set(names) for n in group}
     needed = [name for name in (*COLUMNS, *POSTURE_COLUMNS) if name not in absent]
-    if missing := [name for name in needed if name not in names]:
+    missing = [name for name in needed if name not in names]
+    if missing and len(names) == len(set(names)):
         wanted = ", ".join(needed)
         raise InputError(f"{', '.join(missing)}: missing; must have the columns {wanted}")
 

@@ -11,12 +11,13 @@ import base64
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Json = dict[str, object]  # what `source/src/data/types.ts` gives a type
 
 LEVEL: Final = 1  # of deflate; 4 takes twice as long for a fifth less
 LARGEST: Final = 2**30  # steps from a column's first value; int32 holds the sums
@@ -33,7 +34,7 @@ def pack(content: bytes) -> str:
     return base64.b64encode(zlib.compress(content, LEVEL)).decode("ascii")
 
 
-def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str, Any]:
+def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> Json:
     """Encode columns of the same length for the page."""
     values, gaps = np.array(columns, np.float64), {}
     for index in np.flatnonzero(~(np.abs(values) <= HUGE).all(axis=1)).tolist():
@@ -126,7 +127,7 @@ class Thinning:
         pairs = np.column_stack((np.where(rising, low, high), np.where(rising, high, low)))
         return np.ravel(pairs)
 
-    def _edges(self) -> tuple[Any, Any]:
+    def _edges(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first and end row of each stretch."""
         edges = np.linspace(0, len(self.time), self.stretches + 1).astype(np.int64)
         return edges[:-1], edges[1:]
@@ -144,7 +145,7 @@ class Thinning:
         )
 
 
-def describe_time(time: Array) -> dict[str, Any]:
+def describe_time(time: Array) -> Json:
     """Return instants for the page: start and step if evenly spaced, else all."""
     if len(time) < 2:
         return {"start": float(time[0]) if len(time) else 0.0, "step": 0.001, "rows": len(time)}

@@ -16,6 +16,7 @@ from ...result.judging.definitions import DEFINITIONS
 from ...result.judging.summary import Summary, json_values
 from ...task.limits import METRICS
 from ..pictures.motion import Signals, key_moments
+from .columns import Json
 
 MOMENTS: Final = 8  # most marks on the timeline
 PARTS: Final = 6  # most FMUs, and the stepper, of which the header says what ran
@@ -28,7 +29,7 @@ CURVES: Final = (
 )
 
 
-def criteria_of(summary: Summary) -> list[dict[str, Any]]:
+def criteria_of(summary: Summary) -> list[Json]:
     """Return the success criteria with measured values, in their units."""
     return [
         {
@@ -45,7 +46,7 @@ def meaning(key: str) -> str:
     return DEFINITIONS[key].text if key in DEFINITIONS else ""
 
 
-def limits_of(summary: Summary) -> list[dict[str, Any]]:
+def limits_of(summary: Summary) -> list[Json]:
     """Return the largest shares of the robot's limits that the run used."""
     rows = [("limits", key, name, summary.limits) for key, name in METRICS.items()]
     real = summary.preflight
@@ -67,33 +68,28 @@ def refusals_of(summary: Summary) -> list[str]:
     try:
         lines = refusals(summary.preflight, complete=summary.complete)
         return [text for level, text in lines if level == "refused"]
-    except (
-        AttributeError,
-        LookupError,
-        TypeError,
-        ValueError,
-    ):  # none, or another's
+    except (AttributeError, LookupError, TypeError, ValueError):  # none, or another's
         return []
 
 
 def column_bounds(name: str) -> dict[str, list[float]]:
     """Return a robot's lower and upper limits of single columns, for curves."""
     robot = ROBOTS[name]
-    lines: dict[str, list[float]] = {"controller.grip_cmd": [0.0, OPENING_MAX]}
-    for i in JOINTS:
-        lines[f"plant.qpos[{i}]"] = [float(robot.q_min[i - 1]), float(robot.q_max[i - 1])]
-        lines[f"plant.qvel[{i}]"] = [-float(robot.velocity[i - 1]), float(robot.velocity[i - 1])]
-        torque = float(TORQUE_MAX[i - 1])
-        lines[f"plant.actuator_force[{i}]"] = [-torque, torque]
-    return lines
+    bounds: dict[str, list[float]] = {"controller.grip_cmd": [0.0, OPENING_MAX]}
+    rows = np.column_stack((robot.q_min, robot.q_max, robot.velocity, TORQUE_MAX)).tolist()
+    for i, (low, high, speed, torque) in enumerate(rows, 1):
+        bounds[f"plant.qpos[{i}]"] = [low, high]
+        bounds[f"plant.qvel[{i}]"] = [-speed, speed]
+        bounds[f"plant.actuator_force[{i}]"] = [-torque, torque]
+    return bounds
 
 
-def moments(signals: Signals) -> list[dict[str, Any]]:
+def moments(signals: Signals) -> list[Json]:
     """Return the key instants: start, grasp, lift ..."""
     return [{"time": m.time, "label": m.label} for m in key_moments(signals, MOMENTS) if m.label]
 
 
-def waypoints(metadata: Mapping[str, Any]) -> list[dict[str, Any]]:
+def waypoints(metadata: Mapping[str, Any]) -> list[Json]:
     """Return the rows of the scenario's table: their instants [s], and names or numbers."""
     times = metadata.get("row_times", ())
     names = metadata.get("row_names") or [""] * len(times)
@@ -110,7 +106,7 @@ def number(value: object) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, str]) -> list[Any]:
+def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, str]) -> list[Json]:
     """Return the curves whose columns a run has, in one plot per unit."""
     return [
         {"title": title, "columns": [name for name in names if units.get(name) == unit]}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, one_line
 from ...task.files import MODEL_FILE
-from .columns import pack
+from .columns import Json, pack
 
 GROUPS: Final = 3  # the groups that MuJoCo's own viewer shows: 0, 1, 2
 TEXTURE_SIDE: Final = 128  # [px] largest texture; larger ones are scaled down
@@ -35,7 +35,7 @@ JOINTS: Final = {
 _PLAIN = (0.5, 0.5, 0.5, 1.0)  # a geom's default colour
 
 
-def describe(model: Any) -> dict[str, Any]:
+def describe(model: Any) -> Json:
     """Return a model as plain values for the page.
 
     It has geoms and sites of groups 0 to 2 that are not fully transparent. Height fields become
@@ -51,9 +51,9 @@ def describe(model: Any) -> dict[str, Any]:
         "qpos0": _floats(model.qpos0, 9),
         "gravity": _floats(model.opt.gravity),
         "bodies": bodies,
-        "meshes": shapes.meshes,
-        "textures": shapes.textures,
-        "cameras": [_camera(model, camera) for camera in range(model.ncam)],
+        "meshes": [*shapes.meshes.values()],
+        "textures": [*shapes.textures.values()],
+        "cameras": [_camera(model.cam(index)) for index in range(model.ncam)],
         "center": _floats(model.stat.center),
         "extent": float(model.stat.extent),
     }
@@ -63,46 +63,45 @@ def _floats(values: Any, digits: int = 5) -> list[float]:
     return [round(float(value), digits) for value in np.ravel(values)]
 
 
-def _body(model: Any, body: int, shapes: _Shapes) -> dict[str, Any]:
-    first, count = model.body_jntadr[body], model.body_jntnum[body]
-    geoms = np.flatnonzero(model.geom_bodyid == body).tolist()
-    sites = np.flatnonzero(model.site_bodyid == body).tolist()
-    drawn = [shapes.geom(geom) for geom in geoms] + [shapes.site(site) for site in sites]
+def _body(model: Any, index: int, shapes: _Shapes) -> Json:
+    body = model.body(index)
+    geoms = map(model.geom, np.flatnonzero(model.geom_bodyid == index).tolist())
+    sites = map(model.site, np.flatnonzero(model.site_bodyid == index).tolist())
+    joints = map(model.joint, np.flatnonzero(model.jnt_bodyid == index).tolist())
+    drawn = map(shapes.shape, (*geoms, *sites))
     return {
-        "name": model.body(body).name,
-        "parent": int(model.body_parentid[body]),
-        "fixed": int(model.body_weldid[body]) == 0,
-        "pos": _floats(model.body_pos[body], 9),
-        "quat": _floats(model.body_quat[body], 9),
-        "com": _floats(model.body_ipos[body], 9),
-        "mass": float(model.body_mass[body]),
-        "joints": [_joint(model, joint) for joint in range(first, first + count)],
+        "name": body.name,
+        "parent": body.parentid.item(),
+        "fixed": body.weldid.item() == 0,
+        "pos": _floats(body.pos, 9),
+        "quat": _floats(body.quat, 9),
+        "com": _floats(body.ipos, 9),
+        "mass": body.mass.item(),
+        "joints": [*map(_joint, joints)],
         "shapes": [shape for shape in drawn if shape is not None],
     }
 
 
-def _joint(model: Any, joint: int) -> dict[str, Any]:
-    address = int(model.jnt_qposadr[joint])
-    limits = model.jnt_range[joint] if model.jnt_limited[joint] else ()
+def _joint(joint: Any) -> Json:
     return {
-        "name": model.joint(joint).name,
-        "kind": JOINTS[mujoco.mjtJoint(int(model.jnt_type[joint]))],
-        "address": address,
-        "axis": _floats(model.jnt_axis[joint], 9),
-        "pos": _floats(model.jnt_pos[joint], 9),
-        "zero": float(model.qpos0[address]),
-        "range": _floats(limits, 6),
+        "name": joint.name,
+        "kind": JOINTS[mujoco.mjtJoint(joint.type.item())],
+        "address": joint.qposadr.item(),
+        "axis": _floats(joint.axis, 9),
+        "pos": _floats(joint.pos, 9),
+        "zero": float(joint.qpos0[0]),
+        "range": _floats(joint.range if joint.limited.item() else (), 6),
     }
 
 
-def _camera(model: Any, camera: int) -> dict[str, Any]:
+def _camera(camera: Any) -> Json:
     """Return a camera in the frame of its body; quaternion (w, x, y, z), it looks along -z."""
     return {
-        "name": model.camera(camera).name or f"camera {camera + 1}",
-        "body": int(model.cam_bodyid[camera]),
-        "pos": _floats(model.cam_pos[camera]),
-        "quat": _floats(model.cam_quat[camera], 7),
-        "fovy": float(model.cam_fovy[camera]),
+        "name": camera.name or f"camera {camera.id + 1}",
+        "body": camera.bodyid.item(),
+        "pos": _floats(camera.pos),
+        "quat": _floats(camera.quat, 7),
+        "fovy": camera.fovy.item(),
     }
 
 
@@ -111,62 +110,41 @@ class _Shapes:
 
     def __init__(self, model: Any) -> None:
         self._model = model
-        self.meshes: list[dict[str, Any]] = []
-        self.textures: list[dict[str, Any]] = []
-        self._mesh_index: dict[tuple[str, int], int] = {}
-        self._texture_index: dict[int, int] = {}
+        self.meshes: dict[tuple[bool, int], Json] = {}  # by whether it is a field, and index
+        self.textures: dict[int, Json] = {}
 
-    def geom(self, geom: int) -> dict[str, Any] | None:
-        """Return a geom, or None if it is not shown."""
-        m = self._model
-        kind = SHAPES.get(mujoco.mjtGeom(int(m.geom_type[geom])))
-        look = self._look(int(m.geom_matid[geom]), m.geom_rgba[geom])
-        if kind is None or m.geom_group[geom] >= GROUPS or look["rgba"][3] == 0.0:
+    def shape(self, drawn: Any) -> Json | None:
+        """Return a geom or site, or None if it is not shown."""
+        kind = SHAPES.get(mujoco.mjtGeom(drawn.type.item()))
+        look, rgba = self._look(drawn.matid.item(), drawn.rgba)
+        if kind is None or drawn.group.item() >= GROUPS or rgba[3] == 0.0:
             return None
-        frame = {"pos": _floats(m.geom_pos[geom]), "quat": _floats(m.geom_quat[geom], 7)}
-        shape = {"kind": kind, "size": _floats(m.geom_size[geom]), **frame, **look}
+        frame = {"pos": _floats(drawn.pos), "quat": _floats(drawn.quat, 7)}
+        shape = {"kind": kind, "size": _floats(drawn.size), **frame, "rgba": rgba, **look}
         if kind == "mesh":
-            is_field = m.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
-            key = ("hfield" if is_field else "mesh", int(m.geom_dataid[geom]))
-            shape["mesh"] = self._mesh(key)
+            is_field = drawn.type.item() == mujoco.mjtGeom.mjGEOM_HFIELD
+            shape["mesh"] = self._mesh((is_field, drawn.dataid.item()))
         return shape
 
-    def site(self, site: int) -> dict[str, Any] | None:
-        """Return a site, or None if it is not shown."""
+    def _look(self, index: int, own: Any) -> tuple[Json, list[float]]:
+        """Return gloss and texture, and the colour; its own overrides the material's."""
+        if index < 0:
+            return {}, _floats(own, 4)
         m = self._model
-        look = self._look(int(m.site_matid[site]), m.site_rgba[site])
-        if m.site_group[site] >= GROUPS or look["rgba"][3] == 0.0:
-            return None
-        return {
-            "kind": SHAPES[mujoco.mjtGeom(int(m.site_type[site]))],
-            "size": _floats(m.site_size[site]),
-            "pos": _floats(m.site_pos[site]),
-            "quat": _floats(m.site_quat[site], 7),
-            **look,
+        material = m.mat(index)
+        chosen = material.rgba if np.allclose(own, _PLAIN) else own
+        look: Json = {
+            name: getattr(material, name).item() for name in ("specular", "shininess", "emission")
         }
-
-    def _look(self, material: int, rgba: Any) -> dict[str, Any]:
-        """Return colour, gloss and texture; its own colour overrides the material's."""
-        if material < 0:
-            return {"rgba": _floats(rgba, 4)}
-        m = self._model
-        chosen = m.mat_rgba[material] if np.allclose(rgba, _PLAIN) else rgba
-        look = {
-            "rgba": _floats(chosen, 4),
-            "specular": float(m.mat_specular[material]),
-            "shininess": float(m.mat_shininess[material]),
-            "emission": float(m.mat_emission[material]),
-        }
-        role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
-        texture = int(m.mat_texid[material][role])
+        texture = int(material.texid[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)])
         if texture >= 0 and m.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D:
             look["texture"] = self._texture(texture)
-            look["repeat"] = _floats(m.mat_texrepeat[material])
-            look["uniform"] = bool(m.mat_texuniform[material])
+            look["repeat"] = _floats(material.texrepeat)
+            look["uniform"] = bool(material.texuniform.item())
         elif texture >= 0:
             mean = self._pixels(texture).reshape(-1, m.tex_nchannel[texture]).mean(axis=0) / 255
-            look["rgba"] = _floats([*(mean[:3] * chosen[:3]), chosen[3]], 4)
-        return look
+            chosen = [*(mean[:3] * chosen[:3]), chosen[3]]
+        return look, _floats(chosen, 4)
 
     def _pixels(self, texture: int) -> NDArray[np.uint8]:
         m = self._model
@@ -176,7 +154,7 @@ class _Shapes:
 
     def _texture(self, texture: int) -> int:
         """Return the index of a texture in the page: RGBA from the lower left."""
-        if texture not in self._texture_index:
+        if texture not in self.textures:
             pixels = self._pixels(texture)
             height, width, channels = pixels.shape
             tall, wide = -(-height // TEXTURE_SIDE), -(-width // TEXTURE_SIDE)  # pixels made one
@@ -187,19 +165,16 @@ class _Shapes:
             rgba[..., :3] = small[..., :3] if channels >= RGB else small[..., :1]
             if channels > RGB:
                 rgba[..., 3] = small[..., 3]
-            self._texture_index[texture] = len(self.textures)
             data = pack(rgba[::-1].tobytes())
-            self.textures.append({"width": columns, "height": rows, "pixels": data})
-        return self._texture_index[texture]
+            self.textures[texture] = {"width": columns, "height": rows, "pixels": data}
+        return list(self.textures).index(texture)
 
-    def _mesh(self, key: tuple[str, int]) -> int:
+    def _mesh(self, key: tuple[bool, int]) -> int:
         """Return the index of a mesh in the page."""
-        if key not in self._mesh_index:
-            kind, index = key
-            triangles = self._field(index) if kind == "hfield" else self._triangles(index)
-            self._mesh_index[key] = len(self.meshes)
-            self.meshes.append(_pack_mesh(*triangles))
-        return self._mesh_index[key]
+        if key not in self.meshes:
+            is_field, index = key
+            self.meshes[key] = _packed(*(self._field if is_field else self._triangles)(index))
+        return list(self.meshes).index(key)
 
     def _triangles(self, mesh: int) -> tuple[Any, Any, Any]:
         """Return a mesh's vertices (n, 3), faces (k, 3) and texture coordinates (3k, 2) or None."""
@@ -219,22 +194,21 @@ class _Shapes:
         x_half, y_half, top, _ = m.hfield_size[field]
         first = m.hfield_adr[field]
         height = m.hfield_data[first : first + rows * columns] * top
-        x, y = np.meshgrid(
-            np.linspace(-x_half, x_half, columns), np.linspace(-y_half, y_half, rows)
-        )
+        across, along = np.linspace(-x_half, x_half, columns), np.linspace(-y_half, y_half, rows)
+        x, y = np.meshgrid(across, along)
         a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
         b, c, d = a + 1, a + columns, a + columns + 1
         faces = np.concatenate((np.stack((a, b, d), 1), np.stack((a, d, c), 1)))
         return np.stack((x.ravel(), y.ravel(), height), axis=1), faces, None
 
 
-def _pack_mesh(vertices: Any, faces: Any, texture: Any) -> dict[str, Any]:
+def _packed(vertices: Any, faces: Any, texture: Any) -> Json:
     """Encode a mesh: vertices in 1/65535 of its box, differences of vertex indices."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     whole = np.rint((vertices - low) / span * 65535).astype("<u2")
     steps = np.diff(faces.ravel().astype(np.int64), prepend=0).astype("<i4")
-    mesh = {
+    mesh: Json = {
         "low": _floats(low, 7),
         "span": _floats(span, 7),
         "vertices": pack(whole.tobytes()),

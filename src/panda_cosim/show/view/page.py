@@ -27,10 +27,12 @@ from ...result.recording import Recording
 from ...task.files import model_file
 from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import DEFAULT_SCENE, refuse_without_model
+from .columns import Json
 from .run import RunData, Shown
 from .run import describe as describe_run
 
 TEMPLATE: Final = "template.html"
+VIEW_FILE: Final = "view.html"
 TITLE: Final = 200  # [character]
 VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &hellip;</p></main>
 <noscript><p class="pv-wait">This page needs JavaScript and WebGL, which are switched off. \
@@ -47,13 +49,7 @@ class Contents:
     models: Mapping[str, Mapping[str, Any]]  # by key, as `model.describe` returns them
 
 
-def page(contents: Contents) -> str:
-    """Return the page as HTML."""
-    data = data_elements(contents) + data_element("show", {"runs": list(contents.runs)})
-    return _view(contents.title, data)
-
-
-def live_page(title: str, run: Mapping[str, Any]) -> str:
+def live_page(title: str, run: Mapping[str, object]) -> str:
     """Return the page of a running simulation; it connects only to its own server."""
     return _view(title, data_element("live", run), "; connect-src 'self'")
 
@@ -74,6 +70,7 @@ def document(title: str, body: str, data: str, code: Sequence[str], *, policy: s
         code: Names of bundles, which run in this order; each has a style sheet.
         policy: Added to the content security policy.
     """
+    loader = _code()["loader"]["text"]
     # Inserted text is not searched for further placeholders.
     return Template(_part(TEMPLATE)).substitute(
         title=escape(title),
@@ -83,20 +80,16 @@ def document(title: str, body: str, data: str, code: Sequence[str], *, policy: s
         kind=code[0],
         body=body,
         data=data,
-        code=_code_elements(code),
+        code="\n".join((*map(_code_element, code), f"<script>{loader}</script>")),
     )
 
 
-def _code_elements(code: Sequence[str]) -> str:
-    """Return the elements with bundles of code, deflated, and the script that starts them."""
-    bundles = [
-        f'<script type="text/plain" data-code="{name}">{_code()[name]["deflated"]}</script>'
-        for name in code
-    ]
-    return "\n".join((*bundles, f"<script>{_code()['loader']['text']}</script>"))
+def _code_element(name: str) -> str:
+    """Return the element with a bundle of code, deflated; the loader starts it."""
+    return f'<script type="text/plain" data-code="{name}">{_code()[name]["deflated"]}</script>'
 
 
-def rendered(template: Path, **content: Any) -> str:
+def rendered(template: Path, **content: object) -> str:
     """Fill in the HTML template of a page's body; all texts in it become legible."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - slow
 
@@ -119,7 +112,7 @@ def script_sources(*code: str) -> list[str]:
     return [f"'sha256-{_code()[name]['sha256']}'" for name in ("loader", *code)]
 
 
-def data_element(name: str, value: Any) -> str:
+def data_element(name: str, value: object) -> str:
     """Return an element with JSON; `embedded` in embedded.ts reads it by its name."""
     # The name is JSON, too: HTML changes some characters of an attribute.
     label = escape(json.dumps(name))
@@ -155,9 +148,6 @@ class Inline:
         )
 
 
-VIEW_FILE: Final = "view.html"
-
-
 def write_view(runs: Sequence[Shown], path: Path) -> Path:
     """Write the page."""
     write_whole(path, view_page(runs))
@@ -166,16 +156,17 @@ def write_view(runs: Sequence[Shown], path: Path) -> Path:
 
 def view_page(runs: Sequence[Shown]) -> str:
     """Return the page as HTML."""
-    return page(contents(runs))
+    made = contents(runs)
+    return _view(made.title, data_elements(made) + data_element("show", {"runs": [*made.runs]}))
 
 
 def contents(runs: Sequence[Shown]) -> Contents:
     """Return the data of runs; the first is compared with the second, if any."""
-    models: dict[str, dict[str, Any]] = {}
+    models: dict[str, Json] = {}
     documents = []
     for index, run in enumerate(runs):
         key = hashlib.sha256(json.dumps(run.model).encode()).hexdigest()[:12]
-        models[key] = dict(run.model)
+        models[key] = run.model
         against = runs[1].source if index == 0 and len(runs) > 1 else None
         documents.append(describe_run(run, key, against))
     title = f"{documents[0]['title']} · panda-cosim"
@@ -201,9 +192,7 @@ def show_source(source: RunData, name: str, *, summary: Summary, meshes: Meshes 
     return Shown(name, source, model, masses, summary)
 
 
-def plant_model(
-    metadata: Mapping[str, Any], meshes: Meshes = "never"
-) -> tuple[Mapping[str, Any], list[float]]:
+def plant_model(metadata: Mapping[str, Any], meshes: Meshes = "never") -> tuple[Json, list[float]]:
     """Return the plant's model with a recording's scene and robot, and the masses of its bodies."""
     plant = metadata.get("parameters", {}).get("plant", {})
     values = {key: plant[key] for key in ("robot", "block_mass") if key in plant}
@@ -218,7 +207,7 @@ def plant_model(
 
 
 @lru_cache(maxsize=4)
-def described_scene(scene: str, robot: str, meshes: Meshes = "never") -> Mapping[str, Any]:
+def described_scene(scene: str, robot: str, meshes: Meshes = "never") -> dict[str, Any]:
     """Describe a scene of ours; without meshes, once for each version of the code."""
     if meshes != "never":
         from .model import describe  # noqa: PLC0415 - imports MuJoCo

@@ -20,7 +20,7 @@ from ...task import rotations
 from ...task.files import model_file
 from ...task.limits import robot_of
 from ..pictures.motion import Signals, describe_run
-from .columns import Thinning, describe_time, encode
+from .columns import Json, Thinning, describe_time, encode
 from .facts import (
     CURVES,
     PARTS,
@@ -37,7 +37,6 @@ Array = NDArray[np.float64]
 
 POSE_STEP: Final = 1e-6  # [rad], [m], [1] rounding step of qpos
 CLEAR: Final = 20  # rounding steps of a reference from which a difference is no noise
-PIECE: Final = 100_000  # rows computed at once
 ROUNDING: Final = "Curves are rounded to 1/65536 of their range; what stays below 1e-12 is 0."
 FORCES: Final = (
     "Arrows: the forces on each free body besides its weight, m (a - g), from its recorded motion; "
@@ -72,7 +71,7 @@ class Shown:
 
     name: str  # in links and on the page
     source: RunData
-    model: Mapping[str, Any]  # as `model.describe` returns it
+    model: Json  # as `model.describe` returns it
     # Of the model's bodies [kg]; None: the run may have had others, and no forces are drawn.
     masses: Sequence[float] | None = None
     summary: Summary = field(default_factory=Summary)
@@ -187,12 +186,10 @@ def _has(source: RunData, *signals: str) -> bool:
 
 
 def _each_row(source: RunData, function: Callable[..., Array], *signals: str) -> Array:
-    """Return what a function computes of each row, in pieces: a long run needs little memory."""
+    """Return what a function computes of each row; of a recording in blocks, to save memory."""
     if isinstance(source, Recording):
         return by_rows(source, function, *signals)
-    whole = [source[signal] for signal in signals]
-    pieces = (slice(k, k + PIECE) for k in range(0, len(whole[0]), PIECE))
-    return np.concatenate([function(*(values[rows] for values in whole)) for rows in pieces])
+    return function(*(source[signal] for signal in signals))
 
 
 def _distance(one: Array, other: Array) -> Array:
@@ -218,9 +215,7 @@ def _quanta(source: RunData, signal: str) -> list[float]:
     return [quanta.get(name, 0.0) for name in _columns(source, signal)]
 
 
-def _poses(
-    source: RunData, thinning: Thinning, columns: Mapping[str, Sequence[str]]
-) -> dict[str, Any]:
+def _poses(source: RunData, thinning: Thinning, columns: Mapping[str, Sequence[str]]) -> Json:
     """Return the columns the scene needs, at the instants of poses."""
     names = [name for group in columns.values() for name in group]
     values = [thinning.poses(source[name]) for name in names]
