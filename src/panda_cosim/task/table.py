@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,9 @@ NAME_COLUMN = "name"  # of the waypoint, for pictures
 POSTURE_COLUMNS = tuple(f"q{joint}" for joint in range(1, 8))  # of all rows or of none
 UNTIL_COLUMN = "until"  # what ends the row early
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
+# Those that are fields of a row by themselves.
+_PLAIN_COLUMNS = ("time", "frame", "grip", *OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
+_MAY_BE_BLANK = (*QUATERNION_COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
 _TOGETHER = (QUATERNION_COLUMNS, POSTURE_COLUMNS)  # all of them or none
 _BLANK = ("", "", "", "")  # the orientation of `home`
 
@@ -212,9 +215,8 @@ def world_table(
 def _check_order(before: float, after: float) -> None:
     if after - before < MIN_GAP:
         slip = "repeats" if after == before else "goes back" if after < before else "is too close"
-        raise InputError(
-            f"column time: value {after!r} {slip}; must be at least {MIN_GAP:g} s after {before!r}"
-        )
+        must = f"must be at least {MIN_GAP:g} s after {before!r}"
+        raise InputError(f"column time: value {after!r} {slip}; {must}")
 
 
 def read_tables(path: Path) -> tuple[TrajectoryTable | None, InputTable]:
@@ -260,28 +262,20 @@ def _check_names(names: Sequence[str]) -> None:
         raise InputError(f"{', '.join(missing)}: missing; must have the columns {wanted}")
 
 
-def _row(cells: dict[str, str]) -> TableRow:
-    may_be_blank = (*QUATERNION_COLUMNS, *OPTIONAL_COLUMNS)
-    blank = [name for name in may_be_blank if not cells.get(name)]
-    parts = [name for name in QUATERNION_COLUMNS if name not in blank]
-    if 0 < len(parts) < len(QUATERNION_COLUMNS):
-        raise InputError(f"column {blank[0]} is blank; qw to qz must be all blank or all set")
-    numbers = {
-        name: _number(name, text)
+def _row(cells: Mapping[str, str]) -> TableRow:
+    given: dict[str, Any] = {
+        name: _number(name, text) if name in _BOUNDS else text
         for name, text in cells.items()
-        if name in _BOUNDS and name not in blank
+        if text or name not in _MAY_BE_BLANK
     }
-    return TableRow(
-        time=numbers["time"],
-        frame=cells["frame"],
-        position=(numbers["x"], numbers["y"], numbers["z"]),
-        grip=numbers["grip"],
-        orientation=tuple(numbers[name] for name in parts) or None,  # type: ignore[arg-type]  # of 4
-        name=cells.get(NAME_COLUMN, ""),
-        posture=[numbers[n] for n in POSTURE_COLUMNS if n in numbers] or None,  # type: ignore[arg-type]
-        until=cells.get(UNTIL_COLUMN, ""),
-        **{name: numbers[name] for name in OPTIONAL_COLUMNS if name in numbers},
-    )
+    parts = [given[name] for name in QUATERNION_COLUMNS if name in given]
+    if 0 < len(parts) < len(QUATERNION_COLUMNS):
+        blank = next(name for name in QUATERNION_COLUMNS if name not in given)
+        raise InputError(f"column {blank} is blank; qw to qz must be all blank or all set")
+    posture = [given[name] for name in POSTURE_COLUMNS if name in given]
+    position = (given["x"], given["y"], given["z"])
+    more = {name: given[name] for name in _PLAIN_COLUMNS if name in given}
+    return TableRow(position=position, orientation=parts or None, posture=posture or None, **more)  # type: ignore[arg-type]
 
 
 def _number(column: str, text: str) -> float:

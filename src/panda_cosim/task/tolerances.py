@@ -12,9 +12,11 @@ tubes of such a scenario.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 from ..fmus.errors import InputError, did_you_mean, excerpt
@@ -29,39 +31,9 @@ OF_SIZE: Final = 1e-9
 LEAST_SIZE: Final = 1e-3  # in any unit, so that rounding about 0 is no difference
 EQUAL: Final = 0.5  # of Integers, Booleans and Enumerations; a text is at 0 or at infinity
 
-# Half-widths of the tubes of our own FMUs' signals, by unit. An FMU is one of these if it has all
-# of these signals in these units, as one has whose model extends PandaPlant.
-OURS: Final[Sequence[Mapping[str, Mapping[str, float]]]] = (
-    {  # commands
-        "pos_cmd": {"m": 1e-6},
-        "quat_cmd": {"1": 1e-6},
-        "vel_cmd": {"m/s": 1e-5},
-        "omega_cmd": {"rad/s": 1e-5},
-        "grip_cmd": {"m": 1e-6},
-    },
-    {
-        "dq": {"rad": 3e-7},
-        "ctrl": {"rad": 1e-5, "1": 0.1},  # joints; gripper, 0 to 255
-        "qpos_ref": {"rad": 5e-6},
-        "qvel_ref": {"rad/s": 5e-5},
-        "manipulability": {"1": 1e-6},
-        "singular": {"1": 0.5},
-        "limit": {"1": 0.5},
-    },
-    {
-        "hand_xpos": {"m": 1e-6},
-        "hand_xquat": {"1": 1e-6},
-        "qpos": {"rad": 5e-6, "m": 2e-5, "1": 2e-4},  # joints; fingers and block
-        "qvel": {"rad/s": 1e-3, "m/s": 2e-4},
-        "target_xpos": {"m": 2e-5},
-        "target_xmat": {"1": 2e-4},
-        "jac": {"m/rad": 5e-6, "1": 5e-6},
-        "qfrc_bias": {"N.m": 2e-4},
-        "actuator_force": {"N.m": 0.1, "N": 0.3},
-        "contact_force": {"N": 1.0},
-        "support_force": {"N": 1.0},
-        "unwanted_contact_force": {"N": 1.0},
-    },
+# Half-widths of our own FMUs' signals, by unit.
+OURS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
 )
 _OWN: Final = ("time", "scale")
 _ELEMENT = re.compile(r"(?P<signal>.+)\[[\d,]+\]", re.A)
@@ -118,7 +90,7 @@ def of_ours(units: Mapping[str, str]) -> dict[str, Mapping[str, float]]:
     for column, unit in units.items():
         signals[signal_of(column)].add(unit)
     found: dict[str, Mapping[str, float]] = {}
-    for table in OURS:
+    for table in OURS.values():
         first = next(iter(table))
         for instance in [each.removesuffix(first) for each in signals if each.endswith(first)]:
             own = {f"{instance}{name}": by_unit for name, by_unit in table.items()}
