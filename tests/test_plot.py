@@ -9,7 +9,7 @@ from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.pictures.panels import DPI, ROWS_DRAWN, thin
-from panda_cosim.show.pictures.plot import SIZE, VERDICTS, draw_run, plot_run
+from panda_cosim.show.pictures.plot import SIZE, VERDICTS, draw_run, plot_recording
 
 PEAK = 0.0125  # [m] error of one row of the made-up run
 
@@ -65,7 +65,7 @@ def test_each_hold_of_the_block_is_shaded_and_closed_fingers_alone_are_not():
 
 
 def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path):
-    path = plot_run(made_up_run(), tmp_path / "new" / "plot.png")
+    path = plot_recording(made_up_run(), tmp_path / "new" / "plot.png")
     with Image.open(path) as page:
         assert page.format == "PNG"
         assert page.size == tuple(round(side * DPI) for side in SIZE)
@@ -115,7 +115,7 @@ def test_the_page_has_the_purpose_and_the_verdict():
 def test_a_run_that_broke_off_at_once_is_drawn_and_marked(tmp_path, rows):
     run = made_up_run(rows)
     run.metadata = {"complete": False, "reason": "diverged"}
-    assert plot_run(run, tmp_path / "plot.png").stat().st_size > 10_000
+    assert plot_recording(run, tmp_path / "plot.png").stat().st_size > 10_000
     assert any("incomplete: diverged" in text for text in texts(run))
 
 
@@ -133,7 +133,7 @@ def test_a_long_run_is_thinned_and_keeps_its_peaks():
 def test_a_dollar_in_a_name_is_text_and_no_formula(tmp_path, name):
     run = made_up_run(2)
     run.metadata = {"scenario": name, "complete": False, "reason": name}
-    assert plot_run(run, tmp_path / "plot.png").stat().st_size > 10_000
+    assert plot_recording(run, tmp_path / "plot.png").stat().st_size > 10_000
     assert name in texts(run)
 
 
@@ -141,4 +141,4 @@ def test_a_signal_of_another_shape_is_refused(tmp_path):
     run = made_up_run(3)
     run.signals["plant.qvel"] = run.signals["plant.qvel"][:, :7]
     with pytest.raises(InputError, match=r"plant.qvel: shape \(7,\) per row; must be \(15,\)"):
-        plot_run(run, tmp_path / "plot.png")
+        plot_recording(run, tmp_path / "plot.png")

@@ -41,6 +41,7 @@ COMMAND: dict[str, Any] = {
 HAND, POSITION = "plant.hand_xpos", "controller.pos_cmd"
 BLOCK_HEIGHT = "plant.qpos[12]"  # z of its centre [m]
 TICKS_REACH = 200.0  # [%] of a limit, up to which the axis is marked at the limit and its half
+LIMIT = "share of limit [%]"
 ROWS_DRAWN = 8000  # points; more than the page's width in pixels; extremes are kept
 
 
@@ -91,14 +92,7 @@ def _draw(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> Non
 
 def _legend(axes: Axes, columns: int) -> None:
     """Put the legend above the panel, to the right of its title, clear of the curves."""
-    axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.015),
-        ncols=columns,
-        columnspacing=1.2,
-        borderaxespad=0.0,
-        borderpad=0.25,
-    )
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=columns)
 
 
 def _hand(axes: Axes, curves: Curves) -> None:
@@ -195,7 +189,6 @@ def panels_of(recording: Recording) -> tuple[tuple[tuple[str, str, Panel], ...],
     return left, (*right[:2], ("Power of the arm's servos", "power [W]", _power), *right[3:])
 
 
-LIMIT = "share of limit [%]"
 PANELS: tuple[tuple[tuple[str, str, Panel], ...], ...] = (
     (  # the left column, from top to bottom: title, axis, what is drawn
         ("Hand position in the world frame", "position [m]", _hand),

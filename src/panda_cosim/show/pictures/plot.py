@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from itertools import groupby
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -33,31 +33,21 @@ ACROSS: Final = 3
 POINTS: Final = 4000  # of a curve
 
 
-def plot_recording(recording: Recording, path: Path, summary: Summary | None = None) -> Path:
+def plot_recording(recording: Recording, path: str | Path, summary: Summary | None = None) -> Path:
     """Write a PNG with the curves of a run of the task, or with the signals of any other run."""
-    is_task = all(name in recording for name in SHAPES)
-    return plot_run(recording, path, summary) if is_task else plot_signals(recording, path)
-
-
-def own_style(**changes: Any) -> AbstractContextManager[None]:
-    """Draw and save figures in matplotlib's default style, changed by ours alone."""
-    from matplotlib.style import context  # noqa: PLC0415 - slow to import
-
-    return context([STYLE, changes], after_reset=True)
-
-
-def plot_run(recording: Recording, path: str | Path, summary: Summary | None = None) -> Path:
-    """Write a PNG with the curves of a run: hand, error, gripper, block, joints and limits."""
-    path = Path(path)
-    figure = draw_run(recording, summary)
+    path, is_task = Path(path), all(name in recording for name in SHAPES)
     with own_style():
-        _save(figure, path)
+        figure = draw_run(recording, summary) if is_task else draw_signals(recording)
+        with replacing(path) as temporary:
+            figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
     return path
 
 
-def _save(figure: Figure, path: Path) -> None:
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
+def own_style() -> AbstractContextManager[None]:
+    """Draw and save figures in matplotlib's default style, changed by ours alone."""
+    from matplotlib.style import context  # noqa: PLC0415 - slow to import
+
+    return context(STYLE, after_reset=True)
 
 
 def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
@@ -83,14 +73,12 @@ def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
         title, details = describe_run(recording)
         purpose = shorten(str(recording.metadata.get("purpose") or ""), LENGTH, placeholder=" ...")
         details = " · ".join(filter(None, (purpose, details)))
-        # Names come from users: a pair of $ in them is not a formula.
-        plain: dict[str, Any] = {"va": "top", "parse_math": False}
-        figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
-        figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
+        figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", va="top")
+        figure.text(0.02, 0.953, details, fontsize=10, color=GREY, va="top")
         if summary is not None and summary.verdict is not NO_CRITERIA:
             words = shorten(summary.headline, LENGTH, placeholder=" ...")
             colour = VERDICTS[summary.verdict.level]
-            figure.text(0.975, 0.979, words, fontsize=11, color=colour, ha="right", **plain)
+            figure.text(0.975, 0.979, words, fontsize=11, color=colour, va="top", ha="right")
         note = "shaded: the fingers hold the block    ▾ waypoint of the table"
         figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")
     return figure
@@ -107,7 +95,7 @@ def _name_waypoints(axes: Axes, curves: Curves) -> None:
             right = max(time, right + line)
             axes.text(
                 right, 0.97, name, color=GREY, fontsize=size, rotation=90, ha="right", va="top",
-                transform=axes.get_xaxis_transform(), parse_math=False,
+                transform=axes.get_xaxis_transform(),
             )  # fmt: skip
 
 
@@ -126,8 +114,10 @@ def _mark_time(axes: Axes, curves: Curves) -> None:
     axes.tick_params(length=3)
 
 
-def plot_signals(recording: Recording, path: Path) -> Path:
-    """Write a PNG with a panel for each signal of any run, at most `MOST` of them."""
+def draw_signals(recording: Recording) -> Figure:
+    """Return the figure of any run, a panel for each signal, at most `MOST` of them."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
     if not recording.rows:
         raise InputError("the recording has no rows; nothing can be plotted")
     units = recording.units
@@ -135,23 +125,19 @@ def plot_signals(recording: Recording, path: Path) -> Path:
     signals = groupby(names, lambda name: (name.partition("[")[0], units.get(name, "")))
     panels = [(signal, unit, list(columns)) for (signal, unit), columns in signals]
     down = max(-(-len(panels[:MOST]) // ACROSS), 1)
-    with own_style(**{"text.parse_math": False}):
-        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
-        figure = Figure(figsize=(13.0, 1.2 + 2.2 * down), layout="constrained")
-        grid = figure.subplots(down, ACROSS, sharex=True, squeeze=False).ravel()
-        for axes, (signal, unit, columns) in zip(grid, panels, strict=False):
-            axes.set_title(signal, fontsize=9)
-            axes.set_ylabel("" if unit == "1" else unit, color=GREY)
-            axes.set_xlabel("t [s]", color=GREY)
-            for i, column in enumerate(columns):
-                rows = thin(recording[column], POINTS)
-                style: dict[str, Any] = {"color": COLOURS[i % len(COLOURS)], "linewidth": 1.0}
-                axes.plot(recording.time[rows], recording[column][rows], **style)
-        for axes in grid[len(panels) :]:
-            axes.set_visible(False)
-        title = str(recording.metadata.get("scenario") or recording.metadata.get("system") or "")
-        more = f" ({len(panels) - MOST} more signals are recorded)" if len(panels) > MOST else ""
-        figure.suptitle(f"{title}{more}", fontweight="bold")
-        _save(figure, path)
-    return path
+    figure = Figure(figsize=(13.0, 1.2 + 2.2 * down), layout="constrained")
+    grid = figure.subplots(down, ACROSS, sharex=True, squeeze=False).ravel()
+    for axes, (signal, unit, columns) in zip(grid, panels, strict=False):
+        axes.set_title(signal, fontsize=9)
+        axes.set_ylabel("" if unit == "1" else unit, color=GREY)
+        axes.set_xlabel("t [s]", color=GREY)
+        for i, column in enumerate(columns):
+            values = recording[column]
+            rows, colour = thin(values, POINTS), COLOURS[i % len(COLOURS)]
+            axes.plot(recording.time[rows], values[rows], color=colour, linewidth=1.0)
+    for axes in grid[len(panels) :]:
+        axes.set_visible(False)
+    title = str(recording.metadata.get("scenario") or recording.metadata.get("system") or "")
+    more = f" ({len(panels) - MOST} more signals are recorded)" if len(panels) > MOST else ""
+    figure.suptitle(f"{title}{more}", fontweight="bold")
+    return figure
