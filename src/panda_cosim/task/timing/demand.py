@@ -94,20 +94,13 @@ def joint_demands(
 def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:
     """Return the share of each limit at each tick (n, 7), or (n, 1) for the hand's."""
     commands = trajectory.sample(reference.time)
-    velocity = commands[:, 7:10]
-    return {
-        **joint_demands(trajectory, reference, load),
-        "hand speed": shares("hand speed", _lengths(velocity), reference.robot),
-        "hand acceleration": shares(
-            "hand acceleration", _lengths(rates(velocity)), reference.robot
-        ),
-        "hand turn": shares("hand turn", _lengths(commands[:, 10:13]), reference.robot),
+    velocity, turn = commands[:, 7:10], commands[:, 10:13]
+    vectors = {"hand speed": velocity, "hand acceleration": rates(velocity), "hand turn": turn}
+    hand = {
+        name: shares(name, np.linalg.norm(each, axis=1, keepdims=True), reference.robot)
+        for name, each in vectors.items()
     }
-
-
-def _lengths(vectors: Array) -> Array:
-    lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return lengths
+    return joint_demands(trajectory, reference, load) | hand
 
 
 def _torques(

@@ -131,11 +131,8 @@ def _refuse_if_hopeless(
 def _with_factors(trajectory: Trajectory, factors: Array) -> Trajectory:
     """Return a trajectory with each segment longer by a factor (n - 1,)."""
     spans = np.diff(trajectory.times)
-    if trajectory.interpolation == "spline":
-        longer = factors.max() * spans
-    else:
-        longer = np.where(
-            factors > 1.0, np.ceil(factors * spans / STEP_SIZE - 1e-6) * STEP_SIZE, spans
-        )
+    whole = np.ceil(factors * spans / STEP_SIZE - 1e-6) * STEP_SIZE  # ticks
+    is_spline = trajectory.interpolation == "spline"
+    longer = factors.max() * spans if is_spline else np.where(factors > 1.0, whole, spans)
     times = trajectory.times[0] + np.concatenate(([0.0], np.cumsum(longer)))
     return replace(trajectory, times=times.round(9))
