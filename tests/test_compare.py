@@ -21,7 +21,7 @@ from panda_cosim.study.compare.wording import multiple
 from panda_cosim.task.tolerances import OURS, Tolerances, of_ours
 from regress_support import METADATA, NO_SUCCESS, ROWS, SUMMARY, columns, record
 
-DQ = OURS[1]["dq"]["rad"]  # rad, half-width of its tube
+DQ = OURS["controller"]["dq"]["rad"]  # rad, half-width of its tube
 # As of our own FMUs, of which these runs have only some signals.
 VALUES = {"controller.dq": DQ, "plant.qpos": 5e-6, "plant.contact_force": 1.0}
 TOLERANCES = Tolerances(values=VALUES)
@@ -268,18 +268,21 @@ def test_a_tolerance_is_of_a_number_that_is_recorded():
 @pytest.mark.parametrize("name", ["plant", "arm.inner"])
 def test_an_fmu_is_ours_by_its_signals_and_not_by_its_name(name, tmp_path):
     """All signals of PandaPlant in their units make a plant of ours; less do not."""
-    units = {f"{name}.{signal}": next(iter(by_unit)) for signal, by_unit in OURS[2].items()}
+    units = {f"{name}.{signal}": next(iter(by_unit)) for signal, by_unit in OURS["plant"].items()}
     values = {"time": columns()["time"], **dict.fromkeys(units, 1e-3 * columns()["time"])}
     run = record(tmp_path / "ours", values, units)
     found = widths(run, Tolerances(scale=2.0, values={f"{name}.qvel": 3.0}))
     assert found.pop(f"{name}.qvel") == 3.0
-    assert found == {n: 2.0 * OURS[2][n.removeprefix(f"{name}.")][units[n]] for n in found}
+    assert found == {n: 2.0 * OURS["plant"][n.removeprefix(f"{name}.")][units[n]] for n in found}
     other = record(tmp_path / "other", values, {**units, f"{name}.qpos": "K"})
     assert widths(other, Tolerances())[f"{name}.hand_xpos"] == pytest.approx(1e-5 * 4e-4)
 
 
 def test_the_signals_of_our_own_fmus_are_those_of_their_interfaces():
-    for name, table in (("controller", {**OURS[0], **OURS[1]}), ("plant", OURS[2])):
+    for name, table in (
+        ("controller", {**OURS["commands"], **OURS["controller"]}),
+        ("plant", OURS["plant"]),
+    ):
         units = {
             f"{name}.{scalar.name}": scalar.unit
             for scalar in INTERFACES[name].scalars()

@@ -69,7 +69,7 @@ def test_a_long_run_keeps_its_ends_and_every_extreme(rows):
     values = np.sin(time)
     values[[7, rows // 3, rows - 2]] = 40.0, -50.0, 60.0  # single ticks
     kept = Thinning.of(time)
-    poses, curve = kept.pose_time, kept.curve(values)
+    poses, curve = kept.poses(kept.time), kept.curve(values)
     assert poses[0] == time[0]
     assert poses[-1] == time[-1]
     assert len(poses) <= columns.POSES + 1

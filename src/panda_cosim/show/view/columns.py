@@ -84,31 +84,27 @@ def _differences(whole: NDArray[np.int32]) -> bytes:
 
 @dataclass(frozen=True)
 class Thinning:
-    """The kept rows of a run."""
+    """The kept rows of a run: all, or poses at regular rows and curves by stretches."""
 
     time: Array  # instants of all rows (n,) [s]
-    every: int = 1  # rows from one pose to the next
-    stretches: int = 0  # of curves; 0: all rows are kept
+    every: int = 1  # rows from one pose to the next; the last row is kept, too
+    edges: NDArray[np.int64] | None = None  # rows between stretches of curves; None: all are kept
 
     @classmethod
     def of(cls, time: Array) -> Thinning:
         """Choose the rows to keep of a run with these instants (n,) [s]."""
         if len(time) <= ALL_ROWS:
             return cls(time)
-        return cls(time, every=-(-len(time) // POSES), stretches=STRETCHES)
-
-    @property
-    def pose_time(self) -> Array:
-        """Instants of the poses (k,) [s]; the last row is among them."""
-        return self.poses(self.time)
+        edges = np.linspace(0, len(time), STRETCHES + 1).astype(np.int64)
+        return cls(time, -(-len(time) // POSES), edges)
 
     @property
     def curve_time(self) -> Array:
         """Instants of the curves' points (k,) [s]."""
-        if not self.stretches:
+        if self.edges is None:
             return self.time
-        first, end = self._edges()
-        return np.ravel(np.column_stack((self.time[first], self.time[(first + end - 1) // 2])))
+        first, middle = self.edges[:-1], (self.edges[:-1] + self.edges[1:] - 1) // 2
+        return np.asarray(self.time[np.ravel(np.column_stack((first, middle)))])
 
     def poses(self, values: Array) -> Array:
         """Return the rows (k, ...) of poses."""
@@ -118,30 +114,24 @@ class Thinning:
 
     def curve(self, values: Array) -> Array:
         """Return a column's points (k,): all, or minimum and maximum of each stretch, in order."""
-        if not self.stretches:
+        if self.edges is None:
             return values
-        first, _ = self._edges()
-        low = np.minimum.reduceat(values, first)
-        high = np.maximum.reduceat(values, first)
+        first = self.edges[:-1]
+        low, high = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
         rising = values[first] <= (low + high) / 2
         pairs = np.column_stack((np.where(rising, low, high), np.where(rising, high, low)))
         return np.ravel(pairs)
 
-    def _edges(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first and end row of each stretch."""
-        edges = np.linspace(0, len(self.time), self.stretches + 1).astype(np.int64)
-        return edges[:-1], edges[1:]
-
     def words(self) -> str:
         """Describe what was left out, or ""."""
-        if not self.stretches:
+        if self.edges is None:
             return ""
-        span = float(self.time[-1] - self.time[0])
+        span = 1e3 * float(self.time[-1] - self.time[0])  # [ms]
         return (
             f"Thinned from {len(self.time)} rows: poses every "
-            f"{1e3 * span * self.every / (len(self.time) - 1):.3g} ms, linear in between; curves "
-            f"show the least and the greatest value of every "
-            f"{1e3 * span / self.stretches:.3g} ms. Paths are drawn around the present."
+            f"{span * self.every / (len(self.time) - 1):.3g} ms, linear in between; curves show "
+            f"the least and the greatest value of every {span / STRETCHES:.3g} ms. Paths are drawn "
+            "around the present."
         )
 
 

@@ -220,4 +220,4 @@ def _poses(source: RunData, thinning: Thinning, columns: Mapping[str, Sequence[s
     names = [name for group in columns.values() for name in group]
     values = [thinning.poses(source[name]) for name in names]
     block = encode(values, [POSE_STEP] * len(names))
-    return {"time": describe_time(thinning.pose_time), "columns": names, **block}
+    return {"time": describe_time(thinning.poses(source.time)), "columns": names, **block}
