@@ -187,7 +187,8 @@ def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path):
     from fmpy.util import read_csv  # noqa: PLC0415  # heavy
 
     times = np.arange(501) * 0.001 + 1.0
-    commands = load_scenario("pick_and_place").trajectory(START).sample(times)
+    table = load_scenario("pick_and_place").table
+    commands = Trajectory.from_table(table, START, align=True).sample(times)
     write_input_csv(tmp_path / "in.csv", times, commands)
     read = read_csv(tmp_path / "in.csv")
     assert read.dtype.names == ("time", *COMMANDS)

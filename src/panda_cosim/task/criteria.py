@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BeforeValidator, PlainValidator
 
-from ..fmus.errors import did_you_mean, excerpt, located
+from ..fmus.errors import did_you_mean, excerpt, located, refuse
 from .fields import Choice, Line, Quantity, Vector, checked, field_names, key_of
 from .table import POSITION
 
@@ -216,10 +216,15 @@ def check_within(key: str, instant: Instant, start: float, end: float) -> float 
         at = offset + (start if event == "start" else end)
     slack = SLACK * min(end - start, 1.0)
     if not start - slack <= float(at) <= end + slack:
-        raise ValueError(
-            f"{key}: value {instant!r}; must be within the run, from {start:g} to {end:g} s"
-        )
+        must = f"must be within the run, from {start:g} to {end:g} s"
+        refuse(key, instant, must, error=ValueError)
     return float(at)
+
+
+def check_both(criterion: object, *names: str) -> None:
+    """Refuse a place without how near it must be reached, and the other way round."""
+    if len({getattr(criterion, name) is None for name in names}) > 1:
+        raise ValueError(f"{' and '.join(names)}: one is missing; must be both or neither")
 
 
 def _instant_text(instant: Instant) -> str:
@@ -266,8 +271,7 @@ class BodyCriterion:
     at: Annotated[Instant, PlainValidator(check_instant)] = "end"  # [s], or an event
 
     def __post_init__(self) -> None:
-        if (self.position is None) != (self.tolerance is None):
-            raise ValueError("position and tolerance: one is missing; must be both or neither")
+        check_both(self, "position", "tolerance")
         if not self.bounds:
             raise ValueError(f"no bound; must have at least one of {', '.join(BOUNDS)}")
 
@@ -335,10 +339,7 @@ class Success:
     body: tuple[BodyCriterion, ...] = ()
 
     def __post_init__(self) -> None:
-        if (self.block_position is None) != (self.position_tolerance is None):
-            raise ValueError(
-                "block_position and position_tolerance: one is missing; must be both or neither"
-            )
+        check_both(self, "block_position", "position_tolerance")
         taken = set(field_names(Success))
         bodies = (each.label(bound) for each in self.body for bound in each.bounds)
         for label in (*(n for each in self.signal for n in each.labels.values()), *bodies):

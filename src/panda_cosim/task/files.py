@@ -21,6 +21,7 @@ MODEL_FILE = "plant.mjb"  # of a foreign plant, in `scenario` in the run's folde
 MAX_DIGITS = 40  # of an integer; Python would read any number of them
 MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may have 255
 
+MAX_TOML = 65_536  # [byte] far more than a scenario or sweep needs, and quick to parse
 MAX_BYTES = 256 * 1024 * 1024  # of a table; 100 000 rows of 10 long numbers take 25 MB
 
 
@@ -89,9 +90,9 @@ def write_all(contents: Mapping[Path, str]) -> None:
         write_whole(path, text)
 
 
-def read_toml(path: Path, max_bytes: int) -> dict[str, Any]:
-    """Read a TOML file."""
-    text = read_text(path, max_bytes)
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file that a user writes."""
+    text = read_text(path, MAX_TOML)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also an integer of thousands of digits

@@ -75,9 +75,8 @@ def _unit_quaternion(value: object) -> tuple[float, ...]:
     return tuple(part / length for part in quaternion)
 
 
-UnitQuaternion = Annotated[
-    tuple[float, float, float, float], PlainValidator(_unit_quaternion)
-]  # (w, x, y, z)
+# As MuJoCo orders its parts, w first.
+UnitQuaternion = Annotated[tuple[float, float, float, float], PlainValidator(_unit_quaternion)]
 
 
 def _posture(value: object) -> tuple[float, ...]:
@@ -86,9 +85,7 @@ def _posture(value: object) -> tuple[float, ...]:
     return tuple(_BOUNDS[name].check(name, position) for name, position in joints)
 
 
-Posture = Annotated[
-    tuple[float, float, float, float, float, float, float], PlainValidator(_posture)
-]
+Posture = Annotated[tuple[float, ...], PlainValidator(_posture)]
 
 
 def split_until(text: str) -> tuple[int, float]:

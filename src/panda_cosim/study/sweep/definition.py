@@ -40,7 +40,6 @@ KINDS: Final = ("uniform", "normal", "log-uniform", "values")
 MAX_SAMPLES: Final = 10_000_000
 MAX_STEPS: Final = 1_000_000
 SHIPPED_FOLDER: Final = (Path(__file__).parents[2] / "scenarios" / "sweeps").resolve()
-_MAX_BYTES = 65_536
 _KEEP = re.compile(r"none|failures|all|worst:[1-9]\d{0,4}")
 _RANGE = re.compile(r"[\d.]+\s*(-|\.\.)\s*[\d.]+")  # in a notation that `--vary` does not have
 _STEPS: Final = 5  # of a grid where none are given
@@ -149,10 +148,8 @@ def _vary(value: object) -> dict[str, Distribution]:
         raise ValueError('must be sections [vary."KEY"]')
     varied = {}
     for key, section in sorted(value.items()):  # whose order in the file means nothing
-        try:
+        with located(f"vary: {key}"):
             varied[str(key)] = read_distribution(section)
-        except (ValueError, InputError) as error:
-            raise ValueError(f"{key}: {error}") from None
     return varied
 
 
@@ -220,7 +217,7 @@ class Sweep:
             InputError: The file cannot be used.
         """
         path = Path(path)
-        keys = read_toml(path, _MAX_BYTES)
+        keys = read_toml(path)
         with located(path):
             check_keys("", keys, field_names(cls))
             return cls(**_from_folder(keys, path.parent))
