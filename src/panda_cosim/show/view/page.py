@@ -31,22 +31,14 @@ from .columns import Json
 from .run import RunData, Shown
 from .run import describe as describe_run
 
+Document = Mapping[str, Any]  # of a run, as `run.describe` returns it
+
 TEMPLATE: Final = "template.html"
 VIEW_FILE: Final = "view.html"
 TITLE: Final = 200  # [character]
 VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &hellip;</p></main>
 <noscript><p class="pv-wait">This page needs JavaScript and WebGL, which are switched off. \
 The pictures in the run's folder show the run without them.</p></noscript>"""
-
-
-@dataclass(frozen=True)
-class Contents:
-    """Content of a page."""
-
-    title: str
-    runs: Sequence[str]  # names of those shown first; the second is the ghost of the first
-    documents: Sequence[Mapping[str, Any]]  # all runs, as `run.describe` returns them
-    models: Mapping[str, Mapping[str, Any]]  # by key, as `model.describe` returns them
 
 
 def live_page(title: str, run: Mapping[str, object]) -> str:
@@ -100,11 +92,11 @@ def rendered(template: Path, **content: object) -> str:
     return environment.get_template(template.name).render(content)
 
 
-def data_elements(contents: Contents) -> str:
+def data_elements(documents: Sequence[Document], models: Mapping[str, Json]) -> str:
     """Return the elements with runs and models; the page's code reads each when needed."""
-    models = [data_element(f"model:{key}", model) for key, model in contents.models.items()]
-    runs = [data_element(f"run:{run['name']}", run) for run in contents.documents]
-    return "\n".join(models + runs)
+    elements = [data_element(f"model:{key}", model) for key, model in models.items()]
+    elements += [data_element(f"run:{run['name']}", run) for run in documents]
+    return "\n".join(elements)
 
 
 def script_sources(*code: str) -> list[str]:
@@ -155,22 +147,23 @@ def write_view(runs: Sequence[Shown], path: Path) -> Path:
 
 
 def view_page(runs: Sequence[Shown]) -> str:
-    """Return the page as HTML."""
-    made = contents(runs)
-    return _view(made.title, data_elements(made) + data_element("show", {"runs": [*made.runs]}))
+    """Return the page as HTML; the second run is the ghost of the first."""
+    documents, models = contents(runs)
+    data = data_elements(documents, models)
+    data += data_element("show", {"runs": [run.name for run in runs]})
+    return _view(f"{documents[0]['title']} · panda-cosim", data)
 
 
-def contents(runs: Sequence[Shown]) -> Contents:
-    """Return the data of runs; the first is compared with the second, if any."""
+def contents(runs: Sequence[Shown]) -> tuple[list[Document], dict[str, Json]]:
+    """Return the runs' documents, and their models by key; the first run has all comparisons."""
     models: dict[str, Json] = {}
-    documents = []
+    documents: list[Document] = []
     for index, run in enumerate(runs):
         key = hashlib.sha256(json.dumps(run.model).encode()).hexdigest()[:12]
         models[key] = run.model
         against = runs[1].source if index == 0 and len(runs) > 1 else None
         documents.append(describe_run(run, key, against))
-    title = f"{documents[0]['title']} · panda-cosim"
-    return Contents(title, [run.name for run in runs], documents, models)
+    return documents, models
 
 
 def shown_run(folder: Path | str, *, name: str | None = None, meshes: Meshes = "never") -> Shown:

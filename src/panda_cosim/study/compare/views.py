@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
+from ...show.view.columns import Json
 from ...show.view.facts import CURVES
-from ...show.view.page import Contents, contents, data_elements, show_source
+from ...show.view.page import Document, contents, data_elements, show_source
 from ...show.view.run import ROLES, RunData, Shown
 from ...task.scenario import shipped_scenarios
 from .page import Part
@@ -47,28 +48,27 @@ class Views:
     """Collects the runs that a page shows in 3D; each stands in it once."""
 
     def __init__(self) -> None:
-        self._documents: list[Mapping[str, object]] = []
-        self._models: dict[str, Mapping[str, object]] = {}
+        self._documents: list[Document] = []
+        self._models: dict[str, Json] = {}
 
     def add(self, runs: Iterable[Shown], columns: Sequence[str], at: float) -> Part:
         """Add a run and its ghost, whose names are unique; the columns' curves come first."""
         try:
             run, ghost = runs
-            data = contents([run, ghost])
+            (own, other), models = contents([run, ghost])
         except InputError as error:  # no model, or no positions
             return Part("In 3D", note=f"No 3D: {error}")
-        own, other = data.documents
         known = {name for signal in own["signals"] for name in signal["columns"]}
         worst = [{"title": name, "columns": [name]} for name in columns if name in known]
         self._documents += [{**own, "curves": [*worst, *own["curves"]]}, other]
-        self._models |= data.models
+        self._models |= models
         title = f"In 3D: {run.name} at t = {at:.3f} s, {ghost.name} as a ghost"
         return Part(title, view={"runs": [run.name, ghost.name], "at": at})
 
     @property
     def elements(self) -> str:
         """The elements with the runs, as HTML; "" if there are none."""
-        return data_elements(Contents("", [], self._documents, self._models))
+        return data_elements(self._documents, self._models)
 
 
 def limited(run: Shown, columns: Iterable[str]) -> Shown:

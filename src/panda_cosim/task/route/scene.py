@@ -34,6 +34,10 @@ _ROUNDS: Final = 60
 _STEP: Final = 0.4  # [rad] at most in a round
 _FAR, _FAR_DAMPING, _DAMPING = 0.05, 1e-3, 1e-6  # an error [m, rad], and damping beyond and within
 _SURROUNDINGS, _ARM, _GRIPPER, _BLOCK = range(4)  # kinds of geoms
+_KINDS: Final = {  # by the body's name
+    **dict.fromkeys(ARM_AND_PALM, _ARM), **dict.fromkeys((*FINGERS, "hand"), _GRIPPER),
+    BLOCK: _BLOCK,
+}  # fmt: skip
 
 
 class Load(Enum):
@@ -60,7 +64,8 @@ class RouteScene:
         self._data.qpos[:] = qpos
         self._hand, self._jac = model.body("hand").id, np.zeros((6, model.nv))
         self._free = int(model.jnt_qposadr[model.body(BLOCK).jntadr[0]])
-        self._kinds = np.array([_kind(model.body(body).name) for body in model.geom_bodyid])
+        names = [model.body(body).name for body in model.geom_bodyid]
+        self._kinds = np.array([_KINDS.get(name, _SURROUNDINGS) for name in names])
         model.geom_margin[self._kinds != _SURROUNDINGS] = PLANNED
         model.body_margin[:] = PLANNED  # what MuJoCo looks for pairs by
         self.block, self.held, self.opening = block, block, 0.0
@@ -195,9 +200,3 @@ def _product(one: Array, other: Array) -> Array:
     pose = np.empty(7)
     mujoco.mju_mulPose(pose[:3], pose[3:], one[:3], one[3:], other[:3], other[3:])
     return pose
-
-
-def _kind(body: str) -> int:
-    if body in (*FINGERS, "hand"):
-        return _GRIPPER
-    return _ARM if body in ARM_AND_PALM else _BLOCK if body == BLOCK else _SURROUNDINGS

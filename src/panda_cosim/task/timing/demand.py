@@ -77,18 +77,20 @@ def joint_demands(
 
     `load` is the mass of what the closed fingers carry [kg].
     """
-    derivatives = reference.derivatives()
+    robot, acceleration = reference.robot, rates(reference.velocity)
     closed = trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH
     # The block's weight is taken up gradually, so the switch of loads is not a torque rate.
-    empty = _torques(reference, derivatives["acceleration"], 0.0, ~closed)
-    full = _torques(reference, derivatives["acceleration"], load, closed)
-    torque = np.where(closed[:, None], full, empty)
-    torque_rate = np.where(closed[:, None], rates(full), rates(empty))
-    used = {**derivatives, "torque": torque, "torque rate": torque_rate}
-    robot = reference.robot
-    demanded = {quantity: shares(quantity, values, robot) for quantity, values in used.items()}
-    velocity = reference.velocity / ROBOTS[robot].speed(reference.position, reference.velocity)
-    return demanded | {"velocity": velocity}
+    empty = _torques(reference, acceleration, 0.0, ~closed)
+    full = _torques(reference, acceleration, load, closed)
+    used = {
+        "acceleration": acceleration,
+        "jerk": rates(acceleration),
+        "torque": np.where(closed[:, None], full, empty),
+        "torque rate": np.where(closed[:, None], rates(full), rates(empty)),
+    }
+    speed = ROBOTS[robot].speed(reference.position, reference.velocity)
+    demanded = {name: shares(name, values, robot) for name, values in used.items()}
+    return {"velocity": reference.velocity / speed} | demanded
 
 
 def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:

@@ -46,13 +46,6 @@ class JointReference:
     miss: Array
     robot: str
 
-    def derivatives(self) -> dict[str, Array]:
-        """Return velocity, acceleration and jerk, each (n, 7), of the same instants."""
-        acceleration = rates(self.velocity)
-        return {
-            "velocity": self.velocity, "acceleration": acceleration, "jerk": rates(acceleration),
-        }  # fmt: skip
-
     @property
     def room(self) -> Array:
         """Distance of the joints from the ends of their ranges (n, 7) [rad]."""
