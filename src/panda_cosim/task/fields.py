@@ -42,7 +42,7 @@ class _Field:
         try:
             return self(value)
         except ValueError as error:
-            raise InputError(f"{place}: {error}") from None
+            raise InputError(_joined(place, error)) from None
 
     def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self)
@@ -144,22 +144,14 @@ class Switch(_Field):
         raise ValueError(f"value {excerpt(value)}; must be true or false")
 
 
-class ItemError(ValueError):
-    """One item of a list, counted from 1, cannot be used."""
-
-    def __init__(self, index: int, message: str) -> None:
-        super().__init__(message)
-        self.index = index
-
-
 def numbers(values: Iterable[object], item: Quantity) -> tuple[float, ...]:
-    """Return a sequence's items as floats."""
+    """Return a sequence's items as floats; an error begins with the item's index, from 1."""
     checked_items = []
     for index, value in enumerate(values, 1):
         try:
             checked_items.append(item(value))
         except ValueError as error:
-            raise ItemError(index, str(error)) from None
+            raise ValueError(f"[{index}]: {error}") from None
     return tuple(checked_items)
 
 
@@ -238,10 +230,13 @@ def _describe(error: ValidationError, cls: type) -> str:
             holds_texts = _class_at(cls, loc) is None
             form = 'a list of texts, ["...", ...]' if holds_texts else f"sections [[{path}]]"
         return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
-    if isinstance(cause, ItemError):
-        loc = (*loc, cause.index - 1)
-    is_section = _class_at(cls, loc) is not None
-    return f"{_section(loc) if is_section else _place(loc)}{cause}"
+    is_section = _class_at(cls, loc) is not None or not loc
+    return f"{_section(loc)}{cause}" if is_section else _joined(_place(loc), cause)
+
+
+def _joined(place: str, cause: ValueError) -> str:
+    """Return an error with its place before it: "force[1]: ..." where it begins with an index."""
+    return f"{place}{cause}" if str(cause).startswith("[") else f"{place}: {cause}"
 
 
 def _class_at(cls: Any, loc: Loc) -> Any:
@@ -264,9 +259,9 @@ def _section(loc: Loc) -> str:
 
 
 def _place(loc: Loc) -> str:
-    """Return "duration: ", "[success] max_tilt: " or "[[push]] 2: force[1]: "."""
+    """Return "duration", "[success] max_tilt" or "[[push]] 2: force[1]"."""
     end = len(loc)
     while end and isinstance(loc[end - 1], int):
         end -= 1
     indices = "".join(f"[{int(part) + 1}]" for part in loc[end:])
-    return f"{_section(loc[: end - 1])}{key_of(str(loc[end - 1]))}{indices}: " if end else ""
+    return f"{_section(loc[: end - 1])}{key_of(str(loc[end - 1]))}{indices}"

@@ -153,16 +153,17 @@ class Trajectory:
         s, rate = self.time_law(u, duration)
         shift = np.diff(self.positions, axis=0, append=self.positions[-1:])[row]
         turn = turns(self.orientations)[row]
-        commands = np.empty((len(t), len(COMMANDS)))
-        commands[:, 0:3] = self.positions[row] + s * shift
-        commands[:, 3:7] = rotations.multiply(rotations.exp(s * turn), self.orientations[row])
-        commands[:, 7:10] = rate * shift
-        commands[:, 10:13] = rate * turn
-        commands[:, 13] = self.grips[row]
-        if self.postures is None:
-            return commands
-        change = np.diff(self.postures, axis=0, append=self.postures[-1:])[row]
-        return np.hstack((commands, self.postures[row] + s * change, rate * change))
+        parts = [
+            self.positions[row] + s * shift,
+            rotations.multiply(rotations.exp(s * turn), self.orientations[row]),
+            rate * shift,
+            rate * turn,
+            self.grips[row, None],
+        ]
+        if self.postures is not None:
+            change = np.diff(self.postures, axis=0, append=self.postures[-1:])[row]
+            parts += [self.postures[row] + s * change, rate * change]
+        return np.hstack(parts)
 
     def _sample_spline(self, t: Array, row: NDArray[np.intp]) -> Array:
         """Return the commands on the spline of degree 5 from rest to rest, as `sample` does."""

@@ -143,15 +143,19 @@ def _signals(
     curves = ([thinning.curve(source[n]) for n in columns] for columns in groups)
     steps = [[POSE_STEP if n in positions else None for n in columns] for columns in groups]
     return (
-        {
-            "name": _signal_of(columns[0]),
-            "columns": columns,
-            "units": [source.units.get(name, "") for name in columns],
-            "words": source.descriptions.get(columns[0], ""),
-            **block,
-        }
+        _signal(
+            columns,
+            [source.units.get(name, "") for name in columns],
+            source.descriptions.get(columns[0], ""),
+            block,
+        )
         for columns, block in zip(groups, second.map(encode, curves, steps), strict=True)
     )
+
+
+def _signal(columns: list[str], units: list[str], words: str, block: Json) -> dict[str, Any]:
+    name = _signal_of(columns[0])
+    return {"name": name, "columns": columns, "units": units, "words": words, **block}
 
 
 def _signal_of(column: str) -> str:
@@ -164,8 +168,7 @@ def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> li
     curves = []
 
     def add(name: str, unit: str, words: str, values: Array) -> None:
-        block = encode([thinning.curve(values)], [None])
-        curves.append({"name": name, "columns": [name], "units": [unit], "words": words, **block})
+        curves.append(_signal([name], [unit], words, encode([thinning.curve(values)], [None])))
 
     if _has(source, hand, command):
         error = _each_row(source, _distance, hand, command)
