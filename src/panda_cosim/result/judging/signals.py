@@ -1,7 +1,7 @@
 """Judges criteria over signals (a recorded signal, norm or difference), and poses of bodies.
 
 A signal is reduced over a window. A reduction takes times (n,) [s], values (n,) and the criterion
-with its band, target and level, and returns the number, or None if there is none. n is at least 1.
+with its band, target and level, and returns the number, or raises ValueError. n is at least 1.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from .criterion import Criterion
 from .holds import Events
 
 Array = NDArray[np.float64]
-Reduction = Callable[[Array, Array, SignalCriterion], float | None]
+Reduction = Callable[[Array, Array, SignalCriterion], float]
 AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
 _POSE: Final = "_xquat[4]"  # end of a column's name, where a body's pose is recorded
 TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
@@ -65,12 +65,8 @@ def _measure(
 ) -> tuple[list[float], float]:
     """Reduce each element; also return the window's length [s]."""
     time = recording.time
-    start, stop, slack = (
-        time_of(criterion.from_, events),
-        time_of(criterion.to, events),
-        _slack(time),
-    )
-    rows = (time >= start - slack) & (time <= stop + slack)
+    start, stop = (time_of(each, events) for each in (criterion.from_, criterion.to))
+    rows = (time >= start - _slack(time)) & (time <= stop + _slack(time))
     if not rows.any():
         raise ValueError(f"no samples from {start:g} to {stop:g} s")
     signal = by_rows(recording, partial(_evaluate, criterion), *criterion.names)
@@ -78,9 +74,7 @@ def _measure(
         raise ValueError("is not finite")
     within = time[rows]
     values = [REDUCE[criterion.reduce](within, column[rows], criterion) for column in signal.T]
-    if any(value is None for value in values):
-        raise ValueError("has a window of one row, in which nothing settles")
-    return cast("list[float]", values), float(within[-1] - within[0])
+    return values, float(within[-1] - within[0])
 
 
 def row_at(instant: Instant, time: Array, events: Events) -> int:
@@ -108,15 +102,17 @@ def time_of(instant: Instant, events: Events) -> float:
     return at + offset
 
 
-def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | None:
+def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float:
     """Time from the window's start until the signal stays in the band."""
     # If it ends outside, the row after the window's last: it settles then at the earliest.
     target = values[-1] if criterion.target is None else criterion.target
     outside = np.flatnonzero(~(np.abs(values - target) <= (criterion.band or 0.0)))
     if not len(outside):
         return 0.0
-    after = np.append(time, 2.0 * time[-1] - time[-2]) if len(time) > 1 else time
-    return float(after[outside[-1] + 1] - time[0]) if len(after) > len(time) else None
+    if len(time) == 1:
+        raise ValueError("has a window of one row, in which nothing settles")
+    after = np.append(time, 2.0 * time[-1] - time[-2])
+    return float(after[outside[-1] + 1] - time[0])
 
 
 def _overshoot(_time: Array, values: Array, criterion: SignalCriterion) -> float:

@@ -78,18 +78,16 @@ class Recording:
         Raises:
             InputError: There is no recording, it is damaged, or of another version.
         """
-        path = Path(path)
-        if path.is_dir():
-            files = [path / name for name in (PARQUET_FILE, STREAM_FILE)]
-            present = [file for file in files if file.is_file()]
-            if not present:
-                names = f"{PARQUET_FILE} or {STREAM_FILE}"
-                raise InputError(f"{path}: contains no recording; must be a folder with {names}")
-            path = present[0]
-        if not path.is_file():
-            raise InputError(f"{path}: no such file; must be a recording or its folder")
-        is_stream = path.suffix == Path(STREAM_FILE).suffix
-        recording = cls(path, open_stream(path) if is_stream else open_parquet(path))
+        given = Path(path)
+        names = [PARQUET_FILE, STREAM_FILE]
+        files = [given / name for name in names] if given.is_dir() else [given]
+        file = next(filter(Path.is_file, files), None)
+        if file is None:
+            raise InputError(
+                f"{given}: must be a recording or its folder, with {' or '.join(names)}"
+            )
+        read = open_stream if file.suffix == Path(STREAM_FILE).suffix else open_parquet
+        recording = cls(file, read(file))
         if in_order:
             recording._check_time()
         return recording
