@@ -1,7 +1,5 @@
 """Waits that end: a process that does not answer fails one test, and does not hold up all."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

@@ -1,7 +1,5 @@
 """A headless Chromium for tests, spoken to over a pipe: no driver and no package is needed."""
 
-from __future__ import annotations
-
 import json
 import os
 import select

@@ -1,7 +1,5 @@
 """What several tests of the controller need."""
 
-from __future__ import annotations
-
 from panda_cosim.assets.franka import OPENING_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains

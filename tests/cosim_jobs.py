@@ -1,7 +1,5 @@
 """What tests of the whole co-simulation do in a process of their own."""
 
-from __future__ import annotations
-
 import io
 import json
 import resource

@@ -1,7 +1,5 @@
 """What tests do with `c_host/host.c`, which couples FMUs: its plans, its recordings."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import zipfile

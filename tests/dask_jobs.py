@@ -1,7 +1,5 @@
 """Sweeps on Dask, in processes of their own: its threads and workers end with them."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """A recording in memory, with what summaries, pictures and pages need of one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any

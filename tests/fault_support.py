@@ -4,8 +4,6 @@ The environment variable FAULT tells what goes wrong, as `segfault@20`, at the 2
 `segfault@init`. So one FMU serves for all faults.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Unpacked FMUs, and instances of them in FMI 2.0 and FMI 3.0 by ctypes."""
 
-from __future__ import annotations
-
 import ctypes
 import random
 import shutil
@@ -119,7 +117,7 @@ class Unpacked:
         """Number of values."""
         return sum(row.size for row in self.rows.values())
 
-    def copy(self, folder: Path, change: Callable[[str], str] = str) -> Unpacked:
+    def copy(self, folder: Path, change: Callable[[str], str] = str) -> "Unpacked":
         """Copy it, with another table."""
         shutil.copytree(self.folder, folder)
         other = Unpacked(folder)
@@ -252,7 +250,7 @@ class Instance:
         values: Mapping[str, Sequence[float]] | None = None,
         start_time: float = 0.0,
         stop_time: float | None = None,
-    ) -> Instance:
+    ) -> "Instance":
         """Set variables and go through initialization, which has to succeed."""
         for name, elements in (values or {}).items():
             assert self.set(name, *elements) == OK, self.messages()

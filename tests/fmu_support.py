@@ -1,7 +1,5 @@
 """Jobs of tests in processes of their own, and the C compiler."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

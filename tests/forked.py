@@ -6,8 +6,6 @@ is imported when, signals) is for `subprocess`; what a command says and does nee
 that nothing else has touched.
 """
 
-from __future__ import annotations
-
 import atexit
 import json
 import os

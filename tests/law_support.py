@@ -1,7 +1,5 @@
 """The control law in C behind ctypes, and what it is compared with."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 from dataclasses import fields
@@ -21,7 +19,6 @@ from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.build.libraries import BACKENDS, FLAGS, SOURCES
 
 Array = NDArray[np.float64]
-
 CHOICES = {"reaction": REACTIONS, "robot": (*ROBOTS,)}
 
 # controller_functions of controller_law.h
@@ -45,8 +42,6 @@ LAYOUT = np.dtype(
         ("state", STATE),
     ]
 )
-
-
 LAW = [name for name in BACKENDS["controller"] if name.startswith("controller")]
 
 

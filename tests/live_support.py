@@ -1,7 +1,5 @@
 """`panda-cosim live` in a process of its own, and requests to it, for tests."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

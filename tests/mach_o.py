@@ -1,7 +1,5 @@
 """Reads the load commands of a Mach-O file, as <mach-o/loader.h> lays them out."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """FMUs in C with any variables, and systems of them, for the tests; see c_fmu/toy.c."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr

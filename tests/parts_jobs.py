@@ -1,7 +1,5 @@
 """Runs of other people's FMUs, for tests; each in a process of its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

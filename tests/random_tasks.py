@@ -4,8 +4,6 @@ Plant, controller and trajectory in a plain loop give the same numbers as the co
 bit, and need no FMUs, but ten times as long. `panda-cosim sweep random_box` draws such tasks, too.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -31,9 +29,7 @@ from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.trajectory import COMMANDS
 
 Array = NDArray[np.float64]
-
 Task = dict[str, float]  # the plant's parameters by key
-
 DRAWN = tuple(f"plant.block_{name}" for name in ("pos[1]", "pos[2]", "yaw", "mass", "friction"))
 # Ranges of a random task: offset from the nominal place, yaw, mass, friction.
 OFFSET = 0.10  # [m]

@@ -1,7 +1,5 @@
 """Small recordings with references, for tests of comparison and report."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,6 @@ from panda_cosim.result.judging.summary import Summary
 from panda_cosim.result.recording import Column, Recorder, Recording
 
 Array = NDArray[np.float64]
-
 STEP = 0.001  # s
 ROWS = 401
 UNITS = {
@@ -34,9 +31,7 @@ METADATA: dict[str, Any] = {
 }
 CONTENT: dict[str, Any] = {  # of a summary.json
     "success": True,
-    "criteria": [
-        {"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True},
-    ],
+    "criteria": [{"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True}],
     "tracking": {"rms_mm": 100.0, "max_mm": 150.0},
     "limits": {"torque_share": [0.1, 0.2]},
     "timing": {"simulated_s": 0.4, "wall_s": 1.0},

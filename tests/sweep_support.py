@@ -1,7 +1,5 @@
 """What the tests of sweeps share: a short scenario and small sweeps of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path

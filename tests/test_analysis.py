@@ -1,7 +1,5 @@
 """The analysis of loops: compared with closed forms, a linearisation, and what a run does."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The MJCF models carry the published numbers, and their contacts are clean."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -33,7 +31,6 @@ TASK_NAMES = {
 FINGERS = ("left_finger", "right_finger")
 FINGERTIP = 0.1034  # centre of the fingertips along z of the hand [m]
 GRASP_HEIGHT = 0.015  # fingertips above the block's centre in a grasp [m]
-
 MENAGERIE = os.environ.get("MENAGERIE_ROOT")
 ARM_TOLERANCE = 1e-9  # relative to the quantity's largest entry [1]
 POSITION_TOLERANCE = 1e-9  # [m]

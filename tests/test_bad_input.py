@@ -1,7 +1,5 @@
 """Bad input is reported in one line that names the place and the problem; nothing is written."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -146,7 +144,6 @@ def test_each_fmu_is_quoted_with_its_own_words(scenario, tmp_path):
 
 
 # Keys and values: what scenario.toml says, whether there is a trajectory, and the message.
-
 SIGNAL = '[[success.signal]]\nsignal = "plant.qvel"\nreduce = "peak"\nbelow = 1.0\n'
 BAD_KEYS = [
     ('system = "no.ssp"\n', False, "no.ssp"),

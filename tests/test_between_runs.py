@@ -1,7 +1,5 @@
 """Runs compared with each other, in numbers that are known; and how notebooks read results."""
 
-from __future__ import annotations
-
 import html
 import json
 import math

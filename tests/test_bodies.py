@@ -1,7 +1,5 @@
 """Bodies by name, users' scenes, torques, and unwanted contacts."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

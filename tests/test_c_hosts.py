@@ -1,7 +1,5 @@
 """FMUs in a host in C that has no Python: whole tasks, first instances, what is missing."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Comparison with a reference recording: differences that matter are reported, others are not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import mkdtemp
@@ -163,10 +161,8 @@ def rename(old: str, new: str | None = None) -> Change:
 
 FAULTS = [
     (put("plant.jac[1,1]", 17, np.nan), "plant.jac[1,1] is nan at 0.017 s"),
-    (
-        put("controller.dq[1]", slice(17, 20), np.inf),
-        "controller.dq[1] is inf at 0.017 s and at 2 more ticks",
-    ),
+    (put("controller.dq[1]", slice(17, 20), np.inf),
+     "controller.dq[1] is inf at 0.017 s and at 2 more ticks"),
     (put("time", 100, 0.099), "time is 0.099000000 s in row 101, must be 0.100000000 s"),
     (put("time", 100, 0.1004), "time is 0.100400000 s in row 101, must be 0.100000000 s"),
     (put("time", -1, 0.4 + 4e-9), "goes from 0 to 0.400000004 s, the reference from 0 to 0.4 s"),
@@ -175,12 +171,10 @@ FAULTS = [
     (keep(slice(0)), "goes from nan to nan s"),
     (rename("plant.contact_force"), "signal plant.contact_force is missing"),
     (rename("controller.dq[2]"), "signal controller.dq[2] is missing"),
-    (
-        rename("plant.contact_force", "plant.contact_forces"),
-        "plant.contact_force is missing, perhaps renamed to 'plant.contact_forces'",
-    ),
+    (rename("plant.contact_force", "plant.contact_forces"),
+     "plant.contact_force is missing, perhaps renamed to 'plant.contact_forces'"),
     (rename("plant.jac[1,1]", "plant.temperature"), "signal plant.temperature is new"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("fault", "expected"), FAULTS)
@@ -213,9 +207,7 @@ def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared):
 
 @settings(max_examples=40, deadline=None)
 @given(
-    st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=40),
-    st.integers(0, 5),
-    st.floats(1e-6, 2.0),
+    st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=40), st.integers(0, 5), st.floats(1e-6, 2.0)
 )
 def test_a_tube_holds_its_signal_moved_within_both_tolerances(values, ticks, tolerance):
     signal = np.array(values)

@@ -1,7 +1,5 @@
 """Every door compares every signal, of any FMU, name and type."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Contacts that nobody wants: in the plant, in the summary, and in what is advised."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """CONTRIBUTING.md says what is so: its example works, its paths exist."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -22,7 +22,6 @@ from random_tasks import Done, random_tasks, run_in_memory, run_plain
 
 Array = NDArray[np.float64]
 Signals = dict[str, Array]
-
 PLACE = (0.60, 0.35)  # m
 SHARE = 0.95  # of every limit, of the robot and of its reference
 
@@ -149,8 +148,6 @@ def test_other_blocks_are_placed_as_well(count):
 
 
 # The grip force as a command: in a table and as the controller's parameter.
-
-
 FORCE = 22.0  # [N] a finger
 OFF = 0.03  # of the force, as the pads give
 
@@ -216,8 +213,6 @@ def test_a_scene_without_that_gripper_refuses_the_column():
 
 
 # The gains "robust": noise, elastic joints, and the line that proposes them.
-
-
 APPROACH = load_scenario("pick_and_place").changed({"duration": 1.4})  # s, before the grasp
 NOISE = {"mismatch.joint_noise": 1e-5, "mismatch.hand_pose_source": "model"}  # [rad]
 SETTLED = 100  # ticks, after which the servos carry the arm

@@ -17,7 +17,6 @@ from panda_cosim.task.rotations import exp, multiply
 from random_tasks import connect
 
 Array = NDArray[np.float64]
-
 TICKS = 400
 ANGLE_TOLERANCE = 1e-12  # rad
 LAW_TOLERANCE = 1e-8  # rad and rad/s, of rounding where accelerations are made from a millisecond

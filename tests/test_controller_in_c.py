@@ -1,7 +1,5 @@
 """The control law in C gives the bits of the law in Python."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import fields, replace
 from math import inf
@@ -19,7 +17,6 @@ from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
 from panda_cosim.controller.presets import preset
 
 Array = NDArray[np.float64]
-
 SEVERAL = 60  # updates of a random sequence
 PLAIN_FIELDS = [f.name for f in fields(Gains) if f.name in RANGES]
 

@@ -1,7 +1,5 @@
 """Each number of a run is what its definition says: computed again from recordings, by numpy."""
 
-from __future__ import annotations
-
 import json
 import math
 import runpy
@@ -29,7 +27,6 @@ from panda_cosim.task.criteria import EVENTS
 from panda_cosim.task.fields import field_names
 
 Array = NDArray[np.float64]
-
 SAME = 1e-9  # relative and in any unit, of rounding alone
 ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
 SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial",
@@ -338,8 +335,6 @@ def test_holds_are_those_found_row_by_row(runs, step):
 
 
 # The example of ISO 9283: its figures computed again from the recordings, and by hand.
-
-
 EXAMPLES = Path(__file__).parents[1] / "scenarios" / "examples"
 ISO = runpy.run_path(str(EXAMPLES / "iso9283.py"))
 

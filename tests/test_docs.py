@@ -5,8 +5,6 @@ and `<!-- not run: WHY -->` before a block says why not. `# exit code 3` at a li
 must end with, `Ctrl-C` how. Lines of a block of text must be in what the block before has printed.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -193,8 +191,6 @@ def test_every_page_is_in_the_menu():
 
 
 # README, reference and notebook say what is so: commands, scenario files, links.
-
-
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 REFERENCE_PAGES = sorted((ROOT / "docs" / "reference").glob("*.md"))
 REFERENCE = "\n".join(page.read_text(encoding="utf-8") for page in REFERENCE_PAGES)
@@ -279,8 +275,6 @@ def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
 
 
 # The examples run as they stand: four ways to use the project, from own parts to a kept result.
-
-
 EXAMPLES = Path(__file__).parent.parent / "scenarios" / "examples"
 EXAMPLE_LIMIT = 500.0  # [s]
 

@@ -1,7 +1,5 @@
 """Other versions of MuJoCo: in FMUs, in runs, sweeps and suites, and what counts as a change."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Events and ends: event mode, FMUs that end the simulation, values that are not finite."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import fmpy

@@ -1,7 +1,5 @@
 """Reference experiments in FMUs: what is written, and what `check` makes of those of others."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

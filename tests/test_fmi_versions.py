@@ -1,7 +1,5 @@
 """The master runs FMUs of FMI 2.0 and 3.0, alone and mixed, and treats their answers alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +17,7 @@ from panda_cosim.fmus.master.fmu_file import Fmu, described_interface, read_valu
 from panda_cosim.fmus.master.system import System, open_slave, open_system
 from toy_fmu import INDICES, toy_fmu
 
-pytestmark = [
-    pytest.mark.own_process,
-    needs_compiler,
-]
+pytestmark = [pytest.mark.own_process, needs_compiler]
 U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
 
 

@@ -1,7 +1,5 @@
 """How an FMU behaves, of either kind and version: values, steps, states, many instances."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os

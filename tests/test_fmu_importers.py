@@ -1,7 +1,5 @@
 """The coupled system in other people's importers: they agree with our master."""
 
-from __future__ import annotations
-
 import ctypes
 import zipfile
 from dataclasses import replace

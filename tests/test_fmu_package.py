@@ -1,7 +1,5 @@
 """What is in an FMU of either kind, in both versions of FMI, and that it is the FMU's own."""
 
-from __future__ import annotations
-
 import html
 import re
 import sys

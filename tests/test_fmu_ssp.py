@@ -1,7 +1,5 @@
 """The coupled system as an SSP file: written, checked against the schema, and read."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The FMU that plays a table."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The second arm, FR3: its numbers, its limits, and the shipped scenarios with it."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,7 +15,6 @@ from panda_cosim.study.check.diagnosis import feasibility
 from random_tasks import run_plain
 
 Array = NDArray[np.float64]
-
 TORQUE_TOLERANCE = 1e-6  # N.m
 ROUNDING = 1e-6  # of a limit
 # Scenarios that this arm does not manage.

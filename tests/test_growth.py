@@ -1,7 +1,5 @@
 """Memory beside a run's length: a long run is judged and compared with few of its columns in it."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 from collections.abc import Callable

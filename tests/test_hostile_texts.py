@@ -1,7 +1,5 @@
 """Texts from elsewhere stay text: in pages, on the terminal, in JUnit files, in commands."""
 
-from __future__ import annotations
-
 import html
 import io
 import json
@@ -257,7 +255,6 @@ def test_junit_holds_any_text(tmp_path):
 
 
 # The live page.
-
 TUNABLES = {f"{ODD}.p": 1.0, f"{ODD}.on": True, f"{ODD}.kind": ODD}
 PLAN = {
     "time": [0.0, 1.0],

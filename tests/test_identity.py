@@ -1,7 +1,5 @@
 """The digests of FMUs and sweeps change with everything that FMUs and rows depend on."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

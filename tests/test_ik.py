@@ -32,10 +32,8 @@ from panda_cosim.controller.singularity import (
 )
 
 Array = NDArray[np.float64]
-
 ANGLE_TOLERANCE = 1e-9  # rad
 SOLUTION_TOLERANCE = 1e-7  # rad/s, of the solver's and of the pseudo-inverse's rounding
-
 part = st.floats(-1.0, 1.0)
 vectors = st.tuples(part, part, part).map(np.array)
 seeds = st.integers(0, 2**32 - 1)
@@ -131,7 +129,6 @@ def test_both_signs_of_a_quaternion_are_one_orientation(a, b):
 
 
 # Correction.
-
 rates = st.floats(1e-3, 100.0)
 
 

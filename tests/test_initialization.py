@@ -1,7 +1,5 @@
 """Initialization: values go along the connections, until they agree, before the first step."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,10 +19,7 @@ from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import rehearse
 from toy_fmu import library
 
-pytestmark = [
-    pytest.mark.own_process,
-    needs_compiler,
-]
+pytestmark = [pytest.mark.own_process, needs_compiler]
 SOURCE = Path(__file__).parent / "c_fmu" / "start.c"
 NAMES = ("u", "y", "x0", "g", "c", "tolerance")
 CAUSALITIES = {"u": "input", "g": "parameter", "c": "parameter"}

@@ -1,7 +1,5 @@
 """The package as others install it: beside their own modules, and as a wheel without its source."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

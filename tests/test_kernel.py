@@ -1,7 +1,5 @@
 """The master's step in C and in Python: the same bits, and the same errors."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -21,12 +21,9 @@ from panda_cosim.controller.limits import (
 )
 
 Array = NDArray[np.float64]
-
 PERIOD = 0.001  # s
 OVERSHOOT = QDD_MAX * PERIOD**2 / 4  # rad, by what the last, shorter step of a stop may miss
 seeds = st.integers(0, 2**32 - 1)
-
-
 LIMITS = JointLimits(share=1.0, lead=0.05, period=PERIOD)
 pull_from_ends = LIMITS.pull_from_ends
 NONE = np.zeros(7)
@@ -159,8 +156,6 @@ def test_where_limits_are_inactive_the_box_contains_the_velocities(seed, size):
 
 
 # Random straight moves end at their goals, near singularities, too.
-
-
 NEAR_SINGULARITIES = (2, 8, 13, 22)  # moves whose goals once were missed by 1.5 to 2.5 mm
 
 

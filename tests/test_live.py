@@ -1,7 +1,5 @@
 """`panda-cosim live`: sessions replay bit for bit; only clients with the token get in."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

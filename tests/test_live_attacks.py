@@ -1,7 +1,5 @@
 """`panda-cosim live` under attack: malformed requests, floods, clients that stall."""
 
-from __future__ import annotations
-
 import json
 import signal
 import socket

@@ -4,8 +4,6 @@ The block is carried to the table and back, again and again. An hour of that tak
 `pytest -m long tests/test_long.py`
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,6 @@ from panda_cosim.run.start import start_pose, start_values
 from panda_cosim.task import rotations
 
 Array = NDArray[np.float64]
-
 QUARTER_TURN = np.array([math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)])  # about z
 START, PLACE = (0.4, -0.2), (0.6, 0.35)  # [m] of the block, on the floor and on the table
 GRASP = {START: 0.185, PLACE: 0.385}  # [m] height of the hand, fingers about the block

@@ -1,7 +1,5 @@
 """Margins of made-up loops: confirmed by linear systems on both sides, and by python-control."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +16,6 @@ from panda_cosim.study.analysis.responses import Responses
 from panda_cosim.study.analysis.sensitivity import Sensitivity, disk_margin, limits
 
 Matrix = NDArray[Any]
-
 PERIOD = 0.004  # s
 NEAR = 1e-3  # share of a margin within which a system is on its other side
 SAME = 1e-6  # relative, of the same number by another way
@@ -65,7 +62,7 @@ class Loops:
         """S by the responses to pulses."""
         return Sensitivity(self.pulses, PERIOD)
 
-    def alone(self, index: int) -> Loops:
+    def alone(self, index: int) -> "Loops":
         """One loop, with the others closed."""
         others = np.arange(self.b.shape[1]) != index
         a = self.a - self.b[:, others] @ self.c[others]

@@ -1,7 +1,5 @@
 """The master's algorithm, with slaves that are small linear systems."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any

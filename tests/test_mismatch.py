@@ -1,7 +1,5 @@
 """The section [mismatch]: presets, single keys, what they put into the FMUs, and runs with them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -189,8 +187,6 @@ def test_a_law_knows_of_no_mass_unless_it_asks_for_the_truth_by_name():
 
 
 # Sensors between plant and controller: each error does what it says, and zero does nothing.
-
-
 ALL_ERRORS = SensorErrors(
     seed=3,
     joint_offset=(1e-3,) * 7,

@@ -1,7 +1,5 @@
 """`mjcf2fmu`: FMUs of models that others wrote are what MuJoCo makes of them."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import threading

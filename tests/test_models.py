@@ -1,7 +1,5 @@
 """FMUs of any MuJoCo model are what `mj_step` makes of it, and lose or rename nothing."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The C code of native FMUs under sanitizers and valgrind, driven by random calls."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -12,15 +10,7 @@ from pathlib import Path
 import pytest
 
 from bounded import ran
-from fmu_instance import (
-    BACKENDS,
-    MJCF,
-    MODELS,
-    Unpacked,
-    mujoco_library,
-    unpacked,
-    with_content,
-)
+from fmu_instance import BACKENDS, MJCF, MODELS, Unpacked, mujoco_library, unpacked, with_content
 from fmu_support import compiler, needs_compiler, sanitizes
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu
@@ -154,8 +144,6 @@ def test_valgrind_finds_nothing(tmp_path):
 
 
 # Hosts in C that make it hard for an FMU: they get the bits of an undisturbed run, or a reason.
-
-
 SOURCE = Path(__file__).parent / "c_host" / "stress.c"
 EASY = ("arithmetic", "comma", "two")  # without a number
 # Rounds, kilobytes, instances or allocations: in the suite (0: not), and in long runs.

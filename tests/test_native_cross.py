@@ -1,7 +1,5 @@
 """The native FMUs on other platforms, under Wine and QEMU where these are there."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """The backend MuJoCo: the plant in Python is the reference, and `mj_step` for any other model."""
 
-from __future__ import annotations
-
 import math
 import os
 from importlib.util import find_spec

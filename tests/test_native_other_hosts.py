@@ -1,7 +1,5 @@
 """FMUs in Python hosts of other versions, and beside another version of MuJoCo."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

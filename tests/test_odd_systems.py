@@ -1,7 +1,5 @@
 """Systems of other people's FMUs: nothing of their files is changed or dropped in silence."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path

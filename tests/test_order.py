@@ -1,7 +1,5 @@
 """The order of stepping: who feeds comes first, and no order of lines has an effect."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -102,7 +100,6 @@ def reaches(feeds: set[tuple[str, str]], start: str, end: str) -> bool:
 
 
 # Systems that are run.
-
 LINES = ['a = "a.fmu"', 'plant = "b.fmu"', 'c = "c.fmu"']
 CONNECT = ['"a.u" = "plant.y"', '"plant.u" = "c.y"', '"c.u" = "a.y"']
 INPUTS = ['"a.u[1,1]" = 1.0', '"c.u[2,1]" = -2.0']

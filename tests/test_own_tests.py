@@ -1,7 +1,5 @@
 """Users' scenarios as tests: with criteria alone, expected to fail, broken, in xdist."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

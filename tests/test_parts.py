@@ -1,7 +1,5 @@
 """Other controllers, plants and systems by name: built, connected, judged, told what is wrong."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -39,7 +37,6 @@ class Hold:
     def update(self, time, qpos, hand_xpos):
         return qpos
 """
-
 RAMP = """
 class Ramp:
     "Rises by one a second"

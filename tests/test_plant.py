@@ -1,7 +1,5 @@
 """The plant: outputs of one instant, parameters that act, states that restore exactly."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

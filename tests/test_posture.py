@@ -1,7 +1,5 @@
 """Postures in a table: the arm takes the commanded joint positions, not only the hand's pose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the real robot's interface refuses: names, instants, rows and figures, by numpy alone."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -29,7 +27,6 @@ from random_tasks import run_in_memory
 
 Array = NDArray[np.float64]
 Quantity = tuple[Array, Any, Any]  # values (n, k), largest sizes, and what both are counted from
-
 DT = 1e-3  # [s]
 SAME = 1e-5  # relative: third differences lose digits
 # From Franka's documents, once more.

@@ -1,7 +1,5 @@
 """Our slaves in PythonFMU's wrapper: the same bits, and each trap of that host."""
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import sys
@@ -65,7 +63,7 @@ class Unit:
         """Set Reals."""
         self.slave.setReal([self.references[name] for name in names], list(values))
 
-    def steps(self, count: int, first: int = 0) -> Unit:
+    def steps(self, count: int, first: int = 0) -> "Unit":
         """Take steps of 1 ms."""
         for tick in range(first, first + count):
             self.slave.doStep(tick * STEP, STEP)
@@ -127,7 +125,6 @@ def test_the_description_is_ours_and_valid(name):
 
 
 # A script of a user's, which PythonFMU alone packs.
-
 SCRIPT = """from panda_cosim.fmus.inside.{name} import {base}
 
 
@@ -297,8 +294,6 @@ def test_an_unknown_kind_is_refused():
 
 
 # Without the package pythonfmu, what needs it says so in one line, and all else runs.
-
-
 WITHOUT = """
 import sys
 from importlib import metadata

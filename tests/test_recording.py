@@ -22,7 +22,6 @@ from panda_cosim.result.recording import Column, MemoryRecorder, Recorder, Recor
 from panda_cosim.result.recording import recorder as recorder_module
 
 Array = NDArray[np.float64]
-
 COLUMNS = (
     Column("time", "s", "instant"),
     *(Column(f"plant.qpos[{i}]", "rad", "joint position") for i in range(1, 4)),

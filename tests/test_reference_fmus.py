@@ -3,8 +3,6 @@
 REFERENCE_FMUS names their folder, which holds fmi2 and fmi3.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -32,7 +30,6 @@ WIDER = {  # input by the output that feeds it
     "Float32_continuous": "Int16", "Float32_discrete": "UInt16", "Float64_continuous": "Int32",
     "Float64_discrete": "Float32_discrete",
 }  # fmt: skip
-
 pytestmark = needs_reference_fmus
 
 

@@ -1,7 +1,5 @@
 """Shipped scenarios match their reference recordings; differences are reported with exit codes."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty
@@ -23,12 +21,8 @@ from panda_cosim.study.compare.regress import find_scenarios, start
 from panda_cosim.study.work import Workers
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
-
 LARGEST = 500_000  # bytes of a reference; noise compresses badly
-
 SETTINGS = "duration = 0.2\n[success]\ntracking_max = 0.005\n"
-
-
 DIES = """
 import os, signal
 
@@ -92,7 +86,6 @@ sys.stdin = sys.__stdin__ = None
 from panda_cosim.cli import main
 main()
 """
-
 AT_A_TERMINAL = """
 import os, sys
 sys.stdin = open(sys.argv.pop(1))

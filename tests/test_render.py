@@ -41,7 +41,6 @@ from regress_support import record
 
 HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
 EXACT = 1e-12  # of rounding alone
-
 needs_gl = pytest.mark.usefixtures("backend")
 needs_menagerie = pytest.mark.skipif(
     meshes.find_menagerie() is None, reason="MENAGERIE_ROOT names no folder with Menagerie's Panda"
@@ -292,7 +291,6 @@ def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path):
 
 
 # --- OpenGL
-
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the backends of Linux")
 
 

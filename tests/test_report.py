@@ -1,7 +1,5 @@
 """The report names what is wrong first, and works in a browser without a network."""
 
-from __future__ import annotations
-
 import json
 import re
 import time
@@ -162,8 +160,6 @@ def test_a_failing_scenario_is_found_and_zoomed(page, report):
 
 
 # A report_in_3d in 3D: the worst scenario opens by itself, at its worst tick, with its reference.
-
-
 SHIFT = "--set", "plant.block_pos[1]=0.46"  # a planted difference
 LARGEST = 2e6  # [B] of a report_in_3d of two scenarios
 
@@ -196,8 +192,6 @@ def report_in_3d(outcomes_in_3d, tmp_path_factory):
 
 
 NOW = "PandaView.viewer.clock.time"
-
-
 SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
 
 

@@ -1,7 +1,5 @@
 """Time-optimal timing: paths with rounded corners, and tables within the robot's limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -175,8 +173,6 @@ def test_a_torque_that_rest_takes_already_is_told_as_weight(slow, keep_times, sa
 
 
 # What the robot could not follow is named, and stretched until it can.
-
-
 STRETCHED = 0.95
 NOMINAL = load_scenario("pick_and_place")
 

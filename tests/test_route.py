@@ -1,7 +1,5 @@
 """Planned routes: the block is grasped and set down, and nothing else is touched."""
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import replace
@@ -62,12 +60,9 @@ def test_the_same_input_gives_the_same_bytes(routed, tmp_path):
 
 OUT_OF_REACH = [
     ("plant.block_pos=0.66,0.38", "no posture of the arm grasps and lifts the block"),
-    pytest.param(
-        "success.block_position=-0.65,0.5,0.05",
-        "no posture of the arm sets the block down",
-        marks=pytest.mark.long,
-    ),
-]
+    pytest.param("success.block_position=-0.65,0.5,0.05",
+     "no posture of the arm sets the block down", marks=pytest.mark.long),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("setting", "reason"), OUT_OF_REACH)

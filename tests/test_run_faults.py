@@ -1,7 +1,5 @@
 """Whatever happens to a run, its recording opens, is complete up to then, and gives the reason."""
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -19,13 +17,7 @@ import pytest
 
 import forked
 from bounded import killed_after, line_of, ran, running
-from fault_support import (
-    build_faulty,
-    processes_with,
-    run_command,
-    run_with_fault,
-    write_scenario,
-)
+from fault_support import build_faulty, processes_with, run_command, run_with_fault, write_scenario
 from panda_cosim import InputError, Options, Recording
 from panda_cosim.fmus.atomic import TEMPORARY
 

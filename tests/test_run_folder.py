@@ -1,7 +1,5 @@
 """A run's folder: who gets it, what it holds, and that running its copy gives the same bits."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import threading
@@ -43,7 +41,6 @@ def bits(recording: Recording) -> bytes:
 
 
 # --- The copy of what was run ----------------------------------------------------------------
-
 CHANGES: list[dict[str, Any]] = [
     {},
     {"coupling": "jacobi"},
@@ -182,8 +179,6 @@ def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path):
 
 
 # Commands replace only files that they made, and nothing that is a recording.
-
-
 SLAVE = Path(__file__).parent / "slaves" / "decay.py"
 PAGES = Path(__file__).parent.parent / "src" / "panda_cosim"
 MODEL = '<mujoco><worldbody><body><joint/><geom size=".1" mass="1"/></body></worldbody></mujoco>'

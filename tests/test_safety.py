@@ -1,7 +1,5 @@
 """Files from elsewhere are data: only running an FMU runs what is in it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat
@@ -137,8 +135,6 @@ def test_any_name_becomes_one_safe_file_name(name):
 
 
 # Other users of the machine: nothing of theirs is loaded, and a live run is not theirs.
-
-
 OTHER = 12345  # id of a user
 
 

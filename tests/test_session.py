@@ -1,7 +1,5 @@
 """Sessions: stepped from outside, journalled, and run again bit for bit."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -18,15 +16,7 @@ import pytest
 from bounded import line_of
 from fmu_support import in_process
 from forked import command
-from panda_cosim import (
-    InputError,
-    Options,
-    Recording,
-    Session,
-    load_scenario,
-    replay,
-    run_scenario,
-)
+from panda_cosim import InputError, Options, Recording, Session, load_scenario, replay, run_scenario
 from panda_cosim.fmus.interface.plant import FORCES
 from panda_cosim.run.journal import Journal
 from parts_jobs import session_of_other_parts
@@ -281,10 +271,7 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path):
         (["[1]"], "line 1: '\\[1\\]'; must be a JSON object"),
         ([None, '{"tick": -1, "action": "end"}'], "line 2: tick -1; must be a whole number from 0"),
         ([None, '{"tick": 5}'], "action: value None; must be one of set"),
-        (
-            [None, '{"tick": 5, "action": "set", "name": 7}'],
-            "line 2: set: name: Input should be a",
-        ),
+        ([None, '{"tick": 5, "action": "set", "name": 7}'], "line 2: set: name: Input should be a"),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 4, "action": "set"}'], "line 3: tick 4"),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 5, "action": "set"}'], "after the end"),
     ],

@@ -1,7 +1,5 @@
 """What the master carries from FMU to FMU: numbers in units of their own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import fmpy
@@ -191,8 +189,6 @@ def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
 
 
 # Units and types of the two ends of a connection, of FMUs in FMI 2.0 and 3.0.
-
-
 RELATIVE: float = 1e-9  # error of a conversion there and back
 NUMBERS = st.floats(1e-3, 1e3)
 DEFINED = st.builds(

@@ -1,7 +1,5 @@
 """What SSP files of other tools may hold: each feature once, with values worked out by hand."""
 
-from __future__ import annotations
-
 import zipfile
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """States of our FMUs: whatever is called in between, they are those of a twin that saves none."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

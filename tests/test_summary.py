@@ -3,8 +3,6 @@
 Each number of real runs is computed once more in test_definitions.py.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -216,8 +214,6 @@ def test_tracking_of_a_law_without_orientation_is_measured(tmp_path):
 
 
 # What a run's summary tells of the robot's limits.
-
-
 ROWS = 20
 JERK = ("joint-reference jerk of joint 4", "200%")
 

@@ -1,7 +1,5 @@
 """Sweeps whose runs hang, and whose law is gone."""
 
-from __future__ import annotations
-
 import shutil
 from functools import partial
 from pathlib import Path
@@ -74,10 +72,7 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path):
 
 
 # A Dask cluster gives the same table as this machine's pool, also where workers are lost.
-
-
 distributed = pytest.importorskip("distributed")
-
 SAMPLES = 8
 
 

@@ -1,7 +1,5 @@
 """Every figure of a sweep's report, computed again from the table's files alone."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -67,15 +65,12 @@ CASES: dict[str, tuple[dict[str, Any], Outcome, range | tuple[()]]] = {
     "sobol": ({"design": "sobol", "vary": SMALL, "samples": 256}, heavy, ()),
     "words": ({"design": "sobol", "samples": 200} | WORDS, worn, ()),
     "no verdict": ({"design": "random", "vary": SMALL, "samples": 150}, partly, ()),
-    "two scenarios": (
-        {"design": "random", "vary": SMALL, "samples": 80, "scenario": ("push", "jacobi")},
-        second,
-        (),
-    ),
+    "two scenarios": ({"design": "random", "vary": SMALL, "samples": 80, "scenario": ("push",
+     "jacobi")}, second, ()),
     "expected failure": ({"design": "random", "vary": SMALL, "samples": 90}, contrary, ()),
     "search": ({"design": "search", "vary": SMALL, "samples": 60}, partly, ()),
     "few": ({"design": "random", "vary": SMALL, "samples": 5}, heavy, ()),
-}
+}  # fmt: skip
 
 
 class Report:

@@ -1,7 +1,5 @@
 """What a sweep's rows are of, what they are compared with, and how they are ranked."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

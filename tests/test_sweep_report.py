@@ -1,7 +1,5 @@
 """What a sweep's report says, and its page in a browser."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Sweeps that run: their table, their resumption, and what becomes of rows that fail."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

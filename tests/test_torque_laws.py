@@ -1,7 +1,5 @@
 """Laws that give torques, or angles: the words for what does not fit, and options in any order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -134,8 +132,6 @@ def test_a_law_that_cannot_be_imported_or_returns_no_numbers_is_named(
 
 
 # The impedance law: its formulas, its limits, pushes, and what the border refuses.
-
-
 Array = NDArray[np.float64]
 TORQUES = {"scene": "motors", "gains": "impedance"}
 MOVING = load_scenario("pick_and_place").changed({**TORQUES, "duration": 4.0})

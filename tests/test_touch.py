@@ -1,7 +1,5 @@
 """What the controller feels: observed torques, contacts and collisions, and the reactions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

@@ -17,17 +17,14 @@ from panda_cosim.task.trajectory import COMMANDS, StartPose
 from panda_cosim.task.writer import write_input_csv
 
 Array = NDArray[np.float64]
-
 DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
 HOME = (0.554499478, 0.0, 0.624502429)  # m
 TARGET = (0.4, -0.2, 0.1)  # m
 START = StartPose(HOME, DOWN, TARGET)
-
 POSITION_TOLERANCE = 1e-12  # m: rounding only
 UNIT_TOLERANCE = 1e-12  # of a quaternion's length
 RATE_TOLERANCE = 1e-5  # m/s and rad/s: what a difference over 2 us leaves of the third derivative
 STEP = 1e-6  # s, of that difference
-
 POSITION, QUATERNION, VELOCITY, OMEGA, GRIP = (
     slice(0, 3),
     slice(3, 7),
@@ -35,7 +32,6 @@ POSITION, QUATERNION, VELOCITY, OMEGA, GRIP = (
     slice(10, 13),
     13,
 )
-
 number = st.floats(-1.0, 1.0)
 quaternions = st.tuples(number, number, number, number).filter(lambda q: np.linalg.norm(q) > 0.1)
 
@@ -236,8 +232,6 @@ def test_spline_velocities_are_the_poses_derivatives_and_continuous():
 
 
 # What is given from outside is the same, made at once or a part at a time.
-
-
 INPUTS = prepare(load_scenario("pick_and_place")).inputs()
 
 

@@ -1,7 +1,5 @@
 """What is in C and in Python has the same bits, and the stamp says of which code."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 from typing import Any

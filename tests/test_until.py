@@ -1,7 +1,5 @@
 """Rows of a table that end early: when, what follows, and in all ways that a table is played."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 

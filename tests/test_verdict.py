@@ -1,7 +1,5 @@
 """A run comes to one verdict, whichever way one looks at it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -90,8 +88,6 @@ SUMMARIES = {
         ("failed", "success", ["missed"]),
     ]
 }
-
-
 MODEL = {"nq": 1, "bodies": []}
 
 

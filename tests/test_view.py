@@ -1,7 +1,5 @@
 """What the view's page is made of: packed columns, thinned runs, the model, words."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -186,8 +184,6 @@ def test_columns_of_different_units_are_not_in_one_plot():
 
 
 # The built page code is what its source says: rebuilt to the same code, and tested.
-
-
 VIEW = Path(__file__).parent.parent / "src" / "panda_cosim" / "show" / "view"
 BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
 
@@ -311,10 +307,7 @@ def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(recorded, tmp_p
         ((tmp_path / "small",), "1 columns of plant.qpos"),
         ((recorded, "--against", tmp_path / "small"), "1 columns of plant.qpos"),
         ((tmp_path / "small", "--against", "reference"), "'small' is not one of the shipped ones"),
-        (
-            (recorded, "--against", tmp_path / "reference.parquet"),
-            "no such file; must be",
-        ),
+        ((recorded, "--against", tmp_path / "reference.parquet"), "no such file; must be"),
     ):
         done = view(*arguments, "--out", out)
         assert done.returncode == 2, arguments

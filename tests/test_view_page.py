@@ -1,7 +1,5 @@
 """The view in a browser: what it shows, and how it reacts to the user."""
 
-from __future__ import annotations
-
 import json
 import time
 from html import escape
@@ -32,7 +30,6 @@ VIEWER = "PandaView.viewer"
 STAGE = f"{VIEWER}.stage"
 READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
 NOW = f"{VIEWER}.clock.time"
-
 pytestmark = pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
 
 

@@ -1,7 +1,5 @@
 """Work that is given to processes: what ends or hangs costs its own call."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Small FMUs in C, compiled by the tests, in FMI 2.0 and 3.0 from one source."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from functools import cache

@@ -1,7 +1,5 @@
 """Runs for tests of the view: recorded ones, and made-up ones in memory."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """What the tests of `scenarios.work` have processes do."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -13,10 +13,7 @@ class Decay(Fmi2Slave):
         self.text, self.echo, self.fail, self.big = "abc", "", 0.0, 0
         given = {"causality": Fmi2Causality.input}
         computed = {"causality": Fmi2Causality.output}
-        tunable = {
-            "causality": Fmi2Causality.parameter,
-            "variability": Fmi2Variability.tunable,
-        }
+        tunable = {"causality": Fmi2Causality.parameter, "variability": Fmi2Variability.tunable}
         self.register_variable(Real("u", **given))
         self.register_variable(Real("x", **computed))
         self.register_variable(Integer("n", **tunable))
