@@ -10,9 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmu_instance import OK, Instance, with_content
+from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.variables import by_array
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu
+from panda_cosim.result.judging.summary import Summary
+from panda_cosim.result.recording import Recording
+from panda_cosim.study.check.diagnosis import check_folder
 
 own_process = pytest.mark.own_process
 HINGE = """<body><joint name="h" axis="0 1 0" damping="1"/>
@@ -296,3 +300,41 @@ def test_a_model_with_plugins_is_refused_with_their_names(tmp_path):
         InputError, match=r"model\.xml: uses plugins, mujoco\.pid, which FMUs cannot"
     ):
         model_fmu(saved(tmp_path, HINGE.format(""), rest), ModelOptions())
+
+
+BOXES = '<geom type="plane" size="5 5 1"/>' + "".join(
+    f'<body pos="{0.3 * i} 0 .09"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+    for i in range(8)
+)
+
+
+@own_process
+@pytest.mark.parametrize("memory", ["10K", "30K", "1M"])
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)])
+def test_warnings_of_the_engine_are_counted_and_fail_a_run(tmp_path, memory, isolate):
+    path, count = saved(tmp_path, BOXES, f'<size memory="{memory}"/>'), 10
+    model, data = loaded(path)
+    for _ in range(count + 1):  # the instants of as many rows
+        mujoco.mj_step(model, data)
+    kinds = [data.warning[i].number for i in range(3)]
+    assert any(kinds) == (memory != "1M")
+    head = f'purpose = "Boxes"\nduration = {count * STEP}\nstep = {STEP}\n'
+    for bound, verdict in (("", 3 if any(kinds) else 0), ("max_engine_warnings = 99", 0)):
+        text = f'{head}[fmus]\nplant = "model.xml"\n[success]\n{bound}\n'
+        (tmp_path / "scenario.toml").write_text(text)
+        out = tmp_path / f"run{len(bound)}"
+        words = ("run", tmp_path, "--no-video", "--no-view", "--out", out, *isolate)
+        assert command(*words).returncode == verdict
+        run = Summary.open(out)
+        assert dict(run.numbers())["engine.warnings"] == sum(kinds)
+        counted = Recording.open(out).metadata["engine"]
+        assert [*counted.values()] == kinds, counted
+
+
+def test_a_step_that_the_models_does_not_divide_is_told(tmp_path):
+    saved(tmp_path, HINGE.format(""))
+    for step, is_told in ((0.001, True), (0.002, False), (0.003, True), (0.004, False)):
+        text = f'purpose = "A step"\nduration = 0.012\nstep = {step}\n[fmus]\nplant = "model.xml"\n'
+        (tmp_path / "scenario.toml").write_text(text)
+        told = "\n".join(each.text for each in check_folder(tmp_path))
+        assert ("plant: steps itself by 0.002 s" in told) == is_told, told

@@ -103,6 +103,7 @@ class RemoteSlave:
 
     def _bind(self, method: str, names: Sequence[str], block: Array) -> int:
         self._call("bind", method, list(names), block.dtype.char)
+        self._outputs = None
         self._blocks += 1
         return self._blocks - 1
 

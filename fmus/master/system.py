@@ -218,10 +218,14 @@ def notes(
         if instance in multiples and instance not in system.steps:
             text = f"supports a single step size, {own:g} s: {multiples[instance]} system steps"
             yield instance, "Warning", text
-        if interface.canHandleVariableCommunicationStepSize or not (0.0 < own < math.inf):
+        divides = interface.canHandleVariableCommunicationStepSize and not fmu.is_model
+        if divides or not (0.0 < own < math.inf):
             continue
         if abs(size - round(size / own) * own) > 1e-9 * size:
             text = f"supports a single step size, {own:g} s; steps of {size:g} s may be refused"
+            if fmu.is_model:
+                text = f"steps itself by {own:g} s, so that after steps of {size:g} s its outputs "
+                text += "may be older than their row; must be a whole multiple"
             yield instance, "Warning", text
     loop = _loop(tuple(fmus.items()), tuple(system.connections))
     if loop:

@@ -96,8 +96,11 @@ static fmu_status make(fmu *f, void *unused)
     if (!model->d) return fmu_error(f, "out of memory");
     if (sources_bind(f, model) != FMU_OK || start_from_parameters(f, model) != FMU_OK) return FMU_ERROR;
     sources_follow_keyframe(f, model);
+    memset(model->d->warning, 0, sizeof model->d->warning); /* each instant counts once */
     mj.mj_step1(model->m, model->d); /* outputs follow from qpos and qvel, and the next step begins */
     sources_clear_held(f, model);
+    memset(model->warned, 0, sizeof model->warned);
+    sources_count_warnings(f, model);
     return FMU_OK;
 }
 
@@ -148,6 +151,7 @@ static fmu_status advance(fmu *f, void *count)
         step_once(f, model, i == steps);
         if (refuse_divergence(f, model, f->steps + i) != FMU_OK) return FMU_ERROR;
     }
+    sources_count_warnings(f, model);
     return FMU_OK;
 }
 
@@ -193,17 +197,17 @@ static fmu_status put_state(fmu *f, void *argument)
 {
     mujoco_model *model = f->model;
     const saved_state *saved = argument;
-    mjData written;
     if (may_sleep(model)) {
-        if (!data_read(saved->bytes, saved->size, model->d, &written))
-            return fmu_error(f, "the state is one of another model");
-        mj.mj_copyData(model->d, model->m, &written);
+        const mjData *written = data_read(saved->bytes, saved->size, model->d);
+        if (!written) return fmu_error(f, "the state is one of another model");
+        mj.mj_copyData(model->d, model->m, written);
     } else {
         if (saved->size != state_size(f)) return fmu_error(f, "the state is one of another model");
         mj.mj_setState(model->m, model->d, saved->bytes, (int)STATE);
         mj.mj_step1(model->m, model->d);
     }
     memset(model->d->warning, 0, sizeof model->d->warning);
+    memset(model->warned, 0, sizeof model->warned);
     return FMU_OK;
 }
 

@@ -55,13 +55,13 @@ void data_write(const mjData *d, void *bytes)
     memcpy(to + sizeof *d + d->nbuffer, d->arena, d->parena);
 }
 
-bool data_read(const void *bytes, size_t size, const mjData *like, mjData *written)
+mjData *data_read(void *bytes, size_t size, const mjData *like)
 {
+    mjData *written = bytes;
     char *buffer = (char *)bytes + sizeof *written;
-    if (size < sizeof *written) return false;
-    memcpy(written, bytes, sizeof *written);
+    if (size < sizeof *written) return NULL;
     if (written->nbuffer != like->nbuffer || written->narena != like->narena || written->nplugin != like->nplugin ||
-        written->parena > (size_t)like->narena || size != data_size(written)) return false;
+        written->parena > (size_t)like->narena || size != data_size(written)) return NULL;
     char *arena = buffer + written->nbuffer, *old = written->buffer; /* where its pointers point */
 #define X(type, field, rows, columns) \
     if (written->field) written->field = (void *)(buffer + ((char *)written->field - old));
@@ -74,5 +74,5 @@ bool data_read(const void *bytes, size_t size, const mjData *like, mjData *writt
 #undef X
     written->buffer = buffer;
     written->arena = arena;
-    return true;
+    return written;
 }

@@ -7,7 +7,7 @@
 /* The first word of a variable's source; README.md describes them. */
 typedef enum {
     SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
-    SOURCE_CONTACT_BODIES, SOURCE_UNWANTED_CONTACTS, SOURCE_SUPPORT_CONTACTS, SOURCE_MOTORS, SOURCE_EQ_ACTIVE, SOURCE_MODEL,
+    SOURCE_CONTACT_BODIES, SOURCE_UNWANTED_CONTACTS, SOURCE_SUPPORT_CONTACTS, SOURCE_WARNINGS, SOURCE_MOTORS, SOURCE_EQ_ACTIVE, SOURCE_MODEL,
     SOURCE_SCENE, SOURCE_KEYFRAME, SOURCE_BODY_MASS, SOURCE_QPOS, SOURCE_QVEL, SOURCE_FREE_XY, SOURCE_FREE_YAW, SOURCE_ADDED,
     SOURCE_SCALED_MASS, SOURCE_SCALED_SERVO, SOURCE_SCALED_FORCE
 } source_kind;
@@ -38,6 +38,7 @@ typedef struct {
     source *sources;
     int source_count;
     double *scratch; /* for a Jacobian or a mass matrix */
+    int warned[mjNWARNING]; /* numbers of `d->warning` that are counted already */
 } mujoco_model;
 
 /* mujoco_sources.c */
@@ -48,6 +49,7 @@ bool sources_put_inputs(fmu *f, mujoco_model *model); /* whether the step that h
 void sources_follow_keyframe(fmu *f, mujoco_model *model); /* inputs that were not set take its values */
 void sources_get_outputs(fmu *f, mujoco_model *model);
 void sources_get_contacts(fmu *f, mujoco_model *model); /* those known only at the end of a step */
+void sources_count_warnings(fmu *f, mujoco_model *model); /* those since the last call */
 void sources_clear_held(fmu *f, mujoco_model *model);
 
 /* mujoco_start.c */

@@ -20,6 +20,7 @@ static const struct {
     [SOURCE_CONTACT_BODIES] = {"contact_bodies", "n*", false, true, false},
     [SOURCE_UNWANTED_CONTACTS] = {"unwanted_contacts", "n*", false, true, false},
     [SOURCE_SUPPORT_CONTACTS] = {"support_contacts", "n*", false, true, false},
+    [SOURCE_WARNINGS] = {"warnings", "", false, true, false},
     [SOURCE_MOTORS] = {"motors", "n", true, false, false},
     [SOURCE_EQ_ACTIVE] = {"eq_active", "n", true, false, false},
     [SOURCE_MODEL] = {"model", "fn", false, true, true},
@@ -210,6 +211,7 @@ static bool bind(source *s, mujoco_model *model)
     case SOURCE_CONTACT_BODIES:
         return is_within(s->first, m->nbody) && are_within(s, m->nbody) && size == 1;
     case SOURCE_UNWANTED_CONTACTS: case SOURCE_SUPPORT_CONTACTS: return bind_ranks(s, m);
+    case SOURCE_WARNINGS: return size == mjWARN_BADQPOS;
     case SOURCE_MOTORS: return s->first >= 0 && s->first + size <= m->nu && actuator_count(model) == m->nu;
     case SOURCE_EQ_ACTIVE: return is_within(s->first, m->neq) && size == 1;
     case SOURCE_SCENE: case SOURCE_KEYFRAME: return size == 1;
@@ -382,11 +384,22 @@ void sources_get_contacts(fmu *f, mujoco_model *model)
     }
 }
 
+/* The kinds before mjWARN_BADQPOS; what follows these ends the simulation. */
+void sources_count_warnings(fmu *f, mujoco_model *model)
+{
+    for (int i = 0; i < model->source_count; i++) {
+        const source *s = &model->sources[i];
+        for (int k = 0; s->kind == SOURCE_WARNINGS && k < mjWARN_BADQPOS; k++)
+            f->values[s->variable->reference + (unsigned)k] += model->d->warning[k].number - model->warned[k];
+    }
+    for (int k = 0; k < mjNWARNING; k++) model->warned[k] = model->d->warning[k].number;
+}
+
 void sources_clear_held(fmu *f, mujoco_model *model)
 {
     for (int i = 0; i < model->source_count; i++) {
         const source *s = &model->sources[i];
-        if (s->kind == SOURCE_HELD || s->kind == SOURCE_CONTACT_SENSORS || is_of_contacts(s))
+        if (s->kind == SOURCE_HELD || s->kind == SOURCE_CONTACT_SENSORS || s->kind == SOURCE_WARNINGS || is_of_contacts(s))
             memset(f->values + s->variable->reference, 0, s->variable->size * sizeof(double));
     }
 }

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from ...plant.parameters import ARM_JOINTS
 from ..errors import InputError, one_line, refuse
+from ..interface.engine import COUNTED
 from ..interface.plant import PLANT
 from ..interface.units import OUR_UNITS
 from ..interface.variables import Causality, Interface, Variable
@@ -195,6 +196,7 @@ def interface(description: Description, model: Any) -> Interface:
     for i, variable in enumerate(variables):
         named = [(unique(taken, part), n, text) for part, n, text in variable.parts]
         variables[i] = replace(variable, parts=tuple(named))
+    variables.append(COUNTED)
     return Interface(description.name, description.description, tuple(variables), terminals,
                      is_model=True, author=description.author)  # fmt: skip
 

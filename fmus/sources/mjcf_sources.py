@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, did_you_mean, refuse
+from ..interface.engine import COUNTED
 from ..interface.variables import Causality, Part, Variable
 from .mjcf_elements import FREE, Element, called, dof_units, elements
 
@@ -100,7 +101,7 @@ class Sources:
             text = _POSES.get(words[2] if words[2:] else "", " ".join(["{}", *words[2:]]))
             text = text.format(called_so)
         row = replace(row, causality=causality, description=text)
-        if causality == "output":
+        if causality in ("output", "local"):
             return replace(row, start=None, minimum=None, maximum=None)
         return replace(row, variability="fixed") if causality == "parameter" else row
 
@@ -108,7 +109,7 @@ class Sources:
         match words:
             case [kind, name, *rest] if kind in OBJECTS:
                 return self._of_object(causality, kind, self.find_id(kind, name), *rest)
-            case [kind, field, first, count] if kind in RAW[causality]:
+            case [kind, field, first, count] if kind in RAW.get(causality, ()):
                 return self._raw(kind, field, first, count)
             case [name, *rest] if name not in OBJECTS:
                 return self._of_model(causality, name, *rest)
@@ -148,6 +149,8 @@ class Sources:
                 row = _values(_join(name, *self._ids(CONTACTS[name], names)), [0.0], "N")
             case "output", _:
                 row = self._elements("held" if name in HELD else "data", name)
+            case "local", "warnings":
+                row = COUNTED
             case "parameter", "scene":
                 row = _values(name, [1.0], "")
             case "parameter", "keyframe":

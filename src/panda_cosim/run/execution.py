@@ -169,6 +169,7 @@ class Execution:
         ended = str(self._master.ended or "")
         self._note(Action(self.tick, End(reason=reason or "")))
         self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
+        self._begun.count_warnings()
         finished = self.tick == self.ticks
         if finished and ended:
             self.warnings.append(ended)

@@ -10,9 +10,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from ..fmus.atomic import write_whole
 from ..fmus.build.identity import package_version
 from ..fmus.errors import InputError
+from ..fmus.interface.engine import COUNTED, WARNINGS
 from ..fmus.master.system import OpenSystem
 from ..result.judging.summary import SUMMARY_FILE, Summary
 from ..result.judging.verdict import Verdict
@@ -67,6 +70,17 @@ class Output:
         """Write an action to the journal, if there is one."""
         if self._journal:
             append_action(self._journal, action)
+
+    def count_warnings(self) -> None:
+        """Keep how often the engines of models have warned, by FMU and kind."""
+        engine: dict[str, int] = {}
+        for name, fmu in self.system.fmus.items():
+            if COUNTED.names()[0] in fmu.variables:
+                counts = np.zeros((1, COUNTED.size))
+                self.system.slaves[name].bind_get(COUNTED.names(), counts)(0)
+                numbers = zip(WARNINGS, counts[0], strict=True)
+                engine |= {f"{name}.{kind}": int(number) for kind, number in numbers}
+        self.recorder.late |= {"engine": engine} if engine else {}
 
     @property
     def in_memory(self) -> Recording | None:

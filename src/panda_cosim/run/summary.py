@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -50,7 +51,10 @@ def summarize(
         """Measure what the recorded signals allow."""
         return measure() if all(name in recording for name in names) else {}
 
-    target = scenario.success.block_position
+    success, counts = scenario.success, recording.metadata.get("engine", {})
+    if any(counts.values()) and success.max_engine_warnings is None:
+        success = replace(success, max_engine_warnings=0.0)
+    target = success.block_position
     measured = {
         "tracking": measured_if(NEEDED["tracking"], lambda: _tracking(recording)),
         "orientation": measured_if(NEEDED["orientation"], lambda: _orientation(recording)),
@@ -62,12 +66,13 @@ def summarize(
         "limits": limit_shares(recording),
         "preflight": _preflight(recording, scenario.preflight),
         "energy": measured_if(NEEDED["energy"], lambda: _energy(recording)),
+        "engine": {"warnings": sum(counts.values()) if counts else None},
         "timing": _timing(recording, happened, statistics),
     }
     criteria = (
-        *_criteria(scenario.success, measured, recording),
-        *judge_bodies(scenario.success.body, recording, happened),
-        *judge_signals(scenario.success.signal, recording, happened),
+        *_criteria(success, measured, recording),
+        *judge_bodies(success.body, recording, happened),
+        *judge_signals(success.signal, recording, happened),
     )
     return Summary(
         scenario=scenario.name,

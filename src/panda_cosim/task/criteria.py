@@ -333,6 +333,10 @@ class Success:
     # What the real robot that `preflight` names would refuse, see there.
     max_refusals: Annotated[float, Quantity(0.0, 100.0, "1")] | None = None
 
+    # Warnings of the engines of MuJoCo models, such as contacts for which there was no memory. If
+    # it is not stated, one of them fails the run.
+    max_engine_warnings: Annotated[float, Quantity(0.0, 1e9, "1")] | None = None
+
     # Criteria over recorded signals, [[success.signal]].
     signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
     # Criteria about free bodies by name, [[success.body]].

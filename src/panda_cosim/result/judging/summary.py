@@ -39,7 +39,7 @@ SUMMARY_FILE: Final = "summary.json"
 FORMAT: Final = 4
 Metrics = dict[str, Any]  # by key, as JSON holds them
 _SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "preflight", "energy",
-                    "timing")  # fmt: skip
+                    "engine", "timing")  # fmt: skip
 # These differ from run to run, like the wall clock.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 
@@ -74,6 +74,7 @@ class Summary:
     first_limit: Metrics | None = None
     preflight: Metrics = field(default_factory=dict)  # empty: the scenario names no robot
     energy: Metrics = field(default_factory=dict)
+    engine: Metrics = field(default_factory=dict)
     timing: Metrics = field(default_factory=dict)
     stepped_by: str | None = None  # "kernel", "fmpy" or both; None: judged later
     code: Metrics = field(default_factory=dict)  # what runs in each FMU

@@ -39,7 +39,7 @@ TYPES: Final[dict[str, DTypeLike]] = {
 }  # fmt: skip
 TEXTS: Final = ("string", "binary")
 REALS: Final = ("double", "float")  # all else is held from row to row
-LATE: Final = ("row_times", "row_ends")  # metadata that a run's end may change
+LATE: Final = ("row_times", "row_ends", "engine")  # metadata that a run's end may change
 NO_END = "it has no end mark: the process was killed, the disk was full, or it is still running"
 
 
