@@ -160,15 +160,6 @@ class Recording:
                 content.update(bits(values.astype(self._types[name], copy=False)))
         return content.hexdigest()
 
-    def blocks(self) -> Iterator[Array]:
-        """Yield all columns in blocks of rows, shape (k, columns), in bounded memory.
-
-        Those of `texts` are the last. A block is of type object if any column is not of float64.
-        """
-        dtype = object if set(self._types.values()) - {np.float64} else np.float64
-        for block in self._source.blocks((*self.columns, *self.texts)):
-            yield np.column_stack([column.astype(dtype, copy=False) for column in block])
-
     def in_blocks(self, *names: str, before: int = 0) -> Iterator[list[Array]]:
         """Yield signals block by block, each (k, ...).
 
@@ -200,12 +191,11 @@ class Recording:
         check_replaceable(path, overwrite=overwrite)
         with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)  # writes floats exactly, as repr()
-            writer.writerow((*self.columns, *self.texts))
-            for block in self.blocks():
-                writer.writerows(
-                    [value.hex() if isinstance(value, bytes) else value for value in row]
-                    for row in block.tolist()
-                )
+            names = (*self.columns, *self.texts)
+            writer.writerow(names)
+            for block in self._source.blocks(names):
+                columns = (map(_cell, values.tolist()) for values in block)
+                writer.writerows(zip(*columns, strict=True))
 
     def to_pandas(self, signals: Sequence[str] | None = None) -> Any:
         """Return a pandas.DataFrame with one column per scalar, indexed by time [s].
@@ -305,6 +295,10 @@ def bits(values: Array) -> Any:
         return np.ascontiguousarray(values).data
     texts = [text.encode() if isinstance(text, str) else text for text in values]
     return b"".join(len(text).to_bytes(8, "little") + text for text in texts)
+
+
+def _cell(value: object) -> object:
+    return value.hex() if isinstance(value, bytes) else value
 
 
 def _library(name: str) -> Any:
