@@ -38,7 +38,6 @@ def own_physics():
 
 
 def main(folder, model, steps, has_mujoco):
-    """Step the FMU; returns its outputs."""
     before = own_physics() if has_mujoco else ""
     text = Path(folder, "modelDescription.xml").read_text(encoding="utf-8")
     scalars = [v for v in re.findall("<ScalarVariable[^>]*>", text) if 'causality="output"' in v]

@@ -88,7 +88,6 @@ class LawInC:
 
     @property
     def gains(self) -> Gains:
-        """Gains and switches."""
         return self._set_gains
 
     @gains.setter
@@ -99,12 +98,10 @@ class LawInC:
             self._gains[name] = 1 + CHOICES[name].index(value) if name in CHOICES else value
 
     def update(self) -> None:
-        """Compute the outputs of one period from the inputs."""
         self._law.controller_update(self._controller, self._mujoco)
 
 
 def replay(law: Controller | LawInC, rows: Array) -> Array:
-    """Return the outputs for each row of inputs."""
     outputs = np.empty((len(rows), law.output_values.size))
     for row, out in zip(rows, outputs, strict=True):
         law.input_values[:] = row

@@ -88,7 +88,6 @@ def commanded(commands: Array) -> dict[str, Array]:
 
 
 def connect(plant: Plant, controller: Controller) -> None:
-    """Copy the plant's outputs to the controller's inputs."""
     for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias", "actuator_force"):
         controller.inputs[name] = plant.outputs[name]
     for name in ("qpos", "qvel"):

@@ -64,7 +64,6 @@ def record(
     metadata: Mapping[str, Any] | None = None,
     reason: str | None = None,
 ) -> Recording:
-    """Write a recording and open it."""
     units = {**UNITS, **(units or {})}
     described = [Column(name, units.get(name, "1"), f"what {name} is") for name in values]
     recorder = Recorder(folder, described, {**METADATA, **(metadata or {})})

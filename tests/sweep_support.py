@@ -42,7 +42,6 @@ def short_sweep(folder: Path, samples: int = 12, **keys: Any) -> Sweep:
 
 
 def write_sweep(folder: Path, samples: int, more: str = "") -> Path:
-    """Write the same as a TOML file."""
     short_scenario(folder / "short")
     path = folder / "sweep.toml"
     path.write_text(
@@ -55,7 +54,6 @@ def write_sweep(folder: Path, samples: int, more: str = "") -> Path:
 
 
 def job(sweep: Sweep, fmus: dict[str, bytes], **options: Any) -> Job:
-    """Return what the rows of a sweep share."""
     return Job(load_scenarios(sweep), fmus, **options)
 
 

@@ -75,7 +75,6 @@ def grasped(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
-    """Pairs of bodies that are in contact."""
     return {
         frozenset(model.body(model.geom_bodyid[geom]).name for geom in contact.geom)
         for contact in data.contact

@@ -32,7 +32,6 @@ needs_library = pytest.mark.skipif(
 
 
 def record(out: str) -> None:
-    """Run the task by our master."""
     run_scenario(SCENARIO, out, Options())
 
 
@@ -51,14 +50,12 @@ def host(tmp_path_factory):
 
 
 def plan_of(folder: Path, version: int, *lines: str) -> Path:
-    """Write a plan."""
     path = folder / "plan"
     path.write_text("\n".join((f"fmi {version}", *lines, "")))
     return path
 
 
 def source(fmu: Unpacked, library: Path | None = None) -> str:
-    """What a plan says of an FMU."""
     return f"{library or fmu.library} {fmu.token} {fmu.location}"
 
 

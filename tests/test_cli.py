@@ -1,7 +1,6 @@
 """The command line: messages, files and exit codes."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -29,25 +28,7 @@ PROGRAM = [sys.executable, "-m", "panda_cosim"]
 
 
 def call(*arguments: object) -> Result:
-    """Run a command in this process."""
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def start(*arguments: object, **environment: str) -> subprocess.Popen[str]:
-    """Start a command in a process of its own."""
-    return subprocess.Popen(
-        [*PROGRAM, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | environment,
-    )
-
-
-def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
-    """Wait for a process; returns exit code, output and errors."""
-    out, err = process.communicate(timeout=120)
-    return process.returncode, out, err
 
 
 @pytest.fixture
@@ -266,7 +247,8 @@ def test_the_shell_completes(typed, offered):
     ("number", "exit_code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["INT", "TERM"]
 )
 def test_a_signal_keeps_what_was_recorded(number, exit_code, tmp_path):
-    process = start("run", "--realtime", "--no-video", "--out", tmp_path / "run")
+    command = [*PROGRAM, "run", "--realtime", "--no-video", "--out", tmp_path / "run"]
+    process = subprocess.Popen(command, stdout=-1, stderr=-1, text=True)
     flushed = 0
     while flushed == 0:
         assert process.poll() is None
@@ -274,9 +256,8 @@ def test_a_signal_keeps_what_was_recorded(number, exit_code, tmp_path):
         with suppress(InputError):  # not there yet
             flushed = Recording.open(tmp_path / "run").rows
     process.send_signal(number)
-    code, _, err = finish(process)
-
-    assert code == exit_code
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == exit_code
     assert f"stopped by {signal.Signals(number).name} at t = " in err
     recording = Recording.open(tmp_path / "run")
     assert not recording.complete

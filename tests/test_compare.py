@@ -27,7 +27,6 @@ TOLERANCES = Tolerances(values=VALUES)
 
 @pytest.fixture
 def reference(tmp_path):
-    """Return a reference that was written and read."""
     run = record(tmp_path / "before", columns())
     Reference.of(run, SUMMARY, TOLERANCES).write(tmp_path / "reference.parquet", run)
     return Reference.read(tmp_path / "reference.parquet")

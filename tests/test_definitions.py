@@ -215,7 +215,6 @@ def limits_again(run: Recording) -> dict[str, Any]:
 
 @pytest.fixture(scope="module", params=SHIPPED)
 def run(request, tmp_path_factory):
-    """Folder of a run of a shipped scenario."""
     out = tmp_path_factory.mktemp("runs") / request.param
     command("run", request.param, "--no-video", "--no-view", "--out", out, code=0)
     return out
@@ -249,7 +248,6 @@ def test_each_number_is_what_its_definition_says(run):
 
 
 def without(path: Path, signal: str) -> Recording:
-    """A recording that lacks a signal."""
     source = open_parquet(path)
     columns = [each for each in source.columns if each.name.partition("[")[0] != signal]
     return Recording(path, replace(source, columns=columns))

@@ -91,7 +91,6 @@ def walk(page: Path, folder: Path) -> None:
 
 
 def run(line: str, entered: str, folder: Path, environment: dict[str, str]) -> str:
-    """Run a line, and return what it prints."""
     ended = "Ctrl-C" in line
     expected = re.search(r"exit code (\d)$", line)
     with subprocess.Popen(
@@ -199,7 +198,6 @@ NOTEBOOK = ROOT / "scenarios" / "examples" / "first_steps.ipynb"
 
 
 def code_blocks(kind: str, text: str = README) -> list[str]:
-    """Code code_blocks of one kind."""
     return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
@@ -230,7 +228,6 @@ def test_every_key_and_column_of_a_scenario_is_named():
 
 
 def headings(text: str) -> set[str]:
-    """Anchors of a page's headings."""
     found = re.findall(r"^#+ (.*)$", text, re.M)
     return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found}
 

@@ -83,7 +83,6 @@ def changed(request):
 
 
 def count(it: Instance) -> float:
-    """How many internal steps have been taken."""
     number: float = it.get("pos_cmd")[0]
     return number
 

@@ -35,7 +35,6 @@ def ssp(tmp_path_factory):
 
 
 def outputs(ssp: Path) -> dict[str, int]:
-    """Value references of the plant's outputs."""
     variables = Fmu(system_from_ssp(ssp).system.fmus["plant"]).variables
     return {n: v.value_reference for n, v in variables.items() if v.variable.causality == "output"}
 

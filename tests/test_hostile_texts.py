@@ -117,7 +117,6 @@ def test_a_rows_command_holds_any_scenario():
 
 
 def compared(folder: Path, text: str) -> RunComparison:
-    """Compare two runs in which every text is the same one."""
     for name, mass in (("a", 1.0), ("b", 2.0)):
         values = columns()
         values["controller.dq[2]"] = values["controller.dq[2]"] * mass
@@ -128,14 +127,12 @@ def compared(folder: Path, text: str) -> RunComparison:
 
 
 def documented(text: str) -> bytes:
-    """Return the documentation of an FMU in which every text is the same one."""
     variables = tuple(replace(v, description=text, unit=text) for v in SENSORS.variables)
     interface = replace(SENSORS, description=text, variables=variables)
     return documentation(NativeFmu(interface, "python", text), Layout(), (text,))
 
 
 def reported(folder: Path, text: str) -> bytes:
-    """Return a report in which every text that users can choose is the same one."""
     units = {"controller.dq[2]": text}
     tolerances = Tolerances(values={"controller.dq": 3e-7})
     scenario = Scenario("x", TABLE, 0.4, folder=folder, regression=tolerances)

@@ -88,7 +88,6 @@ def random_posture(seed: int) -> Array:
 
 
 def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
-    """Return the joint velocities for a wanted twist and null-space rate."""
     return damped_least_squares(jac, damped_factor(jac, damping), twist, rate)
 
 

@@ -31,7 +31,6 @@ HOME = np.array(HOME_Q)
 
 
 def box_at(q: Array, qd: Array, qdd: Array = NONE, lag: Array = NONE) -> tuple[Array, Array]:
-    """Return the lowest and highest velocities where the reference moves at qd and qdd."""
     low, high = LIMITS.velocity_box(Motion(q, qd, qdd, lag))
     return low, high
 
@@ -165,15 +164,6 @@ def test_random_moves_end_at_their_goals_within_the_limits():
     assert moves[0].rms <= 5e-5  # m
 
 
-@pytest.mark.long
-def test_moves_with_the_time_they_need_keep_the_torque_rate_too():
-    before, after = (run_moves(11, only=(11,), timing_share=share)[0] for share in (None, 0.95))
-    assert before.ok
-    assert before.torque_rate > 1.0
-    assert after.keeps_all
-    assert 1.0 < after.slower < 2.0
-
-
 def test_joints_that_near_their_ends_hand_over_gradually():
     """Its joint 7 once braked hard before its end, and the torque rate was 10 times its limit."""
     (move,) = run_moves(76, only=(76,))
@@ -188,6 +178,3 @@ def test_a_joint_at_its_end_is_refused():
     at_limits = [joint for joint, kind in enumerate(move.limit, 1) if kind]
     assert any(f"row 2: joint {n} reaches the end of its range" in move.refused for n in at_limits)
     assert not move.keeps_all
-
-
-# The comparison with mink runs, and shows what each side is good at.

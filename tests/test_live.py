@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 
 from browser import Page
 from forked import command
-from live_support import READY, asked, live, told, wait_to_act
+from live_support import READY, asked, live, told, viewer, wait_to_act
 from panda_cosim import Recording, Session, Trajectory, TrajectoryTable, load_scenario
 from panda_cosim.study.live.page import offset_of
 from panda_cosim.task.mismatch import Mismatch
@@ -42,7 +42,6 @@ WAYPOINT = 5  # row of the table, from 1: above the table, far from the block
 
 
 def newest(page: Page, column: str) -> float:
-    """A column's latest value in the page."""
     return float(page.value(f"{RUN}.newest('{column}')"))
 
 
@@ -52,13 +51,11 @@ def block(page: Page) -> np.ndarray:
 
 
 def mouse(page: Page, kind: str, x: float, y: float) -> None:
-    """Press, move or release the mouse."""
     pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
     page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
 
 
 def pause(page: Page) -> None:
-    """Pause the run, once the page knows that it runs."""
     page.wait("document.querySelector('.pv-run').textContent === 'Pause'")
     page.click(".pv-run")
     page.wait("document.querySelector('.pv-run').textContent === 'Run'")
@@ -111,7 +108,6 @@ def move_the_slider(page: Page, name: str) -> float:
 
 
 def replayed(folder: Path, out: Path) -> Recording:
-    """Run a session again on the command line."""
     quiet = ("--no-video", "--no-view", "--no-plot")
     done = command("replay", folder, "--out", out, *quiet)
     assert done.returncode in (0, 3), done.stderr
@@ -167,16 +163,14 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page, tmp_path):
 
 
 def test_a_run_ends_with_its_verdict_and_nothing_is_journalled_after_it(tmp_path):
-    with live(tmp_path / "run", "--paused") as server:
-        address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
-        with connect(address, origin=origin) as socket:
-            for _ in range(7):  # 6.5 s
-                socket.send('{"do": "step", "ticks": 1000}')
-            over = told(socket, "status", lambda status: status["over"])["status"]
-            journal = server.folder / "session.jsonl"
-            before = journal.read_text()
-            socket.send('{"do": "set", "name": "plant.push_force", "value": [0, 9, 0]}')
-            assert "the scenario is over" in str(told(socket, "refused"))
+    with live(tmp_path / "run", "--paused") as server, viewer(server) as socket:
+        for _ in range(7):  # 6.5 s
+            socket.send('{"do": "step", "ticks": 1000}')
+        over = told(socket, "status", lambda status: status["over"])["status"]
+        journal = server.folder / "session.jsonl"
+        before = journal.read_text()
+        socket.send('{"do": "set", "name": "plant.push_force", "value": [0, 9, 0]}')
+        assert "the scenario is over" in str(told(socket, "refused"))
     criteria = json.loads((tmp_path / "run" / "summary.json").read_text())["criteria"]
     assert all(criterion["ok"] for criterion in criteria)
     assert over["message"].endswith(f"success: {len(criteria)} of {len(criteria)} criteria hold")
@@ -249,8 +243,7 @@ def test_a_socket_is_the_pages_own(server):
 
 
 def test_several_look_and_one_acts(server):
-    address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
-    with connect(address, origin=origin) as first, connect(address, origin=origin) as second:
+    with viewer(server) as first, viewer(server) as second:
         assert told(first, "status")["status"]["acts"] is True
         assert told(second, "status")["status"]["acts"] is False
         second.send('{"do": "set", "name": "controller.kp", "value": 3}')
@@ -266,8 +259,7 @@ def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path):
     scenario = load_scenario("pick_and_place")
     turned = ("--set", "plant.block_yaw=0.3")  # rad; offsets to the block turn with it
     with live(tmp_path / "run", "--speed", "0.05", *turned) as server:
-        address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
-        with connect(address, origin=origin) as socket:
+        with viewer(server) as socket:
             place = told(socket, "plan")["plan"]["waypoints"][4]["place"]
             to = [place[0] + 0.02, place[1], place[2] + 0.01]
             socket.send('{"do": "step", "ticks": 20}')

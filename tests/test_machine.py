@@ -163,7 +163,6 @@ def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path):
 
 
 def look(what: str) -> Finding:
-    """Return the one finding about something."""
     (finding,) = [finding for finding in examine() if finding.what.startswith(what)]
     return finding
 

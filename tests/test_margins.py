@@ -59,17 +59,14 @@ class Loops:
 
     @property
     def sensitivity(self) -> Sensitivity:
-        """S by the responses to pulses."""
         return Sensitivity(self.pulses, PERIOD)
 
     def alone(self, index: int) -> "Loops":
-        """One loop, with the others closed."""
         others = np.arange(self.b.shape[1]) != index
         a = self.a - self.b[:, others] @ self.c[others]
         return Loops(a, self.b[:, [index]], self.c[[index]])
 
     def response(self, omega: Matrix) -> Matrix:
-        """L (m, n, n) at frequencies (m,)."""
         z = np.exp(1j * omega * PERIOD)[:, None, None]
         return np.asarray(self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b))
 

@@ -19,6 +19,7 @@ from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange, SlowSlave
 
 Array = NDArray[np.float64]
 H = 0.001
+Law = Callable[[dict[str, float], dict[str, float]], None]
 
 
 class FakeSlave:
@@ -27,7 +28,7 @@ class FakeSlave:
     def __init__(
         self,
         name: str,
-        law: Callable[[dict[str, float], dict[str, float]], None],
+        law: Law,
         outputs: Mapping[str, float],
         log: list[str] | None = None,
     ) -> None:
@@ -40,18 +41,14 @@ class FakeSlave:
         self._kept: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def save_state(self) -> None:
-        """Keep inputs and outputs."""
         self._kept = dict(self.inputs), dict(self.outputs)
 
     def restore_state(self) -> None:
-        """Go back to what was kept."""
         inputs, outputs = self._kept
         self.inputs.update(inputs)
         self.outputs.update(outputs)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make a function that reads."""
-
         def get(row: int) -> None:
             self._log.append(f"get {self.name}")
             block[row] = [self.outputs[name] for name in names]
@@ -59,8 +56,6 @@ class FakeSlave:
         return get
 
     def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make a function that writes."""
-
         def put(row: int) -> None:
             self._log.append(f"set {self.name}")
             self.inputs.update(zip(names, block[row].tolist(), strict=True))
@@ -68,7 +63,6 @@ class FakeSlave:
         return put
 
     def step(self, time: float, step_size: float) -> None:
-        """Compute the outputs."""
         assert step_size == H or time + step_size <= self.stop
         self._log.append(f"step {self.name}")
         self.times.append(time)
@@ -87,19 +81,29 @@ def follow(inputs: dict[str, float], outputs: dict[str, float]) -> None:
     outputs["v"] = inputs["u"]
 
 
-START = {"x": 1.0, "v": 0.0}
 LOOP = (Connection(("c", "u"), ("p", "u")), Connection(("p", "x"), ("c", "x")))
 
 
-def loop(coupling: Coupling = "gauss-seidel", log: list[str] | None = None) -> Master:
-    c = FakeSlave("c", drive, {"twice": 0.5, "u": 0.25}, log)
-    p = FakeSlave("p", follow, {"x": 1.0, "v": 0.0}, log)
+def loop(
+    coupling: Coupling = "gauss-seidel",
+    log: list[str] | None = None,
+    laws: Sequence[Law] = (drive, follow),
+    **options: Any,
+) -> Master:
+    c = FakeSlave("c", laws[0], {"twice": 0.5, "u": 0.25}, log)
+    p = FakeSlave("p", laws[1], {"x": 1.0, "v": 0.0}, log)
     outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
-    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling)
+    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling, **options)
+
+
+def begun(master: Master) -> list[Array]:
+    """Begin a run; its blocks of rows come into the list."""
+    rows: list[Array] = []
+    master.begin(lambda block: rows.append(block.copy()))
+    return rows
 
 
 def run(master: Master, steps: int, external: Array | None = None, **options: Any) -> Array:
-    """Run, and return all rows."""
     rows: list[Array] = []
     inputs = references(steps) if external is None else external
     statistics = master.run(steps, inputs, lambda block: rows.append(block.copy()), **options)
@@ -139,8 +143,7 @@ def test_a_run_is_the_plain_loop(steps, coupling):
 def test_however_it_is_stepped_from_outside_the_rows_are_those_of_a_run(coupling, counts):
     master, steps = loop(coupling), sum(counts)
     external = references(steps)
-    rows: list[Array] = []
-    master.begin(lambda block: rows.append(block.copy()))
+    rows = begun(master)
     for count in counts:
         assert master.step(count, external) == count
         assert master.time == master.steps * H
@@ -152,8 +155,7 @@ def test_however_it_is_stepped_from_outside_the_rows_are_those_of_a_run(coupling
 @pytest.mark.parametrize("steps", [0, 1, BLOCK_ROWS, BLOCK_ROWS + 1])
 def test_the_latest_row_has_what_is_known_before_the_next_tick(coupling, steps):
     master = loop(coupling)
-    rows: list[Array] = []
-    master.begin(lambda block: rows.append(block.copy()))
+    rows = begun(master)
     master.step(steps, references(steps))
     latest = master.latest()
     master.end(references(steps)[steps:])
@@ -172,8 +174,7 @@ def test_the_coupling_changes_between_two_ticks(first, at):
     second: Coupling = "jacobi" if first == "gauss-seidel" else "gauss-seidel"
     steps = 600
     master = loop(first)
-    rows: list[Array] = []
-    master.begin(lambda block: rows.append(block.copy()))
+    rows = begun(master)
     master.step(at, references(steps))
     master.couple(second)
     master.step(steps - at, references(steps))
@@ -314,13 +315,10 @@ def test_a_slave_may_end_the_simulation(by, reached):
 
     laws = {"c": drive, "p": follow, "alone": lambda *_: None}
     laws[by] = breaks(2, end, laws[by])
-    c, p = FakeSlave("c", laws["c"], {"twice": 0.5, "u": 0.25}), FakeSlave("p", laws["p"], START)
-    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
-    master = Master([c, p], outputs, LOOP, [("c", "r")], H)
+    master = loop(laws=(laws["c"], laws["p"]))
     if by == "alone":
         master = Master([FakeSlave("alone", laws[by], {"y": 1.0})], {"alone": ["y"]}, (), (), H)
-    rows: list[Array] = []
-    master.begin(lambda block: rows.append(block.copy()))
+    rows = begun(master)
     inputs = references(9)[:, : len(master.external)]
     assert master.step(9, inputs) == (3 if reached == 3 * H else 2)
     master.end(inputs[:1])
@@ -331,9 +329,7 @@ def test_a_slave_may_end_the_simulation(by, reached):
     assert times == pytest.approx([0.0, H, 2 * H, *last])
 
 
-def breaks(
-    at: int, what: Callable[[dict[str, float]], None], usual: Callable[..., None] = follow
-) -> Callable[..., None]:
+def breaks(at: int, what: Callable[[dict[str, float]], None], usual: Law = follow) -> Law:
     """Let a law, `follow` for example, do something else at one tick."""
     count = 0
 
@@ -362,22 +358,10 @@ def collect(master: Master, steps: int) -> tuple[SimulationError, Array]:
     return caught.value, np.concatenate(rows)
 
 
-def broken(
-    law: Callable[..., None],
-    coupling: Coupling = "gauss-seidel",
-    *,
-    controller: Callable[..., None] = drive,
-) -> Master:
-    c = FakeSlave("c", controller, {"twice": 0.5, "u": 0.25})
-    p = FakeSlave("p", law, {"x": 1.0, "v": 0.0})
-    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
-    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling)
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS, 299])
 def test_a_value_that_is_not_finite_ends_the_run(at, value):
-    error, rows = collect(broken(breaks(at, spoil(value))), 300)
+    error, rows = collect(loop(laws=(drive, breaks(at, spoil(value)))), 300)
     assert (error.instance, error.variable) == ("p", "v")
     assert error.time == pytest.approx((at + 1) * H), "what is read after a tick is of its end"
     assert str(value) in str(error)
@@ -391,7 +375,7 @@ def test_no_slave_is_given_a_value_that_is_not_finite(coupling):
         drive(inputs, outputs)
 
     for at in (0, 7, BLOCK_ROWS - 1):
-        master = broken(breaks(at, spoil(math.nan)), coupling, controller=careful)
+        master = loop(coupling, laws=(careful, breaks(at, spoil(math.nan))))
         error, _ = collect(master, 300)
         assert (error.instance, error.variable) == ("p", "v")
 
@@ -405,7 +389,7 @@ def test_what_a_refused_value_leads_to_is_reported_as_that_value():
         drive(inputs, outputs)
 
     spoilt = breaks(7, lambda outputs: outputs.update(x=math.nan))
-    error, rows = collect(broken(spoilt, controller=refuse), 300)
+    error, rows = collect(loop(laws=(refuse, spoilt)), 300)
     assert (error.instance, error.variable) == ("p", "x")
     assert error.time == pytest.approx(8 * H)
     assert len(rows) == 8
@@ -414,7 +398,7 @@ def test_what_a_refused_value_leads_to_is_reported_as_that_value():
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_a_failure_keeps_all_rows_up_to_it(at, coupling):
-    error, rows = collect(broken(breaks(at, fail), coupling), 300)
+    error, rows = collect(loop(coupling, laws=(drive, breaks(at, fail))), 300)
     assert "no more" in str(error)
     assert f"{at * H:.3f}" in str(error)
     expected = in_a_plain_loop(300, delayed=coupling == "jacobi")
@@ -427,7 +411,7 @@ def test_a_run_stops_on_request_after_whole_steps():
     def ask(_outputs: dict[str, float]) -> None:
         master.stop_requested = True
 
-    master = broken(breaks(9, ask))
+    master = loop(laws=(drive, breaks(9, ask)))
     rows: list[Array] = []
     statistics = master.run(100, references(100), lambda block: rows.append(block.copy()))
     assert statistics.steps == 10
@@ -457,12 +441,10 @@ class Clock:
         self.slept: list[float] = []
 
     def perf_counter(self) -> float:
-        """Read the clock."""
         self.now += self.look
         return self.now
 
     def sleep(self, seconds: float) -> None:
-        """Advance it."""
         self.slept.append(seconds)
         self.now += seconds
 

@@ -28,14 +28,12 @@ pytestmark = needs_compiler
 
 
 def compiled(folder: Path, *arguments: str | Path) -> None:
-    """Run the compiler in a folder."""
     places = [native.SOURCES, *(f"-isystem{include}" for include in native.includes())]
     command = [str(compiler()), "-std=c11", "-I", *places, *arguments]
     subprocess.run(command, cwd=folder, check=True, timeout=300)
 
 
 def sources(names: tuple[str, ...]) -> list[Path]:
-    """Paths of sources."""
     return [native.SOURCES / name for name in names]
 
 
@@ -175,7 +173,6 @@ def host(tmp_path_factory):
 
 
 def stress(host: Path, fmu: Unpacked, way: str, number: int = 0, **environment: str) -> str:
-    """Run it; returns what it says."""
     words = [fmu.token, fmu.location, fmu.reals("input"), fmu.reals("output"), way, str(number)]
     done = ran(
         [host, str(fmu.version), fmu.library, *words],
@@ -186,7 +183,6 @@ def stress(host: Path, fmu: Unpacked, way: str, number: int = 0, **environment: 
 
 
 def every_way(host: Path, fmu: Unpacked, kind: Kind, column: int) -> None:
-    """Take all ways."""
     for way in EASY:
         stress(host, fmu, way)
     for way, numbers in WAYS[kind].items():

@@ -49,7 +49,6 @@ def fmu(request):
 
 
 def as_fmi(value: Any) -> tuple[float, ...]:
-    """Elements of a parameter."""
     if isinstance(value, str):
         return (SCENES.index(value) + 1,)
     return value if isinstance(value, tuple) else (value,)

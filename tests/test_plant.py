@@ -39,7 +39,6 @@ def press(plant: Plant) -> None:
 
 @pytest.fixture(params=SCENES)
 def plant(request):
-    """A plant of each scene."""
     return Plant(PlantParameters(scene=request.param))
 
 

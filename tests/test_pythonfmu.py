@@ -55,29 +55,24 @@ class Unit:
         self.slave.exitInitializationMode()
 
     def get(self, names: Sequence[str]) -> list[float]:
-        """Values of Reals."""
         values: list[float] = self.slave.getReal([self.references[name] for name in names])
         return values
 
     def set(self, names: Sequence[str], values: Sequence[float]) -> None:
-        """Set Reals."""
         self.slave.setReal([self.references[name] for name in names], list(values))
 
     def steps(self, count: int, first: int = 0) -> "Unit":
-        """Take steps of 1 ms."""
         for tick in range(first, first + count):
             self.slave.doStep(tick * STEP, STEP)
         return self
 
 
 def outputs(unit: Unit) -> list[float]:
-    """All outputs of a plant."""
     return unit.get([n for v in INTERFACES["plant"].of("output") for n in v.names()])
 
 
 @cache
 def plant() -> Path:
-    """The packed plant."""
     return build(["plant"], target=PACKED)["plant"]
 
 

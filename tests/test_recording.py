@@ -40,7 +40,6 @@ def make_rows(count: int, first: int = 0) -> Array:
 
 
 def record(folder: Path, rows: Array, **end: object) -> Path:
-    """Make a recording of these rows."""
     recorder = Recorder(folder, COLUMNS, METADATA)
     recorder.append(rows)
     return recorder.close(**{"complete": True, **end})  # type: ignore[arg-type]

@@ -34,7 +34,6 @@ class Dies:
 
 @pytest.fixture(scope="module")
 def outcomes(forked_workers, tmp_path_factory):
-    """Run all shipped scenarios, two at a time."""
     build()  # once, not in each process
     folder = tmp_path_factory.mktemp("runs")
     longest_first = sorted(find_scenarios(), key=lambda scenario: -scenario.duration)
@@ -60,12 +59,10 @@ def test_a_reference_is_compact_and_says_what_made_it():
 
 @pytest.fixture
 def mine(tmp_path):
-    """Return a folder of scenarios with a short one in it."""
     return write_short(tmp_path / "mine" / "short").parent
 
 
 def write_short(folder: Path, y: float = 0.005) -> Path:
-    """Write a scenario in which the hand moves a little."""
     return write_files(folder, SETTINGS, "0,home,0,0,0,0.08", f"0.15,home,0,{y},0,0.06")
 
 

@@ -49,7 +49,6 @@ needs_menagerie = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def backend():
-    """What draws here."""
     backend, detail = describe_gl()
     return backend or pytest.skip(f"no OpenGL: {detail}")
 
@@ -238,13 +237,11 @@ def test_no_process_outlives_the_one_that_draws(tmp_path, number):
 
 
 def children(pid: int) -> list[int]:
-    """Return the processes that a process has started, in any thread."""
     tasks = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(child) for task in tasks for child in task.read_text().split()]
 
 
 def alive(pid: int) -> bool:
-    """Tell whether a process runs."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

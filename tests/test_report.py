@@ -165,7 +165,6 @@ LARGEST = 2e6  # [B] of a report_in_3d of two scenarios
 
 
 def judged(run: Path, name: str) -> Outcome:
-    """Compare a run with the reference of pick_and_place."""
     scenario = load_scenario("pick_and_place")
     assert scenario.folder is not None
     path = scenario.folder / "reference.parquet"

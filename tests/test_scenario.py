@@ -53,7 +53,6 @@ BAD_SCENARIOS = {
 
 
 def write(folder: Path, toml: str | bytes = GOOD, table: str | None = TABLE) -> Path:
-    """Make a scenario's folder."""
     folder.mkdir(exist_ok=True)
     content = toml.encode() if isinstance(toml, str) else toml
     (folder / "scenario.toml").write_bytes(content)

@@ -24,7 +24,6 @@ TIMES = STEP * np.arange(TICKS + 1)
 
 
 def described(fmu: Path, *changes: tuple[str, str]) -> Path:
-    """Change texts in an FMU's description."""
     content = members(fmu)
     text = content["modelDescription.xml"].decode()
     for old, new in changes:

@@ -86,15 +86,12 @@ class Report:
         self.bad = self.column["status"] != "success"
 
     def tiles(self) -> str:
-        """Return the text of the tiles."""
         return " ".join(re.sub(r"<[^>]*>", " ", self.part("tiles")).split())
 
     def part(self, name: str) -> str:
-        """Return a section's source."""
         return self.text.partition(f'class="{name}"')[2].partition("</section>")[0]
 
     def names(self, key: str) -> NDArray[Any]:
-        """A column as the page writes it."""
         return np.array(
             [str(v).lower() if isinstance(v, np.bool_) else v for v in self.column[key]]
         )

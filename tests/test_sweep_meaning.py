@@ -18,7 +18,6 @@ pytestmark = pytest.mark.usefixtures("forked_workers")
 
 
 def edit(folder: Path, *changes: tuple[str, str]) -> None:
-    """Change the text of a scenario."""
     path = folder / "scenario.toml"
     text = path.read_text(encoding="utf-8")
     for old, new in changes:

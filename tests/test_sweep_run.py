@@ -54,7 +54,6 @@ def start(folder: Path, *more: str) -> subprocess.Popen[str]:
 
 
 def wait_for(holds: Callable[[], bool], process: subprocess.Popen[str] | None = None) -> None:
-    """Wait until something holds, while a process runs."""
     deadline = time.monotonic() + 240.0
     while not holds():
         assert process is None or process.poll() is None

@@ -61,7 +61,6 @@ def expected_word(complete: bool, end: str, expect: str, outcomes: list[str]) ->
 
 
 def content(complete: bool, end: str, expect: str, outcomes: list[str]) -> dict[str, Any]:
-    """The content of a summary.json."""
     criteria = [
         {"name": f"c{i}", "value": VALUES[each], "bound": 1.0, "unit": "m", "ok": each == "ok"}
         for i, each in enumerate(outcomes)
@@ -95,7 +94,6 @@ class AtOnce:
     """Workers that work where they are asked."""
 
     def submit(self, judge: Callable[[Any], Any], scenario: Any, **_: Any) -> Future[Any]:
-        """Return what is done at once."""
         future: Future[Any] = Future()
         future.set_result(judge(scenario))
         return future

@@ -118,7 +118,6 @@ def made_up(rows: int = 200, **metadata: Any) -> FakeRecording:
 
 
 def foreign(source: FakeRecording, name: str = "foreign", **summary: Any) -> Shown:
-    """That run with its model."""
     model = describe_model(mujoco.MjModel.from_xml_string(MODEL))
     return Shown(name, source, model, summary=Summary.read(summary))
 
@@ -205,7 +204,6 @@ def source(tmp_path_factory):
 
 
 def node(folder: Path, *command: str) -> None:
-    """Run a command in the source's folder."""
     ran(command, cwd=folder)
 
 
@@ -262,12 +260,10 @@ def recorded(tmp_path_factory):
 
 
 def view(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Call the command in a process of its own."""
     return command("view", *arguments)
 
 
 def shown(path: Path) -> str:
-    """What a page says that it shows first."""
     text = path.read_text(encoding="utf-8")
     found = re.search(r'data-view="&quot;show&quot;">(.*?)</script>', text)
     assert found is not None

@@ -40,13 +40,11 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(folder):
-    """The pick and place."""
     return run_scenario_outside(folder / "run")
 
 
 @pytest.fixture(scope="module")
 def view(run, folder):
-    """Its page."""
     return write_view([shown_run(run)], folder / "view.html")
 
 
@@ -58,7 +56,6 @@ def compared(run, folder):
 
 
 def show(page: Page, path: Path, **how: Any) -> None:
-    """Open a view and wait for its first picture."""
     page.open(path, **{"width": 820, "height": 560, **how})  # drawing is slow without a GPU
     page.wait(READY)
     page.value(f"{STAGE}.sun.castShadow = false")  # its light draws all once more
@@ -75,7 +72,6 @@ def look(page: Page, path: Path) -> None:
 
 
 def seek(page: Page, at: float) -> None:
-    """Go to an instant."""
     page.value(f"{VIEWER}.go({{at: {at!r}}})")
 
 
