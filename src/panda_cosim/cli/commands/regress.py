@@ -192,12 +192,13 @@ def _line(outcome: Outcome) -> str:
     share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
     if outcome.comparison is not None:
         share += f", {outcome.comparison.count}"
+        share += ", parameters differ" if outcome.ok and outcome.cause else ""
     return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
-    names = ("name", "verdict", "reason", "seconds", "criteria", "difference")
+    names = ("name", "verdict", "cause", "reason", "seconds", "criteria", "difference")
     of_comparison = ("worst", "first", "compared", "uncompared", "constant_fits")
     return {name: getattr(outcome, name) for name in names} | {
         name: getattr(outcome.comparison, name, None) for name in of_comparison

@@ -187,16 +187,21 @@ def show_source(source: RunData, name: str, *, summary: Summary, meshes: Meshes 
 
 def plant_model(metadata: Mapping[str, Any], meshes: Meshes = "never") -> tuple[Json, list[float]]:
     """Return the plant's model with a recording's scene and robot, and the masses of its bodies."""
+    parameters = plant_parameters(metadata)
+    model = described_scene(parameters.scene, parameters.robot, meshes)
+    given = {BLOCK: parameters.block_mass}
+    return model, [given.get(body["name"], body["mass"]) for body in model["bodies"]]
+
+
+def plant_parameters(metadata: Mapping[str, Any]) -> PlantParameters:
+    """Return scene, robot and block of a recording of our plant."""
     plant = metadata.get("parameters", {}).get("plant", {})
     values = {key: plant[key] for key in ("robot", "block_mass") if key in plant}
     scene = metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
     try:
-        parameters = PlantParameters(scene=scene, **values)
+        return PlantParameters(scene=scene, **values)
     except (TypeError, ValueError) as error:
         raise InputError(f"the recording's plant cannot be drawn: {error}") from error
-    model = described_scene(parameters.scene, parameters.robot, meshes)
-    given = {BLOCK: parameters.block_mass}
-    return model, [given.get(body["name"], body["mass"]) for body in model["bodies"]]
 
 
 @lru_cache(maxsize=4)

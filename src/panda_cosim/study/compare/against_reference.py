@@ -9,8 +9,8 @@ A text must be one of those of the reference within `time`; any other is infinit
 The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
 the comparison fails. Where the reference, of format 1, holds only a column's bits, these must
 match. The other checks find signals that are missing, new or of another unit or type, values
-that are not finite, a different time axis or verdict and, on request, different bits. Parameters,
-versions and the FMUs' identities are not compared.
+that are not finite, a different time axis or verdict and, on request, different bits. What else
+differs, parameters, models, versions and FMUs, is no problem, but the cause of one: see `causes`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, signal_of
-from .differences import LEAST_SHARE
+from .differences import LEAST_SHARE, Row
 from .reference import Reference, column_digest, kept_metadata
 from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, widths
 from .wording import instant, measure, multiple, precise, signal_names
@@ -142,6 +142,11 @@ class Deviation:
         return self.share <= 1.0
 
     @property
+    def of_range(self) -> float:
+        """The largest distance by the reference's range; of a constant, by its tolerance."""
+        return self.distance / max(self.extent, self.tolerance)
+
+    @property
     def text(self) -> str:
         """Size and time of the largest distance."""
         size = f"{measure(self.distance, self.unit)} at {instant(self.time)} s"
@@ -162,6 +167,7 @@ class Comparison:
     engines: tuple[str, str] = ("", "")  # versions of MuJoCo: the run's, the reference's
     equal: int = 0  # further columns, of which only the bits were compared
     uncompared: tuple[str, ...] = ()  # recorded columns that were not compared
+    causes: tuple[Row, ...] = ()  # what the run was made with differently, the likeliest first
 
     @property
     def ok(self) -> bool:
@@ -311,8 +317,13 @@ def matching_rows(time: Array, reference: Reference) -> Rows:
 
 
 def _tube_problems(deviations: Sequence[Deviation]) -> list[str]:
-    """Describe the worst column, and name the other signals."""
-    failed = [d for d in deviations if not d.ok]
-    others = signal_names(d.name for d in failed[1:])
-    more = f"; {len(failed) - 1} more outside: {others}" if others else ""
-    return [f"{worst.described}{more}" for worst in failed[:1]]
+    """Describe the worst column, name what left its tube before it, and the other signals."""
+    failed = sorted((d for d in deviations if not d.ok), key=lambda d: (d.first, -d.of_range))
+    if not failed:
+        return []
+    first, worst = failed[0], max(failed, key=lambda d: d.share)
+    began = instant(first.first or 0.0)
+    led = "" if first is worst else f"; {first.name} left its tube first, at {began} s"
+    others = signal_names(d.name for d in failed if d not in (first, worst))
+    more = f"; {len(failed) - 1} more outside, in this order: {others}" if others else ""
+    return [f"{worst.described}{led}{more}"]

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 from ...fmus.atomic import MARK, replacing
 from ...result.judging.criterion import line
+from .causes import named
 from .wording import instant, measure, multiple
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ def details(outcome: Outcome) -> str:
         for d in outcome.comparison.deviations
         if not d.ok
     ]
-    return "\n".join([*criteria, *outcome.comparison.problems, *deviations])
+    causes = named(outcome.comparison.causes, len(outcome.comparison.causes)).split(", ")
+    return "\n".join([*causes, *criteria, *outcome.comparison.problems, *deviations])
 
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:

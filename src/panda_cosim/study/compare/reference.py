@@ -10,10 +10,13 @@ of texts.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -64,7 +67,10 @@ class Reference(Recording):
         kinds: Type of every recorded column, as Arrow names it; none in format 1.
         step_size: Time between two rows [s].
         summary: Of the approved run.
+        models: What each MuJoCo model held, by instance, see `causes.elements`; older files: none.
     """
+
+    models: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,
@@ -86,7 +92,13 @@ class Reference(Recording):
         return name in self.quanta
 
     @classmethod
-    def of(cls, recording: Recording, summary: Summary, tolerances: Tolerances) -> Self:
+    def of(
+        cls,
+        recording: Recording,
+        summary: Summary,
+        tolerances: Tolerances,
+        models: Mapping[str, Any] | None = None,
+    ) -> Self:
         """Make a reference from a run; values are rounded to a tenth of their tolerances."""
         _check_run(recording, summary)
         half = widths(recording, tolerances)
@@ -108,7 +120,9 @@ class Reference(Recording):
         blocks = in_one_block(column)
         source = Source(tuple(columns), kept_metadata(recording), recording.rows, blocks)
         recorded = {c.name: (c.unit, column_digest(recording[c.name]), c.type) for c in columns}
-        return cls(recording.path, source, quanta, recorded, summary)
+        made = cls(recording.path, source, quanta, recorded, summary)
+        made.models = models or {}
+        return made
 
     def write(self, path: Path, recording: Recording) -> None:
         """Write the file atomically, block by block of the recording that it was made of."""
@@ -124,6 +138,7 @@ class Reference(Recording):
                 "nominals": self.nominals,
                 "metadata": self.metadata,
                 "summary": self.summary.to_dict(),
+                "models": _packed(self.models),
             }
         )
         schema, numbers = _schema(self.quanta, self.kinds), list(self.quanta)
@@ -174,7 +189,18 @@ class Reference(Recording):
             name, kind = field.name, "double" if field.name in quanta else str(field.type)
             columns.append(Column(name, recorded[name][0], "", kind, nominals.get(name)))
         source = Source(tuple(columns), metadata, rows, in_one_block(column))
-        return cls(path, source, quanta, recorded, Summary.read(description["summary"]))
+        found = cls(path, source, quanta, recorded, Summary.read(description["summary"]))
+        found.models = _unpacked(description.get("models"))
+        return found
+
+
+def _packed(models: Mapping[str, Any]) -> str:
+    """Pack what hardly anyone reads: a tenth of its size."""
+    return base64.b85encode(zlib.compress(json.dumps(models).encode(), 9)).decode()
+
+
+def _unpacked(text: str | None) -> dict[str, Any]:
+    return dict(json.loads(zlib.decompress(base64.b85decode(text)))) if text else {}
 
 
 def _schema(quanta: Mapping[str, float], kinds: Mapping[str, str]) -> Any:

@@ -9,7 +9,7 @@ from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from ...fmus.errors import CosimError, InputError, located, refuse
 from ...result.judging.criterion import Criterion
@@ -24,7 +24,9 @@ from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ...task.tolerances import Tolerances
 from ..work import Workers
 from .against_reference import Comparison, Deviation, compare_with_reference
-from .reference import Reference, how_to_make, reference_path
+from .causes import changed, is_parameter, models_of, named
+from .differences import Row
+from .reference import Reference, how_to_make, kept_metadata, reference_path
 
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
@@ -109,19 +111,32 @@ class Outcome:
 
     @property
     def reason(self) -> str:
-        """The problems in one line; empty if there are none."""
+        """The cause and the problems in one line; empty if there are none."""
         return "; ".join(self.problems)
 
     @property
     def problems(self) -> Sequence[str]:
-        """What is wrong, one line each, the most important first."""
+        """What is wrong, one line each: the cause, if it is known, then the most important."""
         found = self.comparison.problems if self.comparison else ()
-        return found or tuple(filter(None, [self.error]))
+        lines = [self.cause, *found] if found else [self.error]
+        return tuple(filter(None, lines))
 
     @property
     def worst(self) -> Deviation | None:
         """The column that is furthest from its reference."""
         return self.comparison.worst if self.comparison else None
+
+    @property
+    def cause(self) -> str:
+        """What the run was made with differently than its reference, in one line; "": nothing.
+
+        Of a run that matches, only parameters are told.
+        """
+        if self.comparison is None:
+            return ""
+        match = self.comparison.ok
+        told = [row for row in self.comparison.causes if not match or is_parameter(row)]
+        return f"changed: {named(told)}{'; results match' * match}" if told else ""
 
     @property
     def summary(self) -> Summary:
@@ -173,14 +188,17 @@ def _outcome(scenario: Scenario | Unusable, *, run: Path, options: Options, exac
 def _compared(judged: Outcome, summary: Summary, exact: bool) -> Outcome:
     """Compare a run with its reference; without one, it stays as it was judged by its criteria."""
     path = judged.reference_path
+    assert isinstance(judged.scenario, Scenario)
     if path.is_file():
         try:
             recording, reference = Recording.open(judged.run), Reference.read(path)
             comparison = compare_with_reference(
                 recording, summary, reference, judged.tolerances, exact=exact
             )
+            models = {} if comparison.ok else models_of(judged.scenario, recording)
         except CosimError as refused:
             return replace(judged, verdict="no reference", error=str(refused))
+        comparison = replace(comparison, causes=_causes(recording, reference, models))
         verdict: Verdict = "same" if comparison.ok else "differs"
         return replace(judged, verdict=verdict, comparison=comparison, error="")
     if summary.verdict is NO_CRITERIA:
@@ -188,6 +206,16 @@ def _compared(judged: Outcome, summary: Summary, exact: bool) -> Outcome:
         missing = f"{path}: does not exist; {advice}"
         return replace(judged, verdict="no reference", error=missing)
     return judged
+
+
+def _causes(
+    recording: Recording, reference: Reference, models: Mapping[str, Any]
+) -> tuple[Row, ...]:
+    """Return what differs; of models, only if these of the run are given."""
+    known = {name: reference.models[name] for name in models if name in reference.models}
+    before = {**reference.metadata, "models": known}
+    now = {**kept_metadata(recording), "models": {name: models[name] for name in known}}
+    return tuple(changed(before, now))
 
 
 def _failed(scenario: Scenario | Unusable, run: Path, began: float, error: str) -> Outcome:
@@ -314,7 +342,9 @@ def candidate(outcome: Outcome) -> Reference:
     if outcome.verdict == "failed":
         raise InputError(f"the run failed, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)
-    return Reference.of(recording, outcome.summary, outcome.tolerances)
+    assert isinstance(outcome.scenario, Scenario)
+    models = models_of(outcome.scenario, recording)
+    return Reference.of(recording, outcome.summary, outcome.tolerances, models)
 
 
 def changes(outcome: Outcome, new: Reference) -> list[str]:
@@ -326,13 +356,16 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
         old = Reference.read(path)
     except InputError as error:
         return [f"replaces a reference that cannot be used: {error}"]
-    if old.digests == new.digests and old.quanta == new.quanta:
+    made = [(it.metadata["parameters"], it.models) for it in (old, new)]
+    if old.digests == new.digests and old.quanta == new.quanta and made[0] == made[1]:
         return []
     compared, worst = outcome.comparison, outcome.worst
     lines = list(compared.problems) if compared else []
     if compared and not lines:
         near = f"; furthest: {worst.described}" if worst and worst.share > 0 else ""
         lines = [f"stays within all tolerances{near}"]
+    if made[0] != made[1]:
+        lines.append("was made with other parameters or models")
     if old.quanta != new.quanta:
         lines.append("is rounded anew, as its tolerances have changed")
     return lines

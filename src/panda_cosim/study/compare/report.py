@@ -91,7 +91,10 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
     shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
     shown = [deviation for deviation in shown if deviation.name in reference.columns]
-    origins = (dict(flattened(each)) for each in (reference.metadata, kept_metadata(recording)))
+    origins = [dict(flattened(each)) for each in (reference.metadata, kept_metadata(recording))]
+    for row in comparison.causes:
+        for made, value in zip(origins, row.values, strict=True):
+            made[row.name] = value
     metrics = (dict(each.summary.numbers()) for each in (reference, outcome))
     tables = [
         Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),

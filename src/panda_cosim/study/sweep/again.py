@@ -13,6 +13,7 @@ from ...run.execution import run_scenario
 from ...run.folder import SCENARIO_FOLDER, refuse_existing
 from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...task.scenario import Scenario
+from ..compare.causes import models_of
 from ..compare.reference import REFERENCE_FILE, Reference
 from .store import Store
 
@@ -74,6 +75,7 @@ def promote_row(
         kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs
         shutil.copytree(kept, new, dirs_exist_ok=True)
         if run.summary.as_expected:
-            reference = Reference.of(run.recording, run.summary, promoted.regression)
+            models = models_of(promoted, run.recording)
+            reference = Reference.of(run.recording, run.summary, promoted.regression, models)
             reference.write(new / REFERENCE_FILE, run.recording)
     return sorted(new.iterdir())

@@ -1,0 +1,153 @@
+"""What a run was made with: a red one names what has changed there before its signals.
+
+That is its settings, parameters and versions, and of each MuJoCo model the compiled fields that
+its author writes, by element: `plant: body ball mass`. What no field tells is in a hash.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from ...fmus.interface.tables import INTERFACES
+from ...plant.parameters import PlantParameters
+from ...result.recording import Recording
+from ...run.folder import model_in
+from ...run.system.assembly import assemble
+from ...task.scenario import Scenario
+from ...task.tolerances import flattened, signal_of
+from .differences import Row, differing
+from .wording import numbers
+
+Elements = dict[str, float]  # by element, field and number; "hash": of all that is compiled
+
+# Kinds of elements, their number in a model, and the fields that are written in MJCF.
+FIELDS: Final = (
+    ("geom", "ngeom", "size friction pos quat condim contype conaffinity solref solimp"),
+    ("joint", "njnt", "range stiffness damping frictionloss armature"),
+    ("actuator", "nu", "gainprm biasprm gear ctrlrange forcerange"),
+    ("equality", "neq", "data solref solimp"),
+    ("tendon", "ntendon", "range stiffness damping"),
+    ("body", "nbody", "pos quat mass inertia ipos"),  # last, as geoms may give it mass and inertia
+)
+OPTIONS: Final = "timestep gravity integrator cone impratio solver tolerance iterations"
+UNITS: Final = {"mass": "kg", "inertia": "kg.m2", "pos": "m", "ipos": "m", "size": "m",
+                "timestep": "s", "gravity": "m/s2"}  # fmt: skip
+MOST: Final = 20_000  # fields; of a larger model, only the hash is kept
+SHOWN: Final = 4  # causes in a line
+# The order in which they are named; FMUs last, as their hashes change with any of their files.
+_PARTS: Final = ("parameters.", "models.", "", "versions.", "fmus.")
+
+
+def elements(model: Any) -> Elements:
+    """Return the fields of a compiled model (`mujoco.MjModel`)."""
+    import mujoco  # noqa: PLC0415 - slow to import; needed where runs differ
+
+    compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, compiled)
+    found: Elements = {"hash": float(int(hashlib.sha256(compiled.tobytes()).hexdigest()[:12], 16))}
+    if sum(getattr(model, count) * len(fields.split()) for _, count, fields in FIELDS) > MOST:
+        return found
+    for option in OPTIONS.split():
+        found |= _numbered(f"option {option}", getattr(model.opt, option))
+    for kind, count, fields in FIELDS:
+        for number in range(getattr(model, count)):
+            element = getattr(model, kind)(number)
+            for field in fields.split():
+                values = getattr(element, field, ())
+                found |= _numbered(f"{kind} {element.name or number} {field}", values)
+    return found
+
+
+def _numbered(name: str, values: Any) -> Elements:
+    """Return values by name, with numbers from 1 if there are several."""
+    listed = np.ravel(values).astype(float).tolist()
+    return {name: listed[0]} if len(listed) == 1 else {
+        f"{name}[{number}]": value for number, value in enumerate(listed, 1)
+    }  # fmt: skip
+
+
+def models_of(scenario: Scenario, recording: Recording) -> dict[str, Elements]:
+    """Return the models of a scenario's FMUs, by instance, as they are compiled now."""
+    from ...fmus.sources.model_fmu import load_binary  # noqa: PLC0415 - as above
+    from ...plant.scene import load_scene  # noqa: PLC0415
+    from ...show.view.page import plant_parameters  # noqa: PLC0415
+
+    found = {}
+    for name, fmu in assemble(scenario).system.fmus.items():
+        if content := model_in(fmu):
+            found[name] = elements(load_binary(content, f"[fmus] {name}"))
+    if not scenario.system and "plant" not in scenario.fmus:
+        given = plant_parameters(recording.metadata)  # of which the block is a parameter
+        own = PlantParameters(scene=given.scene, robot=given.robot)
+        found["plant"] = elements(load_scene(own))
+    return found
+
+
+def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
+    """Return what two runs were made with differently, as it is to be named.
+
+    `before` and `now` are tables of settings, with tables `parameters`, `models`, `versions` and
+    `fmus`. A model's hash is told only where no field of it differs, nor the version of MuJoCo.
+    """
+    rows = differing([dict(flattened(before)), dict(flattened(now))])
+    told = {".".join(row.name.split(".")[:2]) for row in rows if row.name[-5:] != ".hash"}
+    engine = any(row.name == "versions.mujoco" for row in rows)
+    models = {row.name.split(".")[1] for row in rows if row.name.startswith("models.")}
+
+    def is_cause(part: str, name: str) -> bool:
+        instance, _, rest = name.partition(".")
+        if part == "fmus.":
+            return rest == "sha256" and instance not in models
+        if rest == "hash":
+            return not (engine or f"{part}{instance}" in told)
+        return name != "scenario"  # its name
+
+    rows = [row for row in rows if is_cause(part := _part(row.name), row.name.removeprefix(part))]
+    return sorted(rows, key=lambda row: _PARTS.index(_part(row.name)))
+
+
+def is_parameter(row: Row) -> bool:
+    """Whether it is a parameter, and not what it was made with besides."""
+    return row.name.startswith("parameters.")
+
+
+def _part(name: str) -> str:
+    return next(part for part in ("parameters.", "models.", "versions.", "fmus.", "")
+                if name.startswith(part))  # fmt: skip
+
+
+def named(rows: Sequence[Row], most: int = SHOWN) -> str:
+    """Name changes in one line: `plant.block_mass 0.18 -> 0.21 kg, ...`."""
+    first = {signal_of(row.name): row for row in reversed(rows)}  # of each field's numbers
+    words = list(_words([row for row in rows if first[signal_of(row.name)] is row]))
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more
+
+
+def _words(rows: Sequence[Row]) -> Iterator[str]:
+    for row in rows:
+        part, name = _part(row.name), row.name.removeprefix(_part(row.name))
+        instance, _, rest = name.partition(".")
+        if part == "models.":
+            name = f"{instance}: {rest}"
+        if rest == "hash":
+            yield f"{instance}: other fields of its compiled model"
+        elif part == "fmus.":
+            yield f"the code or files of FMU {instance!r}"
+        else:
+            old, new = numbers(row.values)
+            yield f"{name} {old} -> {new} {_unit(part, instance, rest)}".rstrip()
+
+
+def _unit(part: str, instance: str, name: str) -> str:
+    """Return the unit of a field, or of a parameter of an FMU of ours."""
+    if part == "models.":
+        return UNITS.get(signal_of(name).rpartition(" ")[2], "")
+    interface = INTERFACES.get(instance)
+    found = {scalar.name: scalar.unit for scalar in interface.scalars()} if interface else {}
+    unit = found.get(name, "")
+    return "" if unit == "1" else unit

@@ -1,0 +1,124 @@
+"""A red run names what it was made with differently, before its signals."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from html import unescape
+
+import mujoco
+import pytest
+
+from panda_cosim.study.compare.causes import changed, elements, named
+from panda_cosim.task.scenario import load_scenario
+
+BALL = """
+<mujoco model="ball">
+  <option timestep="0.001"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" friction="0.8 0.005 0.0001"/>
+    <body name="ball" pos="0 0 0.3">
+      <freejoint name="free"/>
+      <geom name="shell" type="sphere" size="0.05" mass="0.1"/>
+    </body>
+    <body name="arm" pos="0.5 0 0.5">
+      <joint name="hinge" type="hinge" axis="0 1 0" damping="0.1"/>
+      <geom name="rod" type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.2"/>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="hinge" kp="5"/></actuator>
+</mujoco>
+"""
+SCENARIO = 'purpose = "A ball falls"\nduration = 0.2\n[fmus]\nball = "ball.xml"\n'
+
+
+def cause(before: str, now: str, **settings: tuple[str, str]) -> str:
+    """What is said of two models, and of other settings before and now."""
+    made = [
+        {"models": {"ball": elements(mujoco.MjModel.from_xml_string(text))}}
+        | {key: value[number] for key, value in settings.items()}
+        for number, text in enumerate((before, now))
+    ]
+    return named(changed(*made))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('mass="0.1"', 'mass="0.11"', "ball: body ball mass 0.1 -> 0.11 kg"),
+        ('friction="0.8', 'friction="0.4', "ball: geom floor friction[1] 0.8 -> 0.4"),
+        ('kp="5"', 'kp="4"', "ball: actuator servo gainprm[1] 5 -> 4"),
+        ('damping="0.1"', 'damping="0.2"', "ball: joint hinge damping 0.1 -> 0.2"),
+        ('size="0.05"', 'size="0.06"', "ball: geom shell size[1] 0.05 -> 0.06 m"),
+        ('pos="0 0 0.3"', 'pos="0 0 0.31"', "ball: body ball pos[3] 0.3 -> 0.31 m"),
+        ('"0.001"/>', '"0.001" integrator="RK4"/>', "ball: option integrator 0 -> 1"),
+        ('axis="0 1 0"', 'axis="1 0 0"', "ball: other fields of its compiled model"),
+        ("", "", ""),
+    ],
+)
+def test_the_element_and_field_of_a_model_are_named_with_both_values(old, new, said):
+    assert cause(BALL, BALL.replace(old, new)).startswith(said)
+    assert bool(cause(BALL, BALL.replace(old, new))) == bool(said)
+
+
+def test_parameters_come_first_and_versions_before_code():
+    told = cause(
+        BALL, BALL.replace('mass="0.1"', 'mass="0.2"'),
+        fmus=({"law": {"sha256": "a"}, "ball": {"sha256": "b"}},
+              {"law": {"sha256": "c"}, "ball": {"sha256": "d"}}),
+        versions=({"numpy": "2.4"}, {"numpy": "2.5"}),
+        parameters=({"plant": {"block_mass": 0.18}}, {"plant": {"block_mass": 0.21}}),
+    )  # fmt: skip
+    words = ["plant.block_mass 0.18 -> 0.21 kg", "ball: body ball mass", "numpy 2.4 -> 2.5"]
+    places = [told.index(word) for word in words]
+    assert places == sorted(places)
+    assert "FMU 'ball'" not in told  # its model says what it is
+
+
+def test_another_engine_alone_is_the_cause_of_another_compiled_model():
+    engines = ({"mujoco": "4.0.0"}, {"mujoco": "3.10.0"})
+    told = cause(BALL, BALL.replace('axis="0 1 0"', 'axis="1 0 0"'), versions=engines)
+    assert told == "mujoco 4.0.0 -> 3.10.0"
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory):
+    """A suite of a user's model and a shipped scenario, with references; both then changed."""
+    folder = tmp_path_factory.mktemp("suite")
+    (folder / "ball").mkdir()
+    (folder / "ball" / "ball.xml").write_text(BALL)
+    (folder / "ball" / "scenario.toml").write_text(SCENARIO)
+    shutil.copytree(load_scenario("push").folder, folder / "push")
+    regress(folder, "ball", "--update", "--yes")
+    (folder / "ball" / "ball.xml").write_text(BALL.replace('mass="0.1"', 'mass="0.11"'))
+    return folder
+
+
+def regress(folder, *arguments):
+    """Run the command; returns what it prints."""
+    command = [sys.executable, "-m", "panda_cosim", "regress", "--scenarios", folder, *arguments]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300)
+    assert done.returncode in {0, 1}, done.stderr
+    return done.stdout
+
+
+def test_every_door_names_the_cause_first(suite, tmp_path):
+    said = "changed: ball: body ball mass 0.1 -> 0.11 kg"
+    (red,) = json.loads(regress(suite, "ball", "--json"))["scenarios"]
+    assert red["verdict"] == "differs"
+    assert red["reason"].startswith(said)
+    regress(suite, "ball", "--report", tmp_path)
+    xml, page = ((tmp_path / name).read_text() for name in ("junit.xml", "report.html"))
+    assert f'message="{said}' in unescape(xml)
+    page = unescape(page)
+    assert said in page
+    assert page.index(said) < page.index("ball.qfrc_bias")
+
+
+def test_a_run_that_matches_with_other_parameters_says_so(suite):
+    lines = regress(suite, "push", "--set", "plant.block_friction=0.9", "--json")
+    (green,) = json.loads(lines)["scenarios"]
+    assert green["verdict"] == "same"
+    assert green["cause"] == "changed: plant.block_friction 1 -> 0.9; results match"
