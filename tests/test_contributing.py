@@ -144,6 +144,7 @@ main()
 EDITS = {
     "controller/pid.py": ("self._kp * error", "2.0 * self._kp * error", "controller"),
     "controller/ik.py": ("= gains.ik_gain * error", "= 2.0 * gains.ik_gain * error", "controller"),
+    "controller/gains.py": ("bounded(50.0", "bounded(25.0", "controller"),
     "controller/reference_law.py": ("1.5 * twist_cmd", "1.4 * twist_cmd", "controller"),
     "plant/plant.py": ("data.xpos[self._hand]", "data.xpos[self._hand] + 0.001", "plant"),
     "fmus/inside/trajectory.py": ("self._tick += count", "self._tick += 2 * count", "trajectory"),

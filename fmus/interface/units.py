@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+Units = Mapping[str, "Unit"]
 PLAIN: Final = (1.0, 0.0)  # factor and offset that change nothing
 BASES: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # FMI counts rad among them
 _OURS: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -28,7 +29,6 @@ class Unit:
         return {base: e for base, e in zip(BASES, self.exponents, strict=True) if e}
 
 
-Units = Mapping[str, Unit]
 OUR_UNITS: Final[Units] = {
     name: Unit(tuple(exponents.get(base, 0) for base in BASES))
     for name, exponents in _OURS["base"].items()
