@@ -180,11 +180,6 @@ class Plant:
                     f"at index {index} (not finite or above 1e10)"
                 )
 
-    @property
-    def time(self) -> float:
-        """Simulated time since the start [s]."""
-        return float(self.data.time)
-
     def get_state(self) -> NDArray[np.float64]:
         """Copy everything that the next step depends on, and the forces of the last step (n,)."""
         physics = np.empty(mujoco.mj_stateSize(self.model, STATE))

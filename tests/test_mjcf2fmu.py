@@ -16,8 +16,9 @@ from typer.testing import CliRunner
 
 from fmu_instance import Instance, with_content
 from panda_cosim.cli.app import app
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.build import identity
+from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.fmus.master.fmu_file import Fmu, library_of
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.plant.mujoco_warnings import taken_warnings
@@ -198,6 +199,59 @@ def test_a_model_that_was_cut_off_is_refused_in_a_line(box, tmp_path):
     with pytest.raises(InputError, match=r"box\.mjb: MuJoCo cannot load it: \w") as refused:
         describe(path, ModelOptions())
     assert "\n" not in str(refused.value)
+
+
+def test_a_model_that_another_version_compiled_is_refused_by_its_name(box, tmp_path):
+    path = tmp_path / "box.mjb"
+    mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(path))
+    content = path.read_bytes()
+    path.write_bytes(content[:12] + (4_000_123).to_bytes(4, "little") + content[16:])
+    with pytest.raises(InputError, match=r"box\.mjb: compiled by MuJoCo 4\.0\.123, and .* MJCF$"):
+        model_fmu(path, ModelOptions())
+
+
+@pytest.mark.parametrize(("jacobian", "solver", "is_hit"), [
+    ("sparse", "Newton", True), ("sparse", "CG", False), ("dense", "Newton", False),
+])  # fmt: skip
+def test_the_fault_of_a_version_is_named_where_the_model_meets_it(
+    tmp_path, jacobian, solver, is_hit
+):
+    option = f'<option jacobian="{jacobian}" solver="{solver}"/>'
+    body = '<body><freejoint/><geom size=".1"/></body>'
+    model = tmp_path / "ball.xml"
+    model.write_text(f"<mujoco>{option}<worldbody>{body}</worldbody></mujoco>")
+    out, is_hit = tmp_path / "ball.fmu", is_hit and mujoco.__version__ == "4.0.0"
+    said = CliRunner().invoke(app, ["mjcf2fmu", str(model), "--out", str(out)])
+    assert ("ball.fmu: MuJoCo 4.0.0 computes wrong" in said.output.replace("\n", " ")) == is_hit
+    told = CliRunner().invoke(app, ["info", str(out), "--json"])
+    assert ("issue 3767" in told.output) == is_hit
+    with zipfile.ZipFile(out) as fmu:
+        needs = fmu.read("documentation/externalDependencies.txt").decode()
+    assert ("issue 3767" in needs) == is_hit
+
+
+def test_two_engines_beside_each_other_are_refused(monkeypatch):
+    versions = {"mujoco": "4.0.0", "mujoco-core": "4.0.1"}
+    monkeypatch.setattr(identity, "package_version", versions.get)
+    with pytest.raises(CosimError, match=r"mujoco 4\.0\.0 and mujoco-core 4\.0\.1: must be one"):
+        identity.mujoco_version()
+
+
+@pytest.mark.parametrize(("names", "found"), [
+    (("linux64", "aarch64-linux"), "aarch64-linux"), (("linux64",), "linux64"), ((), None),
+])  # fmt: skip
+def test_on_arm_the_library_is_that_for_arm(box, tmp_path, monkeypatch, names, found):
+    fmu = Fmu(write(box, tmp_path / "box.fmu", ModelOptions()))
+    monkeypatch.setattr(fmpy, "platform_tuple", "aarch64-linux")  # FMPy says linux64 there, too
+    for name in names:
+        (tmp_path / "binaries" / name).mkdir(parents=True)
+        (tmp_path / "binaries" / name / "box.so").touch()
+    if found is None:
+        with pytest.raises(InputError, match=r"binary .*; binaries/aarch64-linux/box\.so is miss"):
+            library_of(fmu.path, tmp_path, fmu.description)
+    else:
+        library = library_of(fmu.path, tmp_path, fmu.description)
+        assert library == tmp_path / "binaries" / found / "box.so"
 
 
 @pytest.mark.parametrize("clamps", [True, False])

@@ -50,7 +50,7 @@ def test_a_plant_starts_at_home(plant):
     assert not plant.outputs["qvel"].any()
     assert not plant.outputs["actuator_force"].any()
     assert plant.outputs["contact_force"] == 0.0
-    assert plant.time == 0.0
+    assert plant.data.time == 0.0
 
 
 def test_outputs_are_those_of_one_instant(plant):

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..errors import InputError, shown
 from ..interface.units import DISPLAY_UNITS, NOMINALS, OUR_UNITS
 from ..interface.variables import Interface, Scalar, Value, Variable
+from .engines import DEPENDENCIES
 from .identity import mujoco_package
 from .libraries import NEED_MUJOCO, licences, own_licences
 
@@ -157,7 +158,7 @@ def _documents(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
     needs, folder = (*fmu.needs, *([] if packed else [systems])), "documentation/licenses"
     files = {
         "documentation/index.html": documentation(fmu, layout, needs),
-        "documentation/externalDependencies.txt": "\n".join((*needs, "")).encode(),
+        DEPENDENCIES: "\n".join((*needs, "")).encode(),
         **{f"{folder}/{name}": text for name, text in own_licences().items()},
         f"{folder}/third_party.txt": render(
             "third_party.txt.j2",

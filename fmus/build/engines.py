@@ -11,6 +11,7 @@ import os
 import pickle
 import re
 import sys
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,11 @@ from ..processes import SAFE_PATH, last_line, pip, run
 from .identity import mujoco_version
 
 _VERSION: Final = re.compile(r"(3\.[1-9]\d|[4-9]\.\d\d?)\.\d\d?", re.A)
+DEPENDENCIES: Final = "documentation/externalDependencies.txt"  # of an FMU
+SPARSE_FAULT: Final = (  # where the solver is Newton's, the default
+    "MuJoCo 4.0.0 computes wrong accelerations where a model's constraint Jacobian is sparse "
+    "(google-deepmind/mujoco issue 3767, mended in 4.0.1); --mujoco takes another version"
+)
 _CHILD: Final = """
 import pickle, sys
 from pathlib import Path
@@ -42,6 +48,18 @@ def check_engine(version: object) -> str:
     if version != "" and not (isinstance(version, str) and _VERSION.fullmatch(version)):
         refuse("mujoco", version, "must be a version from 3.10.0 on")
     return str(version)
+
+
+def sparse_fault() -> tuple[str, ...]:
+    """What is wrong with sparse models in the installed version."""
+    return (SPARSE_FAULT,) * (mujoco_version() == "4.0.0")
+
+
+def known_faults(fmu: Path) -> list[str]:
+    """Return what an FMU's documents say is wrong with the engine and the model in it."""
+    with zipfile.ZipFile(fmu) as archive:
+        texts = [archive.read(name) for name in archive.namelist() if name == DEPENDENCIES]
+    return [SPARSE_FAULT] * (SPARSE_FAULT.encode() in b"".join(texts))
 
 
 def made_with(version: str, make: Callable[[], bytes]) -> bytes:

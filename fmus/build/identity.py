@@ -10,6 +10,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 from typing import Final
 
+from ..errors import CosimError
 from ..twins import ROOT
 
 # What no FMU depends on, as the contracts on imports have it above: all else is hashed.
@@ -56,5 +57,12 @@ def mujoco_package() -> str:
 
 
 def mujoco_version() -> str:
-    """Version of that package."""
-    return package_version(mujoco_package())
+    """Version of that package, which compiles models and steps them."""
+    package, mujoco = mujoco_package(), package_version("mujoco")
+    version = package_version(package)
+    if version != mujoco:
+        raise CosimError(
+            f"mujoco {mujoco} and {package} {version}: must be one version, which compiles models "
+            f"and steps them; pip install 'mujoco=={mujoco}' '{package}=={mujoco}'"
+        )
+    return version

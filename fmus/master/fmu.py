@@ -154,6 +154,7 @@ class FmuSlave(Caller, ABC):
             instance = self.fmpy_class(
                 guid=self.fmu.guid,
                 unzipDirectory=str(self.fmu.folder),
+                libraryPath=str(self.fmu.library),
                 modelIdentifier=self.fmu.description.coSimulation.modelIdentifier,
                 instanceName=self.name,
             )

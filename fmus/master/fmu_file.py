@@ -56,6 +56,7 @@ class Fmu:
     variables: dict[str, Scalar]  # by name, including the elements of FMI 3.0 arrays; those of an
     # FMU of ours have the same names in FMI 2.0 and 3.0
     units: Units
+    library: Path  # for this platform
 
     def __init__(self, path: Path, label: str = "") -> None:
         self.path, self.label = path, label or str(path)
@@ -63,7 +64,7 @@ class Fmu:
         kept = self.folder.with_name(f"{self.folder.name}-{_reader()[:16]}.pickle")
         # What the cache holds is code that is run, anyway.
         vars(self).update(pickle.loads(cached(kept, self._read).read_bytes()))  # noqa: S301
-        _check_library(path, self.folder, self.description)
+        self.library = library_of(path, self.folder, self.description)
         # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
         if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
             raise InputError(
@@ -237,16 +238,20 @@ def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
     return description
 
 
-def _check_library(path: Path, folder: Path, description: Any) -> None:
+def library_of(path: Path, folder: Path, description: Any) -> Path:
+    """Return the FMU's library for this platform."""
     import fmpy  # noqa: PLC0415 - see above
 
-    platform = fmpy.platform if description.fmiVersion == "2.0" else fmpy.platform_tuple
-    identifier = description.coSimulation.modelIdentifier
-    library = folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
-    if not library.is_file():
-        raise InputError(
-            f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
-        )
+    platforms = [fmpy.platform_tuple]
+    if description.fmiVersion == "2.0":  # whose names are those of x86; FMPy has no others
+        platforms.insert(0 if platforms[0].startswith("x86") else 1, fmpy.platform)
+    name = f"{description.coSimulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
+    libraries: list[Path] = [folder / "binaries" / platform / name for platform in platforms]
+    for library in libraries:
+        if library.is_file():
+            return library
+    missing = libraries[0].relative_to(folder)
+    raise InputError(f"{path}: no binary for this platform; {missing} is missing")
 
 
 @cache

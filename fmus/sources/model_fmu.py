@@ -17,6 +17,8 @@ from ...assets.arm import change_arm, saved
 from ...assets.franka import DEFAULT_ROBOT
 from ...plant.mujoco_warnings import taken_warnings
 from ..atomic import cache_folder, cached, temporary_folder
+from ..build.description import NOTHING
+from ..build.engines import sparse_fault
 from ..build.identity import digest
 from ..build.native import NativeFmu
 from ..errors import InputError, one_line
@@ -36,6 +38,7 @@ from .mjcf_sources import Sources
 Warn = Callable[[str], object]
 MODEL_SUFFIX: Final = ".mjb"
 MODEL: Final = f"model{MODEL_SUFFIX}"
+MAGIC: Final = (54321).to_bytes(4, "little")  # first bytes of a file of this suffix
 STEPS: Final = 1000  # of a model's default experiment
 LONGEST_STEP: Final = 1.0  # [s]
 LAW: Final = """\
@@ -160,8 +163,13 @@ def mujoco_fmu(
     options += [("key", str(key))] if key >= 0 else []
     files = {f"{name}{MODEL_SUFFIX}": saved(model) for name, model in models.items()}
     resolved = replace(interface, variables=variables)
+    faults = sparse_fault() if any(map(_is_sparse, models.values())) else ()
     return NativeFmu(resolved, "mujoco", law, files, tuple(options), step_size=step,
-                     stop_time=stop_time or STEPS * step)  # fmt: skip
+                     stop_time=stop_time or STEPS * step, needs=(NOTHING, *faults))  # fmt: skip
+
+
+def _is_sparse(model: Any) -> bool:
+    return bool(mujoco.mj_isSparse(model)) and model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
 
 
 def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
@@ -216,6 +224,11 @@ mujoco.mj_forward(model, mujoco.MjData(model))
 
 def load_binary(content: bytes, place: str) -> Any:
     """Load a model that MuJoCo saved (.mjb), once a process of its own has tried it."""
+    made = int.from_bytes(content[12:16], "little")  # as `mj_version` tells it
+    if content.startswith(MAGIC) and made != mujoco.mj_version():
+        version = f"{made // 1_000_000}.{made // 1000 % 1000}.{made % 1000}"
+        must = f"{mujoco.__version__} reads only what it compiled itself; must be the MJCF"
+        raise InputError(f"{place}: compiled by MuJoCo {version}, and {must}")
 
     def tried() -> bytes:
         with temporary_folder(cache_folder()) as folder:

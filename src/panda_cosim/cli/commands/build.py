@@ -14,7 +14,7 @@ import typer
 
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.build.container import CONTAINER_FILE, write_container
-from ...fmus.build.engines import check_engine
+from ...fmus.build.engines import check_engine, known_faults
 from ...fmus.build.native import NativeFmu
 from ...fmus.build.ssp import write_ssp
 from ...fmus.errors import CosimError, InputError
@@ -240,6 +240,9 @@ def mjcf2fmu(  # noqa: PLR0913 - one for each option
     paths = _paths(models, out)
     fmus = {path: model_fmu(model, options, path.stem, warn) for model, path in paths.items()}
     Build({path: _made(fmu, target) for path, fmu in fmus.items()}).write(overwrite=overwrite)
+    for path in paths.values():
+        for fault in known_faults(path):
+            warn(f"{path}: {fault}")
 
 
 def _paths(models: Sequence[Path], out: Path | None) -> dict[Path, Path]:

@@ -12,6 +12,8 @@ from importlib.metadata import requires, version
 from typing import Literal, NamedTuple
 
 from ...fmus.atomic import cache_folder
+from ...fmus.build.engines import sparse_fault
+from ...fmus.build.identity import mujoco_version
 from ...fmus.build.libraries import BACKENDS, compiler, is_prebuilt
 from ...fmus.build.platforms import this_platform
 from ...fmus.errors import CosimError
@@ -126,6 +128,11 @@ def _fmu_libraries() -> str:
     return f"{here}, compiled {'when they are needed' if missing else 'with the package'}"
 
 
+def _engine() -> str:
+    """The version of MuJoCo in FMUs, and what is wrong with it."""
+    return "; ".join((mujoco_version(), *sparse_fault()))
+
+
 def _stepper() -> str:
     from ...fmus.master.kernel import load_stepper  # noqa: PLC0415 - numpy may be missing
 
@@ -172,6 +179,7 @@ def _ffmpeg() -> str:
 
 # What, whether scenarios can be run without, the check, and the remedy if the error names none.
 CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
+    ("MuJoCo of the FMUs", "needed", _engine, ""),
     ("libraries of the FMUs", "needed", _fmu_libraries, ""),
     ("twins in C", "optional", _twins, ""),
     ("the master's step", "optional", _stepper, "install the package again"),

@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.table import Table
 
+from ...fmus.build.engines import known_faults
 from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
@@ -50,10 +51,12 @@ def command(
     ```
     """
     interfaces, connections, order, held = _read(fmu)
+    faults = known_faults(Path(fmu)) if fmu and fmu.endswith(".fmu") else []
     code = {name: _code(name, interface, Path(fmu or "")) for name, interface in interfaces.items()}
     if json:
         described = _described(interfaces, connections)
-        show_json({**described, "code": code, "order": order, "late": held})
+        show_json({**described, "code": code, "order": order, "late": held,
+                   "faults": faults})  # fmt: skip
         return
     if markdown:
         drawing = [_drawing(order, connections, held)] if len(order) > 1 else []
@@ -65,6 +68,8 @@ def command(
         for variables in _variables_tables(interface):
             show(variables)
         show("")
+    for fault in faults:
+        show(as_cell(fault), "yellow")
     announce_python()
     if connections:
         show("Connections\n", "bold")
