@@ -15,6 +15,7 @@ from ...task.trajectory import TIME_TOLERANCE
 ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario has them
 _TABLES: Final = tomllib.loads(Path(__file__).with_name("checks.toml").read_text(encoding="utf-8"))
 REMEDIES: Final[Mapping[str, str]] = _TABLES.pop("remedies")
+SIGNALS: Final[Mapping[str, list[str]]] = _TABLES.pop("signals")
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
-from .checks import CHECKS, Check
+from .checks import CHECKS, SIGNALS, Check
 
-ARM: Final = ("plant.qpos", "plant.qvel", "plant.actuator_force", "plant.qfrc_bias", "plant.jac")
-SENT: Final = ("controller.qpos_ref",)
-SIGNALS: Final = {
-    "joint": SENT,
-    "cartesian": ("controller.pos_cmd", "controller.quat_cmd"),
-    "torque": ARM,
-    "arm": ARM,
-}
 WINDOWS: Final = {"start": "the first row", "end": "the last row"}
 
 
@@ -48,7 +40,7 @@ class Definition:
 def _share(key: str, check: Check) -> Definition:
     recommended = "" if check.necessary else " (recommended)"
     what = f"{check.what}: largest share of {check.limit}{recommended}"
-    signals = SENT if key.startswith("elbow") else SIGNALS[check.interface]
+    signals = tuple(SIGNALS["joint" if key.startswith("elbow") else check.interface])
     window = WINDOWS.get(key.partition("_")[0], "all rows")
     return Definition(f"preflight.{key}_share", what, signals, window, "1", "lower")
 

@@ -228,7 +228,10 @@ def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> d
     for name in criterion.signals:
         if name not in recording:
             raise ValueError(f"{name} is not recorded")
-    first, last = np.column_stack([recording[name][[0, row]] for name in _pose(criterion)])
+    sizes = zip(criterion.signals, (3, 4), strict=False)
+    names = [f"{name}[{i}]" for name, size in sizes for i in range(1, size + 1)]
+    pose = POSE if criterion.body == BLOCK else names  # position, quaternion (w, x, y, z)
+    first, last = np.column_stack([recording[name][[0, row]] for name in pose])
     start, end, (_, x, y, _) = first[:3], last[:3], last[3:].tolist()
     if not (np.isfinite(end).all() and math.isfinite(x * y)):
         raise ValueError("is not finite")
@@ -239,11 +242,3 @@ def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> d
         "max_shift": float(np.linalg.norm(end - start)),
         "min_lift": float(end[2] - start[2]),
     }
-
-
-def _pose(criterion: BodyCriterion) -> list[str]:
-    """Return the columns of a body's position and quaternion (w, x, y, z)."""
-    if criterion.body == BLOCK:
-        return POSE
-    sizes = zip(criterion.signals, (3, 4), strict=True)
-    return [f"{name}[{i}]" for name, size in sizes for i in range(1, size + 1)]
