@@ -11,6 +11,7 @@ from ...fmus.errors import InputError
 from ...result.judging.verdicts import MISSED
 from ...study.check.diagnosis import check_folder
 from ...study.check.experiments import check_experiments
+from ...study.check.motion import MOTION, check_motion
 from ...task.scenario import shipped_scenarios
 from ..console import show, show_json
 from ..forms import scenario_argument
@@ -20,7 +21,7 @@ from ..outcome import STYLES
 
 def command(  # noqa: PLR0913 - one for each option
     folder: Path = scenario_argument(
-        "Name of a shipped scenario, a scenario's folder, or an .fmu or .ssp file."
+        "Name of a shipped scenario, a scenario's folder, an .fmu or .ssp file, or a motion.csv."
     ),
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
@@ -43,6 +44,9 @@ def command(  # noqa: PLR0913 - one for each option
     criterion or the robot's conditions could not be measured. Exit code 3: the robot would refuse
     it.
 
+    Of a motion, a .csv file with the columns `time`, `q1` to `q7` and perhaps `qd1` to `qd7`, it
+    says the same: that robot would be sent it each millisecond, with splines between the rows.
+
     Of an .fmu, the reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
     and the largest difference is printed, with the number of values that were compared, and of
     those that are at no instant of the run. Exit code 3: it is beyond the tolerance. Exit code 2:
@@ -52,6 +56,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim check my-scenarios/lift
     panda-cosim check pick_and_place --robot fr3
     panda-cosim check my-scenarios/lift --set plant.block_mass=2 --set mismatch.preset=worn
+    panda-cosim check motion.csv --robot fr3
     panda-cosim check Feedthrough.fmu
     panda-cosim check Panda.ssp
     ```
@@ -65,7 +70,14 @@ def command(  # noqa: PLR0913 - one for each option
         _check_fmu(folder, as_json=json)
         return
     values = values_of(assignments, controller, plant)
-    diagnostics = check_folder(folder, values, robot or "")
+    if folder.suffix == MOTION:
+        if values or not robot:
+            option = "--set" if values else "--robot"
+            must = "not for a motion" if values else "is missing; must be fer or fr3"
+            raise InputError(f"{folder}: {option}: {must}")
+        diagnostics = check_motion(folder, robot)
+    else:
+        diagnostics = check_folder(folder, values, robot or "")
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
         show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})
