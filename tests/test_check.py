@@ -200,9 +200,11 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them():
     assert "block_maas" in unknown[0].text
 
 
-def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it():
-    texts = [each.text for each in check_folder(shipped_scenarios()["push"])]
-    assert re.search(r"torque rate .*; it follows a push: push more gently", texts[0])
+def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it_in_check_and_run(tmp_path):
+    checked = [each.text for each in check_folder(shipped_scenarios()["push"])]
+    assert re.search(r"torque rate .*; it follows a push: push more gently", checked[0])
+    out = ["--no-video", "--no-view", "--out", str(tmp_path / "run")]
+    assert checked[0] in CliRunner().invoke(app, ["run", "push", *out]).output.splitlines()
 
 
 def test_check_advises_no_more_time_for_what_is_out_of_reach():
