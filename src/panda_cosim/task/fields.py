@@ -144,6 +144,25 @@ class Switch(_Field):
         raise ValueError(f"value {excerpt(value)}; must be true or false")
 
 
+class Value(_Field):
+    """A parameter's value; name and bounds are checked against the FMU later."""
+
+    def __call__(self, value: object) -> float | bool | str | tuple[float, ...]:
+        """Return the value."""
+        if isinstance(value, bool):
+            return value
+        if isinstance(value, str):
+            return Line()(value)
+        if isinstance(value, Mapping):
+            raise ValueError("is a section; must be a value (a name with dots needs quotes)")
+        if not isinstance(value, Sequence | np.ndarray):
+            number = Quantity()(value)
+            return int(value) if isinstance(value, int) and abs(value) > 2**53 else number
+        if not len(value):
+            raise ValueError("value []; must hold at least one number")
+        return numbers(value, Quantity())
+
+
 def numbers(values: Iterable[object], item: Quantity) -> tuple[float, ...]:
     """Return a sequence's items as floats; an error begins with the item's index, from 1."""
     checked_items = []

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
-import numpy as np
 from pydantic import BeforeValidator, PlainValidator, SkipValidation
 
 from ..assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
@@ -24,12 +23,12 @@ from .fields import (
     Line,
     Quantity,
     Switch,
+    Value,
     Vector,
     Whole,
     check_keys,
     checked,
     field_names,
-    numbers,
 )
 from .files import read_toml
 from .input_table import InputTable
@@ -55,23 +54,7 @@ TOUCH = frozenset(f"controller.{name}" for name in OBSERVED)
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
 
 
-def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
-    """Check a parameter's kind; name and bounds are checked against the FMU later."""
-    if isinstance(value, bool):
-        return value
-    if isinstance(value, str):
-        return Line()(value)
-    if isinstance(value, Mapping):
-        raise ValueError("is a section; must be a value (a name with dots needs quotes)")
-    if not isinstance(value, Sequence | np.ndarray):
-        number = Quantity()(value)
-        return int(value) if isinstance(value, int) and abs(value) > 2**53 else number
-    if not len(value):
-        raise ValueError("value []; must hold at least one number")
-    return numbers(value, Quantity())
-
-
-Parameter = Annotated[float | bool | str | tuple[float, ...], PlainValidator(_parameter)]
+Parameter = Annotated[float | bool | str | tuple[float, ...], Value()]
 Parameters = Mapping[str, Parameter]  # by name
 Regression = Annotated[Tolerances, BeforeValidator(Tolerances.of)]
 

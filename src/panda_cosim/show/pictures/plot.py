@@ -38,9 +38,15 @@ def plot_recording(recording: Recording, path: str | Path, summary: Summary | No
     path, is_task = Path(path), all(name in recording for name in SHAPES)
     with own_style():
         figure = draw_run(recording, summary) if is_task else draw_signals(recording)
-        with replacing(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
+        save(figure, path)
     return path
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, with the mark by which later runs may replace it."""
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK},
+                       pil_kwargs={"optimize": True})  # fmt: skip
 
 
 def own_style() -> AbstractContextManager[None]:
