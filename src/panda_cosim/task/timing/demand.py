@@ -178,25 +178,24 @@ def find_violations(
     """
     segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
     demanded = joint_demands(trajectory, reference, load)
+    velocity, time, miss = reference.velocity, reference.time, reference.miss
     violations = []
-    for row in np.unique(segment):
+    for row in np.unique(segment).tolist():
         ticks = np.flatnonzero(segment == row)
         for quantity, demand in demanded.items():
             part = np.abs(demand[ticks])
-            tick, joint = np.unravel_index(part.argmax(), part.shape)
-            if part[tick, joint] > share:
+            at, joint = divmod(int(part.argmax()), part.shape[1])
+            tick, used = ticks[at], float(part[at, joint])
+            if used > share:
                 bound = float(LIMITS_OF[reference.robot][quantity].bound[joint])
                 if quantity == "velocity":  # it may depend on the position
-                    bound = abs(float(reference.velocity[ticks[tick], joint]) / part[tick, joint])
-                limit, value = share * bound, float(part[tick, joint] * bound)
-                time = float(reference.time[ticks[tick]])
-                violations.append(
-                    LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
-                )
-        worst = ticks[reference.miss[ticks].argmax()]
-        if reference.miss[worst] > reach:
-            miss, time = float(reference.miss[worst]), float(reference.time[worst])
-            violations.append(LimitViolation(int(row), time, 0, "reach", miss, reach))
+                    bound = abs(float(velocity[tick, joint]) / used)
+                found = joint + 1, quantity, used * bound, share * bound
+                violations.append(LimitViolation(row, float(time[tick]), *found))
+        worst = ticks[miss[ticks].argmax()]
+        if miss[worst] > reach:
+            found = 0, "reach", float(miss[worst]), reach
+            violations.append(LimitViolation(row, float(time[worst]), *found))
     # What is out of reach makes the joints jump: the cause comes first.
     violations.sort(key=lambda v: (v.row, v.quantity != "reach", -v.share))
     return violations, largest(demanded)
