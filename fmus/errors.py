@@ -104,7 +104,7 @@ def refuse(
     """Refuse a value in the words of every such message: place, value, what it must be.
 
     Args:
-        place: Where it stands, from the outside in: "file: section: key".
+        place: Where it stands, from the outside in: "file: section: key"; "": the caller adds it.
         value: What was found there; it is shown on one line, shortened.
         must: What would be valid, with bound and unit: "must be above 0 s".
         near: The valid names; the one that is nearest to the value is proposed.
@@ -114,7 +114,8 @@ def refuse(
         InputError: Always, or `error`.
     """
     hint = did_you_mean(str(value), near)
-    raise error(f"{place}: value {excerpt(value)}; {must}{hint}")
+    where = f"{place}: " if place else ""
+    raise error(f"{where}value {excerpt(value)}; {must}{hint}")
 
 
 @contextmanager

@@ -226,7 +226,7 @@ BAD_TABLES = {
      "line 4: column time: value 0.5 goes back"),
     "times too close": (with_cell("time", "1e-9"), "is too close; must be at least 1e-06 s after"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
-    "quaternion of zero length": (with_cell("qx", "0"), "of length 0; must be longer than 0"),
+    "quaternion of zero length": (with_cell("qx", "0"), "must be longer than 0, or blank"),
     "quaternion partly blank": (with_cell("qz", ""), "column qz is blank; qw to qz must be all"),
 }  # fmt: skip
 

@@ -75,10 +75,8 @@ def _signal(value: object) -> Signal:
     if isinstance(value, Mapping) and len(value) == 1:
         value = next(iter(value.items()))
     if not (isinstance(value, tuple) and len(value) == 2):
-        raise ValueError(
-            f"value {excerpt(value)}; must be a signal's name, {{ norm = [...] }} or "
-            "{ difference = [...] }"
-        )
+        must = "must be a signal's name, { norm = [...] } or { difference = [...] }"
+        refuse("", value, must, error=ValueError)
     operation, names = Choice(tuple(_OPERANDS))(value[0]), value[1]
     counts = _OPERANDS[operation]
     if not isinstance(names, list | tuple) or len(names) not in counts:

@@ -24,7 +24,7 @@ from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import CoreSchema, core_schema
 
-from ..fmus.errors import InputError, did_you_mean, excerpt
+from ..fmus.errors import InputError, did_you_mean, excerpt, refuse
 
 T = TypeVar("T")
 Loc = tuple[str | int, ...]
@@ -115,11 +115,10 @@ class Choice(_Field):
 
     def __call__(self, value: object) -> str:
         """Return the name."""
-        if isinstance(value, str) and value in self.valid:
-            return value
-        hint = did_you_mean(value, self.valid) if isinstance(value, str) else ""
-        valid = ", ".join(filter(None, self.valid))  # "" stands for none
-        raise ValueError(f"value {excerpt(value)}; must be one of {valid}{hint}")
+        if not isinstance(value, str) or value not in self.valid:
+            valid = ", ".join(filter(None, self.valid))  # "" stands for none
+            refuse("", value, f"must be one of {valid}", self.valid, ValueError)
+        return value
 
 
 class Line(_Field):
@@ -127,11 +126,10 @@ class Line(_Field):
 
     def __call__(self, value: object) -> str:
         """Return the text."""
-        if isinstance(value, str) and len(value) <= _MAX_TEXT and value.isprintable():
-            return value
-        raise ValueError(
-            f"value {excerpt(value)}; must be one line of at most {_MAX_TEXT} characters"
-        )
+        if not (isinstance(value, str) and len(value) <= _MAX_TEXT and value.isprintable()):
+            must = f"must be one line of at most {_MAX_TEXT} characters"
+            refuse("", value, must, error=ValueError)
+        return value
 
 
 class Switch(_Field):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-from ..fmus.errors import InputError, excerpt, located
+from ..fmus.errors import InputError, excerpt, located, refuse
 from ..fmus.reading import finite_number
 from .files import MAX_BYTES, Csv, csv_text, parse_csv, read_text
 
@@ -36,10 +36,8 @@ class InputTable:
         for line, cells in table.rows.items():
             time = finite_number(cells[at])
             if time is None or time < times[-1]:
-                raise InputError(
-                    f"line {line}: time {excerpt(cells[at])}; must be a number, and not before "
-                    "the row above"
-                )
+                must = "must be a number, and not before the row above"
+                refuse(f"line {line}: time", cells[at], must)
             times.append(time)
         if not table.rows:
             raise InputError("has no rows; must have at least one below the names")

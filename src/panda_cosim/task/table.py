@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from pydantic import PlainValidator
 
 from ..assets.franka import GRIP_FORCE_MAX, GRIP_STIFFNESS, OPENING_MAX, Q_MAX, Q_MIN
-from ..fmus.errors import InputError, excerpt, located
+from ..fmus.errors import InputError, excerpt, located, refuse
 from .fields import Choice, Line, Quantity, Vector, check_keys, checked
 from .files import MAX_BYTES, csv_text, parse_csv, read_text
 from .input_table import InputTable
@@ -66,10 +66,8 @@ def _unit_quaternion(value: object) -> tuple[float, ...]:
     quaternion = Vector(4, _QUATERNION_PART)(value)
     length = math.hypot(*quaternion)
     if length < MIN_QUATERNION_LENGTH:
-        raise ValueError(
-            f"quaternion {excerpt(quaternion)} of length {length:g}; must be longer than 0, or "
-            "blank for the home orientation"
-        )
+        must = "must be longer than 0, or blank for the home orientation"
+        refuse("quaternion", quaternion, must, error=ValueError)
     if abs(length - 1.0) < UNIT_TOLERANCE:  # keeps the bits of a quaternion that we wrote
         return quaternion
     return tuple(part / length for part in quaternion)
@@ -146,10 +144,8 @@ class TableRow:
     def __post_init__(self) -> None:
         most = 0.5 * GRIP_STIFFNESS * self.grip
         if self.grip_force > most:
-            raise ValueError(
-                f"grip_force: value {self.grip_force!r}; must be at most {most:.4g} N on what is "
-                f"{self.grip:g} m wide, with which the gripper's servo is closed"
-            )
+            on = f"on what is {self.grip:g} m wide, with which the gripper's servo is closed"
+            refuse("grip_force", self.grip_force, f"must be at most {most:.4g} N {on}")
 
     @property
     def opening(self) -> float:

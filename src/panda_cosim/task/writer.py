@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..fmus.atomic import check_replaceable, replacing
-from ..fmus.errors import InputError, did_you_mean, excerpt
+from ..fmus.errors import InputError, refuse
 from .criteria import toml_keys
 from .files import csv_text, write_all
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
@@ -54,10 +54,8 @@ def make_scenario(
 def check_name(folder: Path) -> None:
     """Refuse a folder's name that cannot be a scenario's."""
     if not _NAME.fullmatch(folder.name):
-        raise InputError(
-            f"scenario name {excerpt(folder.name)}: must be at most 200 letters, digits, _ . and "
-            "-, and not begin with a sign"
-        )
+        must = "must be at most 200 letters, digits, _ . and -, and not begin with a sign"
+        refuse("scenario name", folder.name, must)
 
 
 def _template(parts: Collection[str]) -> dict[str, str]:
@@ -76,10 +74,7 @@ def _shipped(name: str) -> dict[str, str]:
     """Return the text files of a shipped scenario; a reference is of its own results alone."""
     shipped = shipped_scenarios()
     if name not in shipped:
-        raise InputError(
-            f"--from {excerpt(name)}: no shipped scenario; valid: {', '.join(shipped)}"
-            f"{did_you_mean(name, shipped)}"
-        )
+        refuse("--from", name, f"must be a shipped scenario: {', '.join(shipped)}", shipped)
     paths = [path for path in sorted(shipped[name].iterdir()) if path.is_file()]
     return {p.name: p.read_text(encoding="utf-8") for p in paths if p.suffix != ".parquet"}
 
