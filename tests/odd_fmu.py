@@ -26,7 +26,7 @@ COMPONENT = """<ssd:Component name={name} source="resources/{file}"
 <ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{parameters}</ssv:Parameters>
 </ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding></ssd:ParameterBindings>
 </ssd:Component>"""
-# Name, type, causality and value reference.
+# Name, type, causality (after it, `initial`, if it is given) and value reference.
 Variable = tuple[str, str, str, int]
 
 
@@ -48,9 +48,11 @@ def odd_fmu(
         if kind != "Real" and causality == "output":
             variability = "discrete"
         start = {"Real": "0.0", "Integer": "0", "Boolean": "false", "String": "text"}[kind]
+        own, _, initial = causality.partition(" ")
         lines.append(
             f'<ScalarVariable name={quoteattr(name)} valueReference="{reference}" '
-            f'causality="{causality}" variability="{variability}">'
+            f'causality="{own}" variability="{variability}"'
+            + (f' initial="{initial}">' if initial else ">")
             + (f"<{kind}/>" if causality == "output" else f'<{kind} start="{start}"/>')
             + "</ScalarVariable>"
         )

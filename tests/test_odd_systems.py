@@ -1,16 +1,23 @@
 """Systems of other people's FMUs: nothing of their files is changed or dropped in silence."""
 
+import json
+import signal
 import subprocess
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from fmu_support import needs_compiler
+from bounded import line_of, running
+from fault_support import run_command
+from fmu_support import compiler, needs_compiler
 from forked import command
 from odd_fmu import Variable, odd_fmu, odd_ssp
 from panda_cosim import Recording, Scenario, Session
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
+from toy_fmu import toy_fmu
 
 pytestmark = needs_compiler
 CONTROL = [
@@ -229,3 +236,141 @@ def test_a_negative_status_is_a_failure(tmp_path, fault, told):
     done = run(ssp, tmp_path / "run", ACT=fault)
     assert done.returncode == 1, done.stderr
     assert told in done.stderr
+
+
+# Values to start from.
+
+
+def values_of_x(folder: Path, causality: str) -> list[float]:
+    """Set x, which y follows, in a section, by an .ssv and by key; return y at the starts."""
+    fmu = odd_fmu(folder / "odd.fmu", [("x", "Real", causality, 0), ("y", "Real", "output", 100)])
+    value = '<ssv:Parameter name="x"><ssv:Real value="2"/></ssv:Parameter>'
+    odd_ssp(folder / "odd.ssp", {"c": fmu}, {"c": ["y"]}, {"c": value})
+    parameters = "[parameters.c]\nx = 2.0\n"
+    systems = {
+        "section": f'duration = 0.01\n[fmus]\nc = "{fmu}"\n{parameters}',
+        "ssv": f'duration = 0.01\nsystem = "{folder}/odd.ssp"\n',
+    }
+    starts = []
+    for name, text in systems.items():
+        (folder / name).mkdir()
+        (folder / name / "scenario.toml").write_text(text)
+        scenario = Scenario.read(folder / name)
+        for changes in ({}, {"c.x": 3.0}):
+            with Session(scenario.changed(changes)) as session:
+                starts.append(float(session.state()["c.y"]))
+    return starts
+
+
+@pytest.mark.own_process
+@pytest.mark.parametrize("causality", ["local", "output", "calculatedParameter"])
+@pytest.mark.parametrize("initial", ["exact", "approx"])
+def test_all_that_fmi_lets_start_from_a_value_can_be_set(tmp_path, causality, initial):
+    assert values_of_x(tmp_path, f"{causality} {initial}") == [2.0, 3.0, 2.0, 3.0]
+
+
+@pytest.mark.own_process
+@pytest.mark.parametrize("causality", ["local", "output", "local calculated"])
+def test_what_the_fmu_computes_alone_cannot_be_set(tmp_path, causality):
+    with pytest.raises(InputError, match=r"c\.x: (no such parameter|of causality output)"):
+        values_of_x(tmp_path, causality)
+    fmu, ssp = tmp_path / "odd.fmu", tmp_path / "odd.ssp"
+    value = '<ssv:Parameter name="x"><ssv:Real value="2"/></ssv:Parameter>'
+    with pytest.raises(InputError, match=r"c\.x: causality .*; must be parameter or input, or ini"):
+        system_from_ssp(odd_ssp(ssp, {"c": fmu}, {}, {"c": value}))
+
+
+# What FMUs say.
+
+
+def toy_scenario(folder: Path, act: str, fmi: int = 2, duration: float = 0.01) -> Path:
+    """A scenario of one toy."""
+    folder.mkdir()
+    toy_fmu(folder / "toy.fmu", fmi)
+    text = f'duration = {duration}\n[fmus]\na = "toy.fmu"\n[parameters.a]\nact = "{act}"\n'
+    (folder / "scenario.toml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("how", ["kernel", "fmpy", "isolate"])
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_failure_tells_what_the_fmu_said_in_the_call_and_warned_before(tmp_path, fmi, how):
+    folder = toy_scenario(tmp_path / "toys", "explain", fmi)
+    options = ["--isolate"] if how == "isolate" else ["--master", how]
+    done = command("run", folder, "--out", tmp_path / "run", "--no-video", "--log", "a", *options)
+    *before, error = done.stderr.splitlines()
+    assert done.returncode == 1
+    said = "step 3 is small; singular matrix; see the manual"
+    name = f"fmi{fmi}DoStep"
+    assert f"at t = 0.002 s, in FMU 'a': {name} returned Error: {said}; the record" in error
+    warnings = [line for line in before if line.startswith(("Warning: a: step", "Warning: a err"))]
+    assert warnings[:3] == [f"Warning: a: step {k} is small" for k in (1, 2, 3)]
+    assert warnings[3] == "Warning: a error: singular matrix"
+    # With --log, as it comes.
+    logged = [line for line in before if line.startswith("a: [")]
+    assert logged[:4] == [
+        "a: [OK] factorizes", "a: [Warning] step 1 is small",
+        "a: [OK] factorizes", "a: [Warning] step 2 is small",
+    ]  # fmt: skip
+
+
+def test_log_names_an_fmu(tmp_path):
+    done = command("run", toy_scenario(tmp_path / "toys", ""), "--log", "b")
+    assert done.returncode == 2
+    assert "--log: value 'b'; must be one of a" in done.stderr
+
+
+@pytest.mark.parametrize("options", [[], ["--isolate"]])
+def test_what_an_fmu_prints_is_in_no_result(tmp_path, options):
+    folder = toy_scenario(tmp_path / "toys", "print")
+    done = command("run", folder, "--out", tmp_path / "run", "--no-video", "--json", *options)
+    assert json.loads(done.stdout)["exit_code"] == 0
+    assert [f"{k} steps" in done.stderr for k in (1, 10)] == [True, True]
+
+
+# What cannot be opened.
+
+
+def test_a_library_that_another_one_lacks_is_named(tmp_path):
+    folder, tool = toy_scenario(tmp_path / "toys", ""), compiler()
+    assert tool
+    for name, more in (("libabsent.so", []), ("toy.so", ["-L.", "-labsent", "-Wl,--no-as-needed"])):
+        source = tmp_path / "empty.c"
+        source.write_text("int nothing;")
+        command_line = [tool, "-shared", "-fPIC", *more[-1:], source, "-o", name, *more[:-1]]
+        subprocess.run(command_line, cwd=tmp_path, check=True)
+    members = {"modelDescription.xml": None, "binaries/linux64/toy.so": tmp_path / "toy.so"}
+    with zipfile.ZipFile(folder / "toy.fmu") as archive:
+        described = archive.read("modelDescription.xml")
+    with zipfile.ZipFile(folder / "toy.fmu", "w") as archive:
+        for name, file in members.items():
+            archive.writestr(name, file.read_bytes() if file else described)
+    done = command("run", folder, "--out", tmp_path / "run", "--no-video")
+    assert done.returncode == 2
+    assert "its library needs libabsent.so, which is not on this machine" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_archive_with_backslashes_is_told(tmp_path):
+    folder = toy_scenario(tmp_path / "toys", "")
+    with zipfile.ZipFile(folder / "toy.fmu") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(folder / "toy.fmu", "w") as archive:
+        for name, content in members.items():
+            archive.writestr(zipfile.ZipInfo(name.replace("/", "\\")), content)
+    for name in ("run", "check"):
+        done = command(name, folder)
+        assert done.returncode == 2
+        told = done.stdout + done.stderr
+        assert r"its member 'binaries\\linux64\\toy.so' is named with backslash" in told
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_fmu_that_takes_over_signals_does_not_keep_them_from_ending_a_run(tmp_path, number):
+    folder, out = toy_scenario(tmp_path / "toys", "ignore", duration=60.0), tmp_path / "run"
+    command_line = run_command(folder, out, realtime=1.0)
+    with running(command_line, stdout=subprocess.PIPE) as process:
+        line_of(process)  # it steps
+        process.send_signal(number)
+        assert process.wait(30) == 128 + number
+    assert Recording.open(out).reason == f"stopped by {number.name}"

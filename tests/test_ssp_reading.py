@@ -12,8 +12,8 @@ from fmu_support import REFERENCE_FMUS, needs_reference_fmus
 from forked import command
 from panda_cosim import InputError, Recording
 from panda_cosim.fmus.interface.tables import Connection
-from panda_cosim.fmus.master.fmu_file import read_fmu
-from panda_cosim.fmus.master.ssp_reader import CoupledSystem, system_from_ssp
+from panda_cosim.fmus.master.fmu_file import described_interface, read_fmu
+from panda_cosim.fmus.master.ssp_reader import CoupledSystem, read_parameters, system_from_ssp
 from panda_cosim.fmus.master.system import open_system
 from toy_fmu import toy_fmu
 
@@ -173,6 +173,45 @@ def test_nested_systems_convert_and_transform_on_the_way(tmp_path):
     np.testing.assert_allclose(y, 0.5 + time, rtol=1e-15)  # k = 1: the input of the system, and t
     given = 6.0 * y[:-1] + 2000.0  # with Jacobi, b takes what a gave at the beginning of the step
     np.testing.assert_allclose(table["S/b", "y[2,3]"][1:], 4.0 * given + time[1:], rtol=1e-12)
+
+
+def test_an_empty_element_is_the_system_itself(tmp_path):
+    plain = ssd(NESTED, OUTSIDE, OWN)
+    written = plain.replace('endConnector="result"', 'endElement="" endConnector="result"')
+    written = written.replace('<ssd:Connection startConnector="force"',
+                              '<ssd:Connection startElement="" startConnector="force"')  # fmt: skip
+    assert written.count('Element=""') == 2
+    assert ends(read(tmp_path, written)) == ends(read(tmp_path, plain))
+
+
+def test_a_parameter_set_for_any_fmus_is_read_in_their_units(tmp_path):
+    fmu = described_interface(read_fmu(toy_fmu(tmp_path / "toy.fmu", 3)))
+    file, load = tmp_path / "all.ssv", value("S.a.u", "1 2 3 4 5 6", more='unit="kN"')
+    file.write_text(parameter_set(load + value("b.mode", "twice", "Enumeration")))
+    values = read_parameters(file, {"S/a": fmu, "b": fmu})
+    names = [f"S/a.u[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)]
+    loads = zip(names, (1000.0 * k for k in range(1, 7)), strict=True)
+    assert values == {**dict(loads), "b.mode": "twice"}
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (value("a.w", "1"), "parameter: value 'a.w'; must be a variable, as FMU.NAME"),
+        (value("a.k", "1 2"), "parameter a.k: number of values: value 2; must be 1"),
+        (value("a.mode", "3", "Enumeration"), "parameter a.mode = '3'; must be of type Enum"),
+        (value("a.u[1,1]", "1", more='unit="s"'), "parameter a.u[1,1]: unit: value 's'; must be N"),
+        (value("a.u[1,1]", "1", more='unit="lbf"'), "unit: value 'lbf'; must be N, or defined"),
+    ],
+)
+def test_what_a_parameter_set_cannot_set_is_refused(tmp_path, text, told):
+    fmu = described_interface(read_fmu(toy_fmu(tmp_path / "toy.fmu", 2)))
+    file = tmp_path / "all.ssv"
+    file.write_text(parameter_set(text))
+    with pytest.raises(InputError) as refused:
+        read_parameters(file, {"a": fmu})
+    assert str(refused.value).startswith(f"{file}: ")
+    assert told in str(refused.value)
 
 
 def test_suppressed_conversions_leave_the_numbers(tmp_path):

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..errors import InputError, nearest, refuse
-from .variables import Causality, Interface, Scalar, Value
+from .variables import Causality, Interface, Scalar, Value, Variable
 
 ParameterValue = float | bool | str | Sequence[float]
 
@@ -50,17 +50,23 @@ def targets(
     """Scalars that a name stands for: an element, or all of a vector."""
     one = scalars.get(name)
     named = [one] if one else [s for s in scalars.values() if s.variable.name == name]
-    candidates = interface.of(causality)
+    candidates = [v for v in interface.variables if _is(v, causality)]
     valid = ", ".join([v.name for v in candidates][:40]) or "none"
     if not named:
         near = nearest(name, [n for v in candidates for n in (v.name, *v.names())])
         hint = f"did you mean {near!r}?" if near else f"valid: {valid}"
         raise InputError(f"{instance}.{name}: no such {causality} of {interface.model}; {hint}")
     own = named[0].variable.causality
-    if own != causality:
+    if not _is(named[0].variable, causality):
         what = f"of causality {own} in {interface.model}, not {causality}"
         raise InputError(f"{instance}.{name}: {what}; valid: {valid}")
     return named
+
+
+def _is(variable: Variable, causality: Causality) -> bool:
+    """Whether a variable is an input, or a parameter or another with a value to start from."""
+    starts = causality == "parameter" and variable.has_start
+    return variable.causality == causality or starts
 
 
 def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:

@@ -156,6 +156,7 @@ class Variable:
     multiple_of: float | None = None  # a Real must be a whole multiple; None: may have any value
     source: str = ""  # where a native FMU finds it, in its backend's notation; "": by its name
     on_request: bool = False  # recorded only where a connection or a criterion needs it
+    has_start: bool = False  # a value to start from can be set, though it is no parameter or input
     fmi_type: str = ""  # as the FMU's own version of FMI names it; "": not read from an FMU
     details: tuple[str, ...] = ()  # description of each scalar; (): that of the variable
     parts: tuple[Part, ...] = ()  # arrays that FMI 3.0 has instead, row by row

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import re
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import PurePath
@@ -25,7 +26,6 @@ OnMessage = Callable[[str, str, str], None]  # with instance, status and text
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
-MOST_MESSAGES: Final = 100  # per instance; some FMUs warn at every step
 
 _TRACEBACK: Final = "Traceback (most recent call last):"
 _FRAME: Final = re.compile(r'^ +File "([^"\n]*)", line (\d+).*$', re.MULTILINE)
@@ -59,39 +59,36 @@ def without_traceback(message: str) -> str:
 
 
 class MessageLog:
-    """The messages of one instance; those of status warning or worse are passed on."""
+    """The messages of one instance; all are passed on."""
 
     def __init__(self, instance: str, on_message: OnMessage | None = None) -> None:
         self.instance = instance
-        self.messages: list[str] = []  # the last ones of status warning or worse
         self.worst = OK
         self.number = next(_numbers)  # environment pointer that the FMU hands back
+        self.calls = 0  # that Python has made
+        self.in_c: Callable[[], tuple[int, ...]] = tuple  # which call C makes
+        self._last: deque[tuple[object, str]] = deque(maxlen=LAST_MESSAGES)  # by call
         self._on_message = on_message
-        self._passed_on: set[str] = set()
         _logs[self.number] = self
 
     @property
     def cause(self) -> str:
-        """The last message that is not a traceback, else the end of the last; "" if none is."""
-        plain = (m for m in reversed(self.messages) if _TRACEBACK not in m)
-        return next(plain, without_traceback(self.messages[-1]) if self.messages else "")
+        """What the FMU has said in the present call, first things first, else what it said last."""
+        said = [text for call, text in self._last if call == self._call]
+        said = said or [text for _, text in [*self._last][-1:]]
+        return "; ".join(dict.fromkeys(map(without_traceback, said)))
+
+    @property
+    def _call(self) -> tuple[int, ...]:
+        return (self.calls, *self.in_c())
 
     def take(self, status: int, message: str) -> None:
-        """Keep a message, and pass it on."""
+        """Pass a message on; a warning or worse is kept as a cause."""
         if status > OK:
             self.worst = max(self.worst, status)
-            self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
-            self._pass_on(STATUS[min(status, 5)], message)
-
-    def _pass_on(self, status: str, message: str) -> None:
-        """Pass a message on, unless it is a repetition or one too many."""
-        number = len(self._passed_on)
-        if self._on_message is None or number > MOST_MESSAGES or message in self._passed_on:
-            return
-        if number == MOST_MESSAGES:
-            message = "further messages are left out"
-        self._passed_on.add(message)
-        self._on_message(self.instance, status, message)
+            self._last.append((self._call, message))
+        if self._on_message is not None:
+            self._on_message(self.instance, STATUS[min(max(status, OK), 5)], message)
 
 
 class Caller:
@@ -117,6 +114,7 @@ class Caller:
         time: float | None = None,
     ) -> Any:
         """Call a method of FMPy; a status worse than a warning is an error."""
+        self.log.calls += 1
         try:
             returned = method(*arguments)
         except Exception as error:  # FMPy's FMICallException or a ctypes error

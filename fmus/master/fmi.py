@@ -37,6 +37,7 @@ class _Fmi2Step(StepCall):
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step."""
         slave = self.slave
+        slave.log.calls += 1
         try:
             status = self._method(slave.component, time, step_size, slave.no_going_back)
         except FMICallException as error:
@@ -130,7 +131,6 @@ class Fmi3Slave(FmuSlave):
 
     def _instantiate(self, instance: Any) -> None:
         self.has_events = bool(self.fmu.description.coSimulation.hasEventMode)
-        self._steps = False  # whether initialization is over
         # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.
         instance.component = instance.fmi3InstantiateCoSimulation(
             self.name.encode(),
@@ -164,7 +164,6 @@ class Fmi3Slave(FmuSlave):
     def exit_initialization(self) -> None:
         """Leave initialization mode, for event mode if the FMU has it."""
         super().exit_initialization()
-        self._steps = True
         if self.has_events:
             self._settle(self.start)
 

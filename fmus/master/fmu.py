@@ -9,6 +9,7 @@ import ctypes
 import inspect
 import math
 import os
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -30,6 +31,7 @@ from .wiring import Array, Exchange, Moved
 # PythonFMU's wrapper changes sys.path while it makes an instance.
 _loading = Lock()
 REALS: Final = ("Real", "Float64")  # of FMI 2.0 and 3.0
+_MISSING: Final = re.compile(r"(\S+): cannot open shared object file: No such file")  # of dlopen
 
 
 def working_directory() -> Path:
@@ -58,6 +60,7 @@ class FmuSlave(Caller, ABC):
         super().__init__(name, fmu, on_message)
         self._state = ctypes.c_void_p()  # that was kept, if one was
         self.stop = math.inf  # [s] up to which it can be stepped
+        self._steps = False  # whether initialization is over
         with _loading:
             self.instance = self._open()
         self.component = self.instance.component
@@ -159,7 +162,9 @@ class FmuSlave(Caller, ABC):
                 instanceName=self.name,
             )
         except Exception as error:  # not a library, or one that lacks FMI functions
-            raise InputError(f"{self.fmu.label}: {one_line(error)}") from error
+            missing = _MISSING.search(str(error))
+            why = f"its library needs {missing[1]}, which is not on this machine" if missing else ""
+            raise InputError(f"{self.fmu.label}: {why or one_line(error)}") from error
         finally:
             with suppress(OSError):
                 os.chdir(here)  # FMPy does not go back if the library cannot be loaded
@@ -184,13 +189,14 @@ class FmuSlave(Caller, ABC):
             self.call("exit initialization", self.instance.exitInitializationMode)
         if self.fmu.in_python and self.log.worst > WARNING:
             raise self._refusal()  # its wrapper has no other way to pass on a slave's error
+        self._steps = True
 
     @contextmanager
     def _start_values_refused(self) -> Iterator[None]:
         try:
             yield
         except SimulationError as error:
-            if self._worst != ERROR or not self.log.messages:
+            if self._worst != ERROR or not self.log.cause:
                 raise
             raise self._refusal() from error
 
@@ -220,6 +226,7 @@ class FmuSlave(Caller, ABC):
             with suppress(Exception):  # the run is over; errors no longer matter
                 if self._state:
                     self._use_state("Free", ctypes.byref(self._state))
-                instance.terminate()
+                if self._steps:
+                    instance.terminate()
         with _loading:
             instance.freeInstance()

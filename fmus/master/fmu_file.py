@@ -39,6 +39,7 @@ TEXTS: Final = ("String", "Binary")  # kinds whose start value is kept as it is 
 _NUMBERS: Final = ("Real", "Integer")  # an interface table's Real
 STRUCTURAL: Final = "structuralParameter"
 _SHOWN: Final = ("input", "output", "parameter")
+_COMPUTED: Final = ("output", "local", "calculatedParameter")
 _NAMES_NOTE: Final = "org.panda-cosim.names"  # annotation with names as in FMI 2.0
 _MODEL_NOTE: Final = "org.panda-cosim.mujoco-model"  # annotation of a MuJoCo model of ours
 _IDENTIFIER: Final = re.compile(r"[\w-]+", re.A)  # containers have the name of their file
@@ -330,6 +331,7 @@ def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
         maximum=bound("max") if kind in (*_NUMBERS, "Enumeration") else None,
         nominal=bound("nominal") if kind == "Real" else None,
         kind=cast("Kind", kind),
+        has_start=_has_start(described),
         choices=tuple(item.name for item in items),
         numbers=tuple(int(item.value) for item in items),
         fmi_type=described.type,
@@ -338,6 +340,12 @@ def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
     if described.start is None or shape != tuple(described.shape or ()):
         return variable
     return replace(variable, start=_start(f"{place}: start", variable, described.start))
+
+
+def _has_start(described: Any) -> bool:
+    """Whether what the FMU computes starts from a value that can be set."""
+    is_open = described.initial in ("exact", "approx") and described.variability != "constant"
+    return is_open and described.causality in _COMPUTED
 
 
 def _start(place: str, variable: Variable, text: str | None) -> Any:
@@ -357,8 +365,13 @@ def _start(place: str, variable: Variable, text: str | None) -> Any:
 def described_interface(fmu: Fmu) -> Interface:
     """Return an FMU's interface; scalars `q[1]`, `q[2]` become one variable `q` of shape (2,)."""
     # Its value references are not those of the FMU.
-    scalars = [s for s in fmu.variables.values() if s.variable.causality in _SHOWN]
-    scalars.sort(key=lambda s: _SHOWN.index(s.variable.causality))
+    places = {causality: place for place, causality in enumerate((*_SHOWN, *_COMPUTED[1:]))}
+    scalars = [
+        scalar
+        for scalar in fmu.variables.values()
+        if scalar.variable.causality in _SHOWN or scalar.variable.has_start
+    ]
+    scalars.sort(key=lambda scalar: places[scalar.variable.causality])
     variables: list[Variable] = []
     for _, group in groupby(scalars, key=_array):
         variables += _joined(list(group))
@@ -374,11 +387,12 @@ def described_interface(fmu: Fmu) -> Interface:
     )
 
 
-def _array(scalar: Scalar) -> tuple[str, ...]:
+def _array(scalar: Scalar) -> tuple[str | bool, ...]:
     """What the elements of one array have in common."""
     variable, match = scalar.variable, _ELEMENT.fullmatch(scalar.name)
     name = match[1] if match else scalar.name
-    return name, variable.causality, variable.variability, variable.kind, variable.fmi_type
+    kind = (variable.variability, variable.kind, variable.fmi_type, variable.has_start)
+    return name, variable.causality, *kind
 
 
 def _joined(scalars: Sequence[Scalar]) -> Iterable[Variable]:

@@ -107,6 +107,8 @@ class Kernel:
             ctypes.addressof(self._calls), len(self._calls), rows.ctypes.data, rows.shape[1],
             start, step.size, ctypes.addressof(stop),
         )  # fmt: skip
+        for call in filter(None, self._made_by):  # a call of a tick, for the messages in it
+            call.slave.log.in_c = lambda: (self._course.filled, self._course.failed)
 
     def take(self, tick: int, row: int, count: int) -> tuple[int, int]:
         """Take up to `count` steps; returns how many were, and the number of complete rows."""

@@ -6,7 +6,7 @@ Parameter sets (SSV) and mappings (SSM) become start values of its FMUs.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,10 +14,11 @@ from xml.etree import ElementTree as ET
 
 from ...assets import STEP_SIZE
 from ..build.ssp import PREFIXES
-from ..errors import InputError, did_you_mean
+from ..errors import InputError, did_you_mean, refuse
+from ..interface.parameters import ParameterValue
 from ..interface.tables import Connection
-from ..interface.units import PLAIN, Units, doubt
-from ..interface.variables import Value
+from ..interface.units import OUR_UNITS, PLAIN, Units, conversion, doubt
+from ..interface.variables import Interface, Scalar, Value
 from ..reading import read_xml
 from .fmu_file import read_units, read_value
 from .order import stepping_order
@@ -72,16 +73,13 @@ class Parameters:
     def _read(self, binding: ET.Element, owner: str) -> None:
         """Note the values of a binding at the ends that it names."""
         values, label = _content(binding, "ssd:ParameterValues/ssv:ParameterSet", self._document)
-        own_units = read_units(label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES))
-        units = {**self._document.units, **own_units}
         entries, unused = _entries(binding, self._document), []
-        for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
-            name, typed = binding.get("prefix", "") + parameter.get("name", ""), choice(parameter)
-            typed = parameter if typed is None else typed
-            texts, as_it_is = _texts(typed), [ET.Element("", target=name)]
+        for own_name, texts, unit in _rows(values, label, self._document.units):
+            name = binding.get("prefix", "") + own_name
+            as_it_is = [ET.Element("", target=name)]
             for entry in as_it_is if entries is None else entries[name]:
                 target = _full_name(owner, entry.get("target", ""))
-                place, unit = f"{label}: parameter {target}", (typed.get("unit", ""), units)
+                place = f"{label}: parameter {target}"
                 for ends in self._targets.get(target, ()):
                     if len(texts) != len(ends):
                         count = f"{len(ends)} values" if len(ends) > 1 else "one value"
@@ -103,8 +101,9 @@ class Parameters:
         scalar = structure.fmus[instance].variable(name)
         kind, causality = scalar.variable.kind, scalar.variable.causality
         change, linear, text = choice(given.entry), PLAIN, given.text
-        if causality not in ("parameter", "input"):
-            raise InputError(f"{given.place}: causality {causality}; must be parameter or input")
+        if causality not in ("parameter", "input") and not scalar.variable.has_start:
+            must = "parameter or input, or initial exact or approx"
+            raise InputError(f"{given.place}: causality {causality}; must be {must}")
         if change is not None and local(change) == "LinearTransformation":
             linear = self._document.linear(change)
         elif change is not None:
@@ -124,6 +123,43 @@ class Parameters:
         return scalar.checked(given.place, value)
 
 
+def read_parameters(file: Path, interfaces: Mapping[str, Interface]) -> dict[str, ParameterValue]:
+    """Read a parameter set (.ssv) for FMUs of any origin: values in their units, by FMU.VARIABLE.
+
+    Raises:
+        InputError: It names no variable of the FMUs, or a value or unit is not one of it.
+    """
+    root = read_xml(file, str(file))
+    if local(root) != "ParameterSet":
+        refuse(f"{file}: root element", local(root), "must be a ParameterSet")
+    targets: dict[str, list[tuple[str, Scalar]]] = defaultdict(list)
+    for instance, interface in interfaces.items():
+        for scalar in interface.scalars():
+            for name in {scalar.name, scalar.variable.name}:
+                targets[_full_name(instance, name)].append((instance, scalar))
+    values: dict[str, ParameterValue] = {}
+    for name, texts, unit in _rows(root, str(file), {}):
+        place = f"{file}: parameter {name}"
+        if name not in targets:
+            refuse(f"{file}: parameter", name, "must be a variable, as FMU.NAME", targets)
+        if len(texts) != len(targets[name]):
+            refuse(f"{place}: number of values", len(texts), f"must be {len(targets[name])}")
+        for text, (instance, scalar) in zip(texts, targets[name], strict=True):
+            value = read_value(f"{place} =", scalar.variable, text)
+            units = (*unit, scalar.unit, interfaces[instance].units or OUR_UNITS)
+            values[f"{instance}.{scalar.name}"] = _converted(place, value, units)
+    return values
+
+
+def _converted(place: str, value: Value, units: tuple[str, Units, str, Units]) -> Value:
+    """Convert a value between two units, as far as both sides have one."""
+    unit, _, other, _ = units
+    linear = conversion(*units)
+    if linear is None or (unit and other and doubt(*units)):
+        refuse(f"{place}: unit", unit, f"must be {other}, or defined by the same SI base units")
+    return value if linear == PLAIN else linear[0] * float(value) + linear[1]
+
+
 def _full_name(element: str, name: str) -> str:
     return shown((element.replace("/", "."), name))
 
@@ -138,12 +174,19 @@ def _mapped(change: ET.Element, text: str, place: str) -> str:
     return table[words.get(text, text)].get("target", "")
 
 
-def _texts(typed: ET.Element) -> list[str]:
-    """Values of a parameter, one for each element."""
-    if "value" not in typed.attrib:
-        return [child.get("value", "") for child in typed]
-    text = typed.attrib["value"]
-    return [text] if local(typed) in ("String", "Enumeration", "Binary") else text.split()
+def _rows(
+    values: ET.Element, label: str, units: Units
+) -> Iterator[tuple[str, list[str], tuple[str, Units]]]:
+    """Yield the parameters of a set: name, value of each element, and unit."""
+    units = {**units, **read_units(label, values.iterfind("ssv:Units/ssc:Unit", PREFIXES))}
+    for parameter in values.iterfind("ssv:Parameters/ssv:Parameter", PREFIXES):
+        typed = choice(parameter)
+        typed = parameter if typed is None else typed
+        texts, text = [child.get("value", "") for child in typed], typed.get("value")
+        if text is not None:
+            is_one = local(typed) in ("String", "Enumeration", "Binary")
+            texts = [text] if is_one else text.split()
+        yield parameter.get("name", ""), texts, (typed.get("unit", ""), units)
 
 
 def _entries(binding: ET.Element, document: Document) -> dict[str, list[ET.Element]] | None:

@@ -3,8 +3,10 @@
  * y[i,j] = k * u[i,j] + t, negated by `flip`, doubled by mode 2. In FMI 2.0, every variable of a
  * reference from 100 on is the one 100 below, numbers with the count of steps on top. What `act`, or
  * the environment variable ACT, says happens at the step that begins at 2 ms; "complain" logs an
- * error as it is set, and nothing fails; "terminate" discards the third step of FMI 2.0, half of it taken; "early" returns from each step of FMI 3.0 in its middle. Terminating and freeing are logged, as a warning each.
+ * error as it is set, and nothing fails; "terminate" discards the third step of FMI 2.0, half of it taken; "early" returns from each step of FMI 3.0 in its middle; "print" prints in each
+ * step; "explain" says in each what it does, and why it fails; "ignore" has SIGINT and SIGTERM ignored. Terminating and freeing are logged, as a warning each.
  */
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -58,6 +60,7 @@ static toy *create(const char *name)
 static void set_act(toy *c, const char *act)
 {
     snprintf(c->act, sizeof c->act, "%s", act);
+    if (!strcmp(act, "ignore")) signal(SIGINT, SIG_IGN), signal(SIGTERM, SIG_IGN);
     if (!strcmp(act, "complain")) say(c, fmi3Error, "100 % as it was told");
 }
 
@@ -73,6 +76,15 @@ static int step(toy *c, double time, double size)
         char text[40];
         snprintf(text, sizeof text, "this is warning %d", i);
         say(c, fmi3Warning, text);
+    }
+    if (!strcmp(c->act, "print")) printf("%d steps\n", c->steps), fflush(stdout);
+    if (!strcmp(c->act, "explain")) {
+        char text[40];
+        snprintf(text, sizeof text, "step %d is small", c->steps);
+        say(c, 0, "factorizes");
+        say(c, fmi3Warning, text);
+        if (now) say(c, fmi3Error, "singular matrix"), say(c, fmi3Error, "see the manual");
+        status = now ? fmi3Error : 0;
     }
     if (now && !strcmp(c->act, "chdir") && chdir("/")) status = fmi3Error;
     if (now && !strcmp(c->act, "negative")) status = -1;

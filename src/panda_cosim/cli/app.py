@@ -10,6 +10,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from itertools import chain
 from typing import Any, NoReturn
 
 import typer
@@ -21,7 +22,7 @@ from ..fmus.twins import notice
 from ..show.pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code, startup
 from .commands import COMMANDS, ELSEWHERE
-from .console import complain, show
+from .console import complain, show, warn
 from .forms import flag
 
 MIN_COLUMNS = 20  # of a terminal
@@ -126,6 +127,9 @@ def report(error: BaseException) -> int:
     if isinstance(error, INTERRUPTS):
         return exit_code(error)
     code, message = _explain(error)
+    notes = (getattr(each, "__notes__", ()) for each in (error.__cause__, error))
+    for note in dict.fromkeys(chain.from_iterable(notes)):
+        warn(note)
     complain(message)
     return code
 
@@ -199,6 +203,7 @@ def program(
 def run_program() -> None:
     """Run the program and exit."""
     startup.environment()
+    startup.keep_output()
     load_no_backend()
     for stream in (sys.stdout, sys.stderr):
         # A character that the terminal cannot encode must not end the program.

@@ -16,6 +16,7 @@ import gc
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 
 
 def begin() -> None:
@@ -29,6 +30,14 @@ def environment() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def keep_output() -> None:
+    """Keep standard output for this program: what FMUs print in C goes to standard error."""
+    with suppress(OSError):  # it is closed
+        own = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding)
+        os.dup2(2, 1)
+        sys.stdout = own
 
 
 def imported() -> None:

@@ -109,7 +109,7 @@ class Execution:
         if self._output is not None:  # of a run before
             self._reset()
         prepared = self.prepared
-        with ExitStack() as stack:
+        with self._warnings_told(), ExitStack() as stack:
             if self._writes:
                 self.folder = stack.enter_context(claimed_folder(self._out, self.scenario.name))
             with exit_guard(self.folder):
@@ -277,7 +277,7 @@ class Execution:
     def _guarded(self) -> Iterator[None]:
         """Call into FMUs: if one fails, the run is over; if one calls exit(), it is a failure."""
         try:
-            with exit_guard(self.folder):
+            with exit_guard(self.folder), self._warnings_told():
                 yield
         except CosimError as error:
             self.failure = str(error)
@@ -285,6 +285,16 @@ class Execution:
                 reason = f"{type(error).__name__}: {error}"
                 self._close_recording(reason, complete=False)
                 self._summary = self._begun.judge(FAILED)
+            raise
+
+    @contextmanager
+    def _warnings_told(self) -> Iterator[None]:
+        """Add the warnings so far to an error, as its notes."""
+        try:
+            yield
+        except CosimError as error:
+            for warning in dict.fromkeys(self.warnings):
+                error.add_note(warning)
             raise
 
     def _note(self, action: Action) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
@@ -33,6 +33,7 @@ class Options:
         time_limit: Wall time that all steps may take [s]; None: unlimited. Checked between
             steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
         master: What steps the FMUs: "kernel", in C where it can, or "fmpy", by FMPy's methods.
+        log: FMUs, by instance, all of whose messages go to standard error as they come.
 
     Raises:
         InputError: A value is out of bounds, or step_timeout is set without isolate.
@@ -48,6 +49,7 @@ class Options:
     time_limit: float | None = None
     parts: Mapping[str, str] = field(default_factory=dict)
     master: Stepper = "kernel"
+    log: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         """Check values that may come from a command line."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from collections import defaultdict
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..fmus.errors import InputError
+from ..fmus.errors import InputError, printable, refuse
+from ..fmus.master.calls import without_traceback
 from ..fmus.master.system import OpenSystem, open_system
 from ..fmus.master.wiring import Array
 from ..fmus.twins import IN_RUNS, notice
@@ -27,6 +30,8 @@ from .start import (
     unsuitable_gains,
 )
 from .system.assembly import Assembly, assemble
+
+MOST_WARNINGS = 100  # of an FMU; some warn at every step
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +74,22 @@ class Prepared:
     def open(
         self, warnings: list[str], *, longer: float = 0.0
     ) -> AbstractContextManager[OpenSystem]:
-        """Build, open and initialize the FMUs; their messages are appended to `warnings`.
+        """Build, open and initialize the FMUs; what they warn of is appended to `warnings`.
 
         `longer`: time for which they can be stepped beyond the scenario's end [s].
         """
+        heard: dict[str, set[str]] = defaultdict(set)  # warnings by instance
 
         def hear(instance: str, status: str, text: str) -> None:
-            kind = "" if status.lower() == "warning" else f" {status.lower()}"
-            warnings.append(f"{instance}{kind}: {text}")
+            if instance in self.options.log:
+                print(printable(f"{instance}: [{status}] {text}"), file=sys.stderr, flush=True)
+            kind, before = "" if status == "Warning" else f" {status.lower()}", heard[instance]
+            line = f"{instance}{kind}: {without_traceback(text)}"
+            if len(before) == MOST_WARNINGS:
+                line = f"{instance}: further messages are left out"
+            if status != "OK" and line not in before and len(before) <= MOST_WARNINGS:
+                before.add(line)
+                warnings.append(line)
 
         start = self.assembly.start_time
         is_planned = not self.scenario.route or self.scenario.table is not None
@@ -128,6 +141,10 @@ def prepare(
     if prepared.scenario.route:
         prepared = connected(_routed(prepared))
     prepared.inputs()  # refuses a table that cannot be resolved
+    names = list(prepared.assembly.interfaces)
+    for name in options.log:
+        if name not in names:
+            refuse("--log", name, f"must be one of {', '.join(names)}", names)
     return prepared
 
 

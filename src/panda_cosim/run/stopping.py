@@ -41,9 +41,14 @@ class StopRequest:
         if time_limit is not None:
             self._time_limit, self._deadline = time_limit, time.monotonic() + time_limit
         master.stop_requested = bool(self.reason)
+        self.poll()
 
     def poll(self) -> None:
         """Check the event and the clock; called a few times a second during a run."""
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):  # an FMU may have taken them over
+                if (handler := signal.getsignal(number)) is not None:
+                    signal.signal(number, handler)
         if self._event is not None and self._event.is_set():
             self._ask("request")
         elif time.monotonic() > self._deadline:

@@ -152,7 +152,7 @@ def _described(
 def _variables_tables(interface: Interface) -> Iterator[Table]:
     """Yield a table for each kind of variable, with one row per variable."""
     kind = attrgetter("causality", "variability")
-    order = ("input", "output", "parameter")
+    order = ("input", "output", "parameter", "local", "calculatedParameter")
     variables = [v for v in interface.variables if v.causality in order]
     variables.sort(key=lambda v: (order.index(v.causality), v.variability))
     for (causality, variability), group in groupby(variables, kind):

@@ -14,7 +14,9 @@ from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.stopping import stopping_on_signals
+from ...run.system.assembly import assemble, system_scenario
 from ...task.scenario import Scenario
+from ...task.values import Values
 from ..forms import argument, flag, option, scenario_argument
 from ..options import (
     CONTROLLER,
@@ -45,6 +47,13 @@ MASTER = option(
     "What steps the FMUs, with equal bits: kernel, in C where it can, or fmpy, by FMPy's methods.",
     "kernel",
 )
+SSV = option(
+    "--ssv FILE", "Parameter set of SSP, by FMU.VARIABLE, in any units; --set goes before it."
+)
+LOG = option(
+    "--log FMU",
+    "Show all that an FMU logs, its debug messages, too, on standard error. May repeat.",
+)
 JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
 
 
@@ -74,6 +83,8 @@ def command(  # noqa: PLR0913 - one for each option
     isolate: bool = ISOLATE,
     step_timeout: float | None = STEP_TIMEOUT,
     master: Stepper = MASTER,
+    ssv: Path | None = SSV,
+    log: list[str] | None = LOG,
     kind: Kind = KIND,
     mujoco: str = MUJOCO,
     junit: Path | None = JUNIT,
@@ -101,12 +112,16 @@ def command(  # noqa: PLR0913 - one for each option
         step_timeout=step_timeout,
         kind=kind,
         master=master,
+        log=log or (),
     )
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
     values = values_of(assignments, controller, plant, coupling=coupling, mujoco=mujoco or None)
-    prepared = prepare(chosen.changed(values), options)  # refuses bad input
+    changed = chosen.changed(values)
+    if ssv is not None:
+        changed = changed.changed(_set_of(ssv, changed, options)).changed(values)
+    prepared = prepare(changed, options)  # refuses bad input
     output = Output(out, video, plot, view, junit, json, fps, realtime)
 
     def run(folder: Path, update: Progress) -> Run:
@@ -151,6 +166,13 @@ def replay(  # noqa: PLR0913 - one for each option
     perform(scenario, options.kind, output, repeat)
 
 
+def _set_of(file: Path, scenario: Scenario, options: Options) -> Values:
+    """Return the values of a parameter set, for the FMUs of a scenario."""
+    from ...fmus.master.ssp_reader import read_parameters  # noqa: PLC0415 - rarely needed
+
+    return read_parameters(file, assemble(scenario, options.kind).interfaces)
+
+
 def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:
     """Return a scenario, or what runs the system of an .ssp file, which a scenario may judge."""
     if system is None and name is not None and Path(name).suffix == ".ssp":
@@ -158,8 +180,6 @@ def _chosen(name: str | None, system: Path | None, duration: float | None) -> Sc
     if system is None:
         chosen = find_scenario(DEFAULT_SCENARIO if name is None else name)
         return chosen if duration is None else chosen.changed({"duration": duration})
-    from ...run.system.assembly import system_scenario  # noqa: PLC0415 - rarely needed
-
     alone = system_scenario(system, duration)
     if name is None:
         return alone

@@ -288,7 +288,11 @@ def _series(fmu: Fmu, file: Path) -> Series:
     values: dict[str, Array] = {}
     table = InputTable.read(file, place)
     for name, cells in table.columns.items():
-        scalars = scalars_of(fmu, name)
+        try:
+            scalars = scalars_of(fmu, name)
+        except InputError:
+            why = "so that these values are of another FMU, or of another version of it"
+            raise InputError(f"{place}: no variable {name!r}, {why}") from None
         kind, count = scalars[0].variable.kind, len(scalars)
         rows = [cell.split() if count > 1 else [cell.strip()] for cell in cells]
         try:
