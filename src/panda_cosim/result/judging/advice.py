@@ -6,7 +6,7 @@ helps is in checks.toml.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -16,12 +16,12 @@ from ...assets import STEP_SIZE
 from ...fmus.interface.plant import FORCES
 from ...task.criteria import HELD_FORCE
 from ...task.scenario import TABLE_FILE
-from ..recording import Recording, by_rows
+from ..recording import Recording
 from .block import SUPPORT
 from .checks import REMEDIES, table_row
 from .contacts import SIGNAL as UNWANTED
 from .contacts import Touch
-from .holds import FORCE, HAND, find_holds
+from .holds import FORCE, HAND, Hold, find_holds
 from .limits import exceeded
 from .summary import Metrics, Summary
 
@@ -49,7 +49,8 @@ def advise(recording: Recording, summary: Summary, *, ours: bool = True) -> Iter
     found = [*_contacts(recording, summary)]
     found += _dragging(recording) if ours else ()
     found += _limits(recording, summary)
-    found += (*_grip(recording), *_releases(recording)) if ours else ()
+    holds = find_holds(recording) if ours else []
+    found += (*_grip(recording, holds), *_releases(recording, holds))
     put_in = {name: REMEDIES[name] if ours else "" for name in ("retime", "route", "noise", "weak")}
     for at, text, remedy in sorted(found):
         row = table_row(recording.metadata, at)
@@ -113,24 +114,23 @@ def _pushes(recording: Recording, at: float) -> Iterator[tuple[float, str]]:
             yield at, "a push: push more gently"
 
 
-def _grip(recording: Recording) -> Iterator[Finding]:
+def _grip(recording: Recording, holds: Sequence[Hold]) -> Iterator[Finding]:
     """Compare friction with the block's weight and acceleration; say where it is lost."""
-    weakest = weakest_grip(recording)
+    weakest, raised = weakest_grip(recording), _raised(recording, holds)
     if weakest is not None and weakest[1] < weakest[2]:
         at, force, needed = weakest
         text = f"at t = {at:.3f} s the grip holds {force:.3g} N by friction; the block needs "
         yield at, f"{text}{needed:.3g} N", "grip"
-    raised = _raised(recording)
-    for hold in find_holds(recording):
+    for hold in holds:
         if raised[hold.end - 1] and hold.let_go == hold.end < recording.rows:
             at = float(recording.time[hold.end])
             yield at, f"the block falls out of the closed fingers at t = {at:.3f} s", "grip"
 
 
-def _raised(recording: Recording) -> NDArray[np.bool_]:
+def _raised(recording: Recording, holds: Sequence[Hold]) -> NDArray[np.bool_]:
     """Whether the hand holds the block and is above where it took it, at each row."""
     raised, height = np.zeros(recording.rows, dtype=bool), recording[f"{HAND}[3]"]
-    for hold in find_holds(recording):
+    for hold in holds:
         rows = slice(hold.grasp, hold.let_go)
         raised[rows] = height[rows] > height[hold.grasp] + AWAY
     return raised
@@ -138,17 +138,12 @@ def _raised(recording: Recording) -> NDArray[np.bool_]:
 
 def weakest_grip(recording: Recording) -> tuple[float, float, float] | None:
     """Return time [s], friction [N] and need [N] where the grip is weakest while it carries."""
-    carried = _raised(recording)
+    carried = _raised(recording, find_holds(recording))
     if not carried.any():
         return None
     plant = recording.metadata["parameters"]["plant"]
-    force = _average(recording[FORCE])
-
-    def hand(jac: Array, joints: Array) -> Array:
-        speed: Array = np.einsum("nij,nj->ni", jac[:, :3], joints[:, :7])
-        return speed
-
-    speed = _average(by_rows(recording, hand, "plant.jac", "plant.qvel"))
+    force, hand = _average(recording[FORCE]), recording[HAND]
+    speed = _average(np.diff(hand, axis=0, prepend=hand[:1]) / STEP_SIZE)
     acceleration = np.diff(speed, axis=0, prepend=speed[:1]) / STEP_SIZE
     acceleration[:, 2] += GRAVITY
     needed = float(plant["block_mass"]) * np.linalg.norm(acceleration, axis=1)
@@ -157,10 +152,10 @@ def weakest_grip(recording: Recording) -> tuple[float, float, float] | None:
     return float(recording.time[row]), float(friction[row]), float(needed[row])
 
 
-def _releases(recording: Recording) -> Iterator[Finding]:
+def _releases(recording: Recording, holds: Sequence[Hold]) -> Iterator[Finding]:
     """Say where the hand moves on before the fingers have let go."""
     command, force = recording["controller.pos_cmd"], recording[FORCE]
-    for hold in find_holds(recording):
+    for hold in holds:
         row = hold.let_go
         if row >= hold.end:
             continue
