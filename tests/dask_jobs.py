@@ -11,7 +11,7 @@ import pytest
 
 from panda_cosim.fmus.errors import CosimError
 from panda_cosim.study.sweep import backend
-from panda_cosim.study.sweep.engine import Progress, sweep
+from panda_cosim.study.sweep.engine import sweep
 from sweep_support import short_sweep
 
 
@@ -19,8 +19,8 @@ def local_cluster(base: str, out: str, samples: int) -> int:
     """Sweep on a cluster started here, and kill one of its workers; returns how many."""
     killed: list[int] = []
 
-    def disturb(now: Progress) -> None:
-        if now.new and not killed:
+    def disturb(done: int, _: int) -> None:
+        if done and not killed:
             address = distributed.get_client().scheduler.address
             assert address.startswith("tls://127.0.0.1:")
             with pytest.raises(OSError, match=":"):  # another user has no key

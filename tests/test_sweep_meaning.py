@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from panda_cosim import InputError, Recording, Sweep, load_scenario, sweep
 from panda_cosim.study.sweep.again import promote_row, scenario_of
 from panda_cosim.study.sweep.packed import Loaded, identity, pack
 from panda_cosim.study.sweep.store import Store
+from panda_cosim.task.input_table import InputTable
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
@@ -82,6 +84,13 @@ def test_a_scenario_stays_the_same_as_it_is_kept(name, tmp_path):
     again = Loaded(name, name, load_scenario(tmp_path / "scenarios" / "0" / name))
     assert again.scenario.name == name
     assert identity(pack(again)) == identity(packed)
+
+
+def test_other_inputs_make_another_scenario():
+    tables = (InputTable((0.0,), {"controller.vel_cmd[1]": (value,)}) for value in ("0.1", "0.2"))
+    swept = (replace(load_scenario("push"), input_table=table) for table in tables)
+    one, other = (identity(pack(Loaded("push", "push", scenario))) for scenario in swept)
+    assert one != other
 
 
 def test_a_key_without_effect_is_told_on_the_command_line(tmp_path):

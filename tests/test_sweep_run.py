@@ -222,7 +222,7 @@ def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path):
 def test_a_folder_takes_one_sweep_at_a_time(tmp_path):
     definition, refused = short_sweep(tmp_path, 4), []
 
-    def begin_another(_: object) -> None:
+    def begin_another(*_: int) -> None:
         if not refused:
             with pytest.raises(InputError, match="another sweep is running there") as told:
                 sweep(definition, tmp_path / "out", jobs=1)

@@ -31,7 +31,7 @@ from ...study.compare.regress import (
 )
 from ...study.compare.report import check_kept_runs, replace_kept_runs, write_report
 from ...study.compare.wording import multiple
-from ...study.sweep.engine import SuiteSweep, find_sweeps, stray_sweeps
+from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores
 from ...task.fields import check_rules
 from ...task.scenario import Scenario
@@ -49,7 +49,6 @@ def command(  # noqa: PLR0913 - one for each option
         "[SCENARIO]...",
         "Names of shipped scenarios, or folders. Default: all shipped scenarios.",
         None,
-        show_default=False,
     ),
     jobs: int | None = option(
         "--jobs -j", "Number of runs at a time. Default: one per core.", min=1
@@ -182,7 +181,7 @@ def _swept(
 def _sweep(swept: SuiteSweep, folder: Path, jobs: int) -> Outcome:
     """Run a sweep of the suite, with a progress bar of its own."""
     with progress(f"Running {swept.file}") as advance:
-        outcome = swept.judge(folder / swept.name, jobs, lambda now: advance(now.done, now.total))
+        outcome = swept.judge(folder / swept.name, jobs, advance)
         advance.say(_line(outcome), STYLES[outcome.meaning.level])
     return outcome
 

@@ -31,13 +31,8 @@ from ..forms import argument, option
 from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build
 from ..outcome import write_case
 
-SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
-ROW = argument(
-    "ROW",
-    "Number of a row, from 0: the column index of the results.",
-    min=0,
-    show_default=False,
-)
+SWEEP = argument("DIR", "Folder of a sweep.")
+ROW = argument("ROW", "Number of a row, from 0: the column index of the results.", min=0)
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -45,7 +40,6 @@ def command(  # noqa: PLR0913 - one for each option
         "SWEEP.toml",
         "A sweep's TOML file, or the name of a shipped one: anywhere, behind_wall, calibrated, "
         "iso9283 or random_box. With --vary, a scenario.",
-        show_default=False,
     ),
     out: Path | None = option(
         "--out -o DIR",
@@ -118,7 +112,7 @@ def command(  # noqa: PLR0913 - one for each option
         with progress("Running the sweep") as update:
             done = run_sweep(
                 definition, folder, jobs=jobs, dask=dask, time_limit=time_limit, remark=warn,
-                progress=lambda now: update(now.new, now.total - now.done + now.new),
+                progress=update,
             )  # fmt: skip
     except BaseException as error:  # also Ctrl-C and SIGTERM
         if Store(folder).parts() and not isinstance(error, InputError):
@@ -186,7 +180,7 @@ def show_one(folder: Path = SWEEP, index: int = ROW, open_page: bool = OPEN_PAGE
 def promote(
     folder: Path = SWEEP,
     index: int = ROW,
-    new: Path = argument("NEW", "Folder to create.", show_default=False),
+    new: Path = argument("NEW", "Folder to create."),
     expect: Literal["failure"] | None = option(
         "--expect failure",
         "The row misses a criterion, and that is a known limit: the scenario expects it. "

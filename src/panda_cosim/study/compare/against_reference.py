@@ -160,7 +160,11 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A run against its reference."""
+    """A run against its reference, as `compare_with_reference` finds it.
+
+    It goes from process to process, so it holds numbers and texts, but no recording. Runs are
+    compared with each other by `RunComparison`, which knows no tubes.
+    """
 
     problems: tuple[str, ...]  # one line each, the most important first
     deviations: tuple[Deviation, ...]  # of each compared column, the worst first

@@ -200,9 +200,7 @@ def _page(comparison: RunComparison) -> Page:
     first, *others = comparison.names
     state = "bad" if comparison.unmet else "good" if comparison.identical else ""
     recorded, *parts = (
-        _signals_part(comparison, table)
-        if title == SIGNALS
-        else Part(title, [table], "" if table.rows else "None.")
+        _signals_part(comparison, table) if title == SIGNALS else Part(title, [table])
         for title, table in comparison.tables.items()
     )
     view, runs = _view(comparison)
@@ -231,7 +229,7 @@ def _signals_part(comparison: RunComparison, table: Table) -> Part:
     shown = varied(numbers, lambda row: row.name, ALIKE)[:FIGURES]
     note = "A range below a thousandth of the signal's largest value counts as that."
     figures = [_figure(row, comparison) for row in shown]
-    return Part(SIGNALS, tables, note if table.rows else "None.", figures)
+    return Part(SIGNALS, tables, note if table.rows else "", figures)
 
 
 def _figure(row: SignalRow, comparison: RunComparison) -> Figure:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, excerpt
 from ...result.recording import Recording
-from ...task.tolerances import Tolerances, signal_of
+from ...task.tolerances import Tolerances, flattened, signal_of
 from .tubes import TIME_SLACK, distances, widths
 from .wording import instant, measure
 
@@ -82,11 +82,8 @@ class SignalRow:
 
 def parameters_of(recording: Recording) -> dict[str, object]:
     """Return the settings of a run: scenario, coupling, and each FMU's parameters."""
-    metadata = recording.metadata
-    values: dict[str, object] = {name: metadata[name] for name in SETTINGS if name in metadata}
-    for instance, parameters in metadata.get("parameters", {}).items():
-        values |= {f"{instance}.{name}": value for name, value in parameters.items()}
-    return values
+    settings = {key: recording.metadata[key] for key in SETTINGS if key in recording.metadata}
+    return settings | dict(flattened(recording.metadata.get("parameters", {})))
 
 
 def side_by_side(tables: Sequence[Mapping[str, object]]) -> list[Row]:

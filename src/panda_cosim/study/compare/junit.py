@@ -40,17 +40,17 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
 
 def details(outcome: Outcome) -> str:
     """Return a line for each criterion, problem and signal outside its tube."""
-    criteria = [line(criterion) for criterion in outcome.criteria]
-    if outcome.comparison is None:
-        return "\n".join([outcome.error, *criteria])
+    criteria, compared = [line(criterion) for criterion in outcome.criteria], outcome.comparison
+    if compared is None:
+        return "\n".join([*criteria, *outcome.problems])
     deviations = [
         f"{d.name}: {multiple(d.share)} times its {measure(d.tolerance, d.unit)}; "
         f"worst at {instant(d.time)} s, {d.outside} ticks outside"
-        for d in outcome.comparison.deviations
+        for d in compared.deviations
         if not d.ok
     ]
-    causes = named(outcome.comparison.causes, len(outcome.comparison.causes)).split(", ")
-    return "\n".join([*causes, *criteria, *outcome.comparison.problems, *deviations])
+    causes = named(compared.causes, len(compared.causes)).split(", ")
+    return "\n".join([*causes, *criteria, *compared.problems, *deviations])
 
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:

@@ -62,7 +62,7 @@ class Part:
 
     title: str
     tables: Sequence[Table] = ()  # those without rows are left out
-    note: str = ""
+    note: str = ""  # "None." if there is nothing else
     figures: Sequence[Figure] = ()
     view: dict[str, object] | None = None  # `runs` for PandaView.show, and `at` [s]
 

@@ -31,7 +31,7 @@ from .reference import Reference, how_to_make, kept_metadata, reference_path
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
     from ...task.values import Values
-    from ..sweep.engine import SuiteSweep
+    from ..sweep.suite import SuiteSweep
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 
@@ -73,6 +73,9 @@ class Unusable:
 @dataclass(frozen=True)
 class Outcome:
     """The outcome of one scenario, or of a sweep, which has no reference.
+
+    `start` makes it in a process of its own, and `SuiteSweep.judge` of a sweep; command line,
+    page, JUnit and pytest read it. It opens files of the run only when they are asked for.
 
     The verdict is `same` as the reference, `differs` from it, or `failed` to run. Without a
     reference it is `holds` or `missed` by the criteria; `no reference` if there are none of these,

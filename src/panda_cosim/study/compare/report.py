@@ -78,10 +78,9 @@ def _about(outcomes: Sequence[Outcome]) -> str:
 
 
 def _section(outcome: Outcome, views: Views) -> Section:
-    criteria = Table(CRITERIA, [cells(criterion) for criterion in outcome.criteria])
+    criteria = Part("Success criteria", [Table(CRITERIA, list(map(cells, outcome.criteria)))])
     compared = _compared(outcome, outcome.comparison, views) if outcome.comparison else []
-    parts = [*([Part("Success criteria", [criteria])] if criteria.rows else []), *compared]
-    return Section(outcome.name, outcome.meaning.level, parts, outcome)
+    return Section(outcome.name, outcome.meaning.level, [criteria, *compared], outcome)
 
 
 def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:

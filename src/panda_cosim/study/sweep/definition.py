@@ -125,12 +125,14 @@ def _choices(values: object) -> tuple[float | bool | str, ...]:
 
 def _pair(kind: str, value: object) -> tuple[float, float]:
     first, second = Vector(2).check(kind, value)
-    if kind == "normal" and second <= 0.0:
-        raise ValueError(f"normal: standard deviation {second!r}; must be above 0")
-    if kind != "normal" and not first < second:
-        raise ValueError(f"{kind}: value {excerpt(value)}; must be [low, high], low below high")
-    if kind == "log-uniform" and first <= 0.0:
-        raise ValueError(f"log-uniform: value {first!r}; must be above 0")
+    is_normal = kind == "normal"
+    check_rules({
+        f"normal: standard deviation {second!r}; must be above 0": is_normal and second <= 0.0,
+        f"{kind}: value {excerpt(value)}; must be [low, high], low below high": (
+            not (is_normal or first < second)
+        ),
+        f"log-uniform: value {first!r}; must be above 0": kind == "log-uniform" and first <= 0.0,
+    })  # fmt: skip
     return first, second
 
 
@@ -162,6 +164,9 @@ def _keep(value: object) -> str:
 @checked
 class Sweep:
     """Which values vary, how they are drawn, and which recordings are kept.
+
+    `load_sweep` reads it from a file, `sweep_of` from `--vary`. It says what to run; how, on how
+    many processes or which cluster, are arguments of `sweep`.
 
     Raises:
         InputError: A value cannot be used; the message names key, value and bound.

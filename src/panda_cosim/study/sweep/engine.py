@@ -1,7 +1,4 @@
-"""Runs the missing rows of a sweep, part by part, until the table is complete.
-
-A sweep in a suite of `regress`, sweep.toml in a scenario's folder, is judged by its success rate.
-"""
+"""Runs the missing rows of a sweep, part by part, until the table is complete."""
 
 from __future__ import annotations
 
@@ -9,28 +6,25 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
 
-from ...fmus.errors import CosimError, InputError
+from ...fmus.errors import InputError
 from ...fmus.sources.targets import Target, build
 from ...fmus.twins import notice
-from ...result.judging.criterion import Criterion, miss_text
+from ...result.judging.criterion import Criterion
 from ...result.judging.summary import SUMMARY_FILE
 from ...run.folder import default_folder
 from ...task.criteria import Success
-from ...task.scenario import SCENARIO_FILE, Scenario
-from ..compare.regress import Outcome, Unusable, Verdict
 from ..work import cores
 from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
 from .design import Design, Search, check_design, keys_without_effect
 from .packed import Loaded, load_scenarios, pack, scenario_names
-from .report import write_report
 from .row import Done, Job, Task, margin_column
 from .store import Store, origin, schema
 
@@ -38,16 +32,6 @@ from .store import Store, origin, schema
 # so that a long sweep has few parts.
 FLUSH_SHARE: Final = 0.1
 FLUSH_RANGE: Final = (0.2, 30.0)
-FILE: Final = "sweep.toml"  # of a suite, beside a scenario
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a sweep."""
-
-    done: int  # completed rows
-    total: int  # rows in all
-    new: int  # rows of this call
 
 
 @dataclass(frozen=True)
@@ -71,7 +55,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     jobs: int | None = None,
     dask: str | None = None,
     time_limit: float | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
     remark: Callable[[str], None] = warnings.warn,
 ) -> SweepResult:
     """Run a sweep, or resume one that was stopped.
@@ -82,7 +66,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword
         jobs: Processes on this machine; None: one per core.
         dask: Address of a Dask scheduler, or "local"; None: processes of this machine.
         time_limit: Wall time of a run [s]; None: unlimited.
-        progress: Called as rows come in.
+        progress: Called as rows come in, with how many are there, and how many there will be.
         remark: Called with what one must know about the rows: a key that changes nothing, a
             scenario that is no longer as it was swept.
 
@@ -191,7 +175,7 @@ def _fill(
     definition: Sweep,
     design: Design,
     rows: Backend,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[int, int], None] | None,
 ) -> None:
     """Run the missing rows; those done are in the table, whatever ends this."""
     there = store.done()
@@ -215,7 +199,7 @@ def _fill(
                 store.add(part, columns)
                 part, flushed = [], time.monotonic()
             if progress is not None:
-                progress(Progress(len(there) + new, len(design), new))
+                progress(len(there) + new, len(design))
     finally:
         store.add(part, columns)
 
@@ -233,48 +217,3 @@ def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:
     for done in rows.run(tasks):
         if done is not None:
             store.keep(done)
-
-
-@dataclass(frozen=True)
-class SuiteSweep:
-    """A sweep of a suite, which must require a success rate; an unusable one fails alone."""
-
-    file: Path
-    purpose: str = field(default="success rate of a sweep", init=False)
-
-    @property
-    def name(self) -> str:
-        """Name in reports, and of the folder of its results."""
-        return f"{self.file.resolve().parent.name} (sweep)"
-
-    def judge(
-        self, folder: Path, jobs: int, progress: Callable[[Progress], None] | None = None
-    ) -> Outcome:
-        """Run the sweep into a folder, and judge its success rate."""
-        began, rate = time.perf_counter(), None
-        verdict: Verdict = "failed"
-        try:
-            definition = Sweep.read(self.file)
-            if not definition.min_success:
-                raise InputError(f"{self.file}: min_success is missing; must be above 0 in a suite")
-            rate = sweep(definition, folder, jobs=jobs, progress=progress).gate
-            assert rate is not None  # as one is required
-            write_report(folder)
-            verdict, problem = ("holds", "") if rate.ok else ("missed", miss_text(rate))
-        except CosimError as error:
-            problem = str(error)
-        seconds = time.perf_counter() - began
-        criteria = () if rate is None else (rate,)
-        return Outcome(self, verdict, folder, seconds, error=problem, criteria=criteria)
-
-
-def find_sweeps(scenarios: Iterable[Scenario | Unusable]) -> list[SuiteSweep]:
-    """Return the sweeps in the folders of a suite's scenarios."""
-    files = (each.folder / FILE for each in scenarios if each.folder is not None)
-    return [SuiteSweep(file) for file in files if file.is_file()]
-
-
-def stray_sweeps(folder: Path) -> list[str]:
-    """Say of each sweep in a suite that is beside no scenario that it is not run."""
-    stray = [f for f in sorted(folder.rglob(FILE)) if not (f.parent / SCENARIO_FILE).is_file()]
-    return [f"{file}: has no {SCENARIO_FILE} beside it, so that it is not run" for file in stray]

@@ -31,9 +31,8 @@ def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...
     names = scenario_names(sweep.scenario)
     shipped = shipped_scenarios()
     folders = [shipped.get(name, Path(name)).resolve() for name in names]
-    for i, folder in enumerate(folders):
-        if folder in folders[:i]:
-            raise InputError(f"scenario: {folder} is named twice; folders must differ")
+    if twice := [folder for folder in folders if folders.count(folder) > 1]:
+        raise InputError(f"scenario: {twice[0]} is named twice; folders must differ")
     places: Sequence[Path | str] = kept or names
     return tuple(
         Loaded(name, _label(folder, folders), load_scenario(place))

@@ -45,7 +45,7 @@ class SweepItem(JudgedItem):
             cache_folder,
             temporary_folder,
         )
-        from .engine import SuiteSweep  # noqa: PLC0415 - see above
+        from .suite import SuiteSweep  # noqa: PLC0415 - see above
 
         with temporary_folder(cache_folder()) as folder:
             jobs = self.config.getoption("--panda-jobs")

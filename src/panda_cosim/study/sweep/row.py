@@ -40,7 +40,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """What all rows of a sweep share."""
+    """What all rows of a sweep share: `sweep` packs it once, and each worker unpacks it once."""
 
     scenarios: tuple[Loaded, ...]
     fmus: Mapping[str, bytes]  # content of our own FMUs' files by instance
@@ -76,7 +76,6 @@ def unpack_job(job: Job, folder: Path) -> None:
         unpack_job(other, folder / engine)
     fmus = dict.fromkeys(job.fmus, b"")
     kept = replace(job, scenarios=tuple(scenarios), fmus=fmus, engines={})
-    kept = replace(kept, engines=dict.fromkeys(job.engines, kept))
     write_whole(folder / JOB_FILE, pickle.dumps(kept))
 
 
@@ -109,8 +108,8 @@ def _run(folder: Path, task: Task, *, writes: bool) -> Done:
     """Run a row, in memory or in a folder whose files are kept; a failed run is a row, too."""
     job, place = _job_in(folder), folder / f"run-{os.getpid()}"
     row, values = first_columns(job, task), dict(task.values)
-    if job.engines:  # whose scenarios have that value
-        folder /= str(values.pop("mujoco", ""))
+    if "mujoco" in values:  # which the scenarios of that engine's job have
+        folder /= str(values.pop("mujoco"))
         job = _job_in(folder)
     fmus = {name: folder / f"{name}.fmu" for name in job.fmus}
     began = time.perf_counter()

@@ -114,7 +114,11 @@ def changes(old: Origin, new: Origin) -> Iterator[str]:
 
 
 class Store:
-    """A sweep's folder."""
+    """A sweep's folder, through which all of its files are written and read.
+
+    `sweep` fills it; reports may read it meanwhile, as each call reads the files again. Cells of
+    the table that a page needs in several ways are in `Results`.
+    """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -283,8 +287,6 @@ class Store:
 
     def count(self) -> dict[str, int]:
         """Return the number of rows by status."""
-        if not self.parts():
-            return {}
         counts = self.scan(columns=["status"])["status"].value_counts().to_pylist()
         return {each["values"]: each["counts"] for each in counts}
 
