@@ -25,8 +25,9 @@ from panda_cosim import InputError, Recording, shipped_scenarios
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.show.thinning import ALL_ROWS, POSES, STRETCHES, Thinning
 from panda_cosim.show.view import columns, run
-from panda_cosim.show.view.columns import Thinning, encode
+from panda_cosim.show.view.columns import encode
 from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.run import Shown, describe
 from view_support import MODEL, decoded, run_scenario_outside
@@ -54,14 +55,14 @@ def test_any_numbers_at_all_are_packed(values):
 
 
 def test_a_short_run_is_kept_whole():
-    time = 0.001 * np.arange(columns.ALL_ROWS)
+    time = 0.001 * np.arange(ALL_ROWS)
     kept = Thinning.of(time)
     assert kept.poses(time) is time
     assert kept.curve(time) is time
     assert kept.words() == ""
 
 
-@pytest.mark.parametrize("rows", [columns.ALL_ROWS + 1, 400_000])
+@pytest.mark.parametrize("rows", [ALL_ROWS + 1, 400_000])
 def test_a_long_run_keeps_its_ends_and_every_extreme(rows):
     time = 0.001 * np.arange(rows)
     values = np.sin(time)
@@ -70,8 +71,8 @@ def test_a_long_run_keeps_its_ends_and_every_extreme(rows):
     poses, curve = kept.poses(kept.time), kept.curve(values)
     assert poses[0] == time[0]
     assert poses[-1] == time[-1]
-    assert len(poses) <= columns.POSES + 1
-    assert len(curve) == len(kept.curve_time) == 2 * columns.STRETCHES
+    assert len(poses) <= POSES + 1
+    assert len(curve) == len(kept.curve_time) == 2 * STRETCHES
     assert (np.diff(kept.curve_time) > 0).all()
     assert {40.0, -50.0, 60.0} <= set(curve.tolist())
     assert f"Thinned from {rows} rows" in kept.words()

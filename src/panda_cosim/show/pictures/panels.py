@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from ...assets.franka import OPENING_MAX
 from ...result.judging.holds import Hold, find_holds
 from ...result.judging.limits import shares_over_time
+from ..thinning import drawn_rows
 from .motion import SHAPES, FloatArray, check_signals
 
 if TYPE_CHECKING:
@@ -72,21 +72,8 @@ def read_curves(recording: Recording) -> Curves:
     return Curves(recording, recording.time, find_holds(recording), waypoints, names)
 
 
-def thin(values: FloatArray, count: int) -> Any:
-    """Return at most `count` rows to draw a curve through, with the extremes of each stretch."""
-    if len(values) <= count:
-        return slice(None)
-    edges = np.linspace(0, len(values), count // 2 + 1).astype(int)
-    extremes = [
-        begin + extreme(values[begin:end])
-        for begin, end in pairwise(edges)
-        for extreme in (np.argmin, np.argmax)
-    ]
-    return np.unique(extremes)
-
-
 def _draw(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> None:
-    rows = thin(values, ROWS_DRAWN)
+    rows = drawn_rows([values], ROWS_DRAWN)
     axes.plot(time[rows], values[rows], **style)
 
 

@@ -14,8 +14,9 @@ from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
 from ...result.judging.summary import Summary
 from ...result.judging.verdicts import NO_CRITERIA
+from ..thinning import drawn_rows
 from .motion import SHAPES, describe_run
-from .panels import COLOURS, DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves, thin
+from .panels import COLOURS, DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -139,7 +140,7 @@ def draw_signals(recording: Recording) -> Figure:
         axes.set_xlabel("t [s]", color=GREY)
         for i, column in enumerate(columns):
             values = recording[column]
-            rows, colour = thin(values, POINTS), COLOURS[i % len(COLOURS)]
+            rows, colour = drawn_rows([values], POINTS), COLOURS[i % len(COLOURS)]
             axes.plot(recording.time[rows], values[rows], color=colour, linewidth=1.0)
     for axes in grid[len(panels) :]:
         axes.set_visible(False)

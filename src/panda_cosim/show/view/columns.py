@@ -1,8 +1,6 @@
-"""Compact columns of numbers: rounded, second differences, deflated; of long runs, fewer rows.
+"""Compact columns of numbers: rounded, second differences, deflated.
 
-The browser decodes them in `source/src/data/codec.ts`. Up to `ALL_ROWS` rows, all are kept. Of a
-longer run, every k-th pose is kept, and the smallest and largest value of each curve in each of
-`STRETCHES` stretches, so that no peak is lost.
+The browser decodes them in `source/src/data/codec.ts`.
 """
 
 from __future__ import annotations
@@ -10,7 +8,6 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,9 +20,6 @@ LEVEL: Final = 1  # of deflate; 4 takes twice as long for a fifth less
 LARGEST: Final = 2**30  # steps from a column's first value; int32 holds the sums
 HUGE: Final = 1e300  # larger values are clipped, so that differences are finite
 CURVE_STEPS: Final = 2**16  # steps of a curve's range
-ALL_ROWS: Final = 30_001  # 30 s at 1 ms
-POSES: Final = 120_000  # of a longer run
-STRETCHES: Final = 4_000  # of a longer run's curves; each gives two points
 NOISE: Final = 1e-12  # a curve that stays below is rounding noise, and shown as 0
 
 
@@ -80,59 +74,6 @@ def _differences(whole: NDArray[np.int32]) -> bytes:
     whole[:, 1:] -= whole[:, :-1].copy()
     zigzag = ((whole << 1) ^ (whole >> 31)).astype("<u4")
     return zigzag.view(np.uint8).reshape(-1, 4).T.tobytes()
-
-
-@dataclass(frozen=True)
-class Thinning:
-    """The kept rows of a run: all, or poses at regular rows and curves by stretches."""
-
-    time: Array  # instants of all rows (n,) [s]
-    every: int = 1  # rows from one pose to the next; the last row is kept, too
-    edges: NDArray[np.int64] | None = None  # rows between stretches of curves; None: all are kept
-
-    @classmethod
-    def of(cls, time: Array) -> Thinning:
-        """Choose the rows to keep of a run with these instants (n,) [s]."""
-        if len(time) <= ALL_ROWS:
-            return cls(time)
-        edges = np.linspace(0, len(time), STRETCHES + 1).astype(np.int64)
-        return cls(time, -(-len(time) // POSES), edges)
-
-    @property
-    def curve_time(self) -> Array:
-        """Instants of the curves' points (k,) [s]."""
-        if self.edges is None:
-            return self.time
-        first, middle = self.edges[:-1], (self.edges[:-1] + self.edges[1:] - 1) // 2
-        return np.asarray(self.time[np.ravel(np.column_stack((first, middle)))])
-
-    def poses(self, values: Array) -> Array:
-        """Return the rows (k, ...) of poses."""
-        if self.every == 1:
-            return values
-        return np.concatenate((values[: -1 : self.every], values[-1:]))
-
-    def curve(self, values: Array) -> Array:
-        """Return a column's points (k,): all, or minimum and maximum of each stretch, in order."""
-        if self.edges is None:
-            return values
-        first = self.edges[:-1]
-        low, high = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
-        rising = values[first] <= (low + high) / 2
-        pairs = np.column_stack((np.where(rising, low, high), np.where(rising, high, low)))
-        return np.ravel(pairs)
-
-    def words(self) -> str:
-        """Describe what was left out, or ""."""
-        if self.edges is None:
-            return ""
-        span = 1e3 * float(self.time[-1] - self.time[0])  # [ms]
-        return (
-            f"Thinned from {len(self.time)} rows: poses every "
-            f"{span * self.every / (len(self.time) - 1):.3g} ms, linear in between; curves show "
-            f"the least and the greatest value of every {span / STRETCHES:.3g} ms. Paths are drawn "
-            "around the present."
-        )
 
 
 def describe_time(time: Array) -> Json:

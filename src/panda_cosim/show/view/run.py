@@ -20,7 +20,8 @@ from ...task import rotations
 from ...task.files import model_file
 from ...task.limits import robot_of
 from ..pictures.motion import Signals, describe_run
-from .columns import Json, Thinning, describe_time, encode
+from ..thinning import Thinning
+from .columns import Json, describe_time, encode
 from .facts import (
     CURVES,
     PARTS,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import TEXT_LENGTH, legible, shown
-from ...show.pictures.panels import thin
+from ...show.thinning import drawn_rows
 from ...task.tolerances import signal_of
 from .wording import multiple
 
@@ -33,7 +33,6 @@ DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along
 
 POINTS: Final = 2400  # of a curve
 POINTS_INSIDE: Final = 700  # of one that stays inside its tube
-CLOSE: Final = 250  # rows on each side of the worst, all kept
 Cell = str | float  # a number is a share of a tolerance, shown as a bar
 
 
@@ -142,7 +141,7 @@ def curve(  # noqa: PLR0913 - all that a figure shows
     origin = np.nan_to_num(baseline, posinf=0.0, neginf=0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         differences = [values - origin for values in others]
-        kept = _choose((baseline, *differences), int(np.argmin(np.abs(time - worst))), points)
+        kept = drawn_rows([baseline, *differences], points, int(np.argmin(np.abs(time - worst))))
         return {
             "unit": "" if unit == "1" else legible(unit, TEXT_LENGTH),
             "names": [legible(name, TEXT_LENGTH) for name in runs],
@@ -153,18 +152,6 @@ def curve(  # noqa: PLR0913 - all that a figure shows
             "runs": [_encode(values[kept]) for values in differences],
             "tube": tube and [_encode((edge - origin)[kept]) for edge in tube],
         }
-
-
-def _choose(series: Sequence[Array], worst: int, points: int) -> NDArray[np.int64]:
-    """Choose rows: the extremes of each series in each stretch, and all near the worst."""
-    n = len(series[0])
-    if n <= points:
-        return np.arange(n)
-    chosen = [np.array([0, n - 1]), np.arange(max(worst - CLOSE, 0), min(worst + CLOSE + 1, n))]
-    for values in series:
-        chosen.append(np.flatnonzero(~np.isfinite(values))[:CLOSE])
-        chosen.append(thin(np.nan_to_num(values), points // len(series)))
-    return np.unique(np.concatenate(chosen))
 
 
 def _steps(time: Array) -> list[tuple[int, int]]:
