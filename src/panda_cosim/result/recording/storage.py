@@ -31,6 +31,7 @@ FORMAT = 1  # of the recording; one of another number cannot be read
 STREAM_FILE = "recording.arrows"
 PARQUET_FILE = "recording.parquet"
 METADATA_KEY = b"panda_cosim"
+_NOTES = (b"unit", b"description", b"nominal")  # metadata of a column
 BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
 # Types of columns, as Arrow names them, and NumPy's.
 TYPES: Final[dict[str, DTypeLike]] = {
@@ -294,8 +295,5 @@ def _read_column(path: Path, field: Any) -> Column:
         valid = ", ".join(TYPES)
         raise InputError(f"{path}: column {field.name!a}: type {field.type}; must be {valid}")
     notes = field.metadata or {}
-    unit, description = (
-        notes.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"description")
-    )
-    nominal = finite_number(notes.get(b"nominal", b"").decode("utf-8", "replace"))
-    return Column(field.name, unit, description, str(field.type), nominal)
+    unit, description, nominal = (notes.get(k, b"").decode("utf-8", "replace") for k in _NOTES)
+    return Column(field.name, unit, description, str(field.type), finite_number(nominal))
