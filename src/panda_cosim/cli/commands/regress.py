@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
@@ -13,10 +15,13 @@ import typer
 from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder, writing
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
+from ...result.judging.verdicts import MISSED
 from ...result.recording import Recording
 from ...run.folder import default_folder
 from ...study.compare.engines import engine_rows, variants
 from ...study.compare.junit import write_junit
+from ...study.compare.qualify import Finding, score, write_findings
+from ...study.compare.qualify import qualify as find
 from ...study.compare.regress import (
     Outcome,
     Suite,
@@ -77,6 +82,19 @@ def command(  # noqa: PLR0913 - one for each option
     kind: Kind = KIND,
     mujoco: str = ENGINES,
     yes: bool = flag("--yes -y", "With --update: do not ask."),
+    qualify: float | None = option(
+        "--qualify SHARE",
+        "Change each parameter by a share, one at a time, and say which changes are noticed.",
+        min=1e-6,
+        max=10.0,
+    ),
+    min_score: float = option(
+        "--min-score",
+        "With --qualify: the least share of changes to notice.",
+        0.0,
+        min=0.0,
+        max=1.0,
+    ),
     json: bool = JSON,
 ) -> None:
     """Run scenarios and compare each with its reference.
@@ -97,11 +115,17 @@ def command(  # noqa: PLR0913 - one for each option
     says of each whether it is equal to the installed one, differs by rounding, or has changed, from
     which tick on, and which signal leaves its tube first.
 
+    With `--qualify 0.05`, each parameter of each scenario is changed by 5 %, and a table says what
+    notices it first: a signal or a criterion. Parameters that are 0 get a step of their own.
+    Changes after which the same bits are recorded do not count. Exit code 3: fewer are noticed than
+    `--min-score` asks for.
+
     ```
     panda-cosim regress
     panda-cosim regress push jacobi --set controller.kp=7.6 --report report
     panda-cosim regress --scenarios my-scenarios --update
     panda-cosim regress --kind pythonfmu
+    panda-cosim regress pick_and_place --qualify 0.05 --min-score 0.8
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
     ```
     """
@@ -114,10 +138,16 @@ def command(  # noqa: PLR0913 - one for each option
         "--mujoco: cannot be combined with --update, --exact or --kind": (
             engines and (update or exact or kind != "auto")
         ),
+        "--qualify: cannot be combined with --update or --mujoco": (
+            qualify is not None and (update or engines)
+        ),
+        "--min-score: needs --qualify": min_score and qualify is None,
     })  # fmt: skip
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
     runs = with_values((run for each in given for run in variants(each, engines)), values)
     suite = Suite(list(runs), exact, jobs or cores(), kind)
+    if qualify is not None:
+        return _qualify(suite, qualify, min_score, report, json=json, overwrite=overwrite)
     # A reference, for instance, is made of a scenario alone.
     is_whole = sweeps and not (update or engines or kind != "auto")
     swept = _swept(given, values, folder) if is_whole else []
@@ -147,6 +177,47 @@ def command(  # noqa: PLR0913 - one for each option
         _show_result(outcomes)
         _show_engines(engines, rows)
     raise typer.Exit(exit_code(outcomes))
+
+
+def _qualify(  # noqa: PLR0913 - of the command's options
+    suite: Suite,
+    share: float,
+    least: float,
+    report: Path | None,
+    *,
+    json: bool,
+    overwrite: bool,
+) -> None:
+    """Say which changes of parameters a suite notices; exit code 3 if too few."""
+    file = report / JUNIT_FILE if report is not None else None
+    if file is not None:
+        check_replaceable(file, overwrite=overwrite)
+    with temporary_folder(cache_folder()) as place, progress("Changing parameters") as advance:
+        done = itertools.count(1)
+        findings = find(suite, place, share, lambda _, total: advance(next(done), total))
+    found = score(findings)
+    if file is not None:
+        write_findings(findings, file)
+    if json:
+        listed = [{**asdict(each), "state": each.state} for each in findings]
+        show_json({"score": found, "changes": listed})
+    else:
+        rows = [
+            (as_cell(each.key), each.change, each.state, as_cell(_first_notice(each)))
+            for each in sorted(findings, key=lambda it: it.state)
+        ]
+        show(table(("Parameter", "change", "state", "by what first, where*"), rows))
+        show(f"{found:.0%} of the changes that have an effect are noticed")
+    if found < least:
+        raise typer.Exit(MISSED.exit_code)
+
+
+def _first_notice(finding: Finding) -> str:
+    if not finding.noticed:
+        return f"not by {', '.join(finding.blind)}" if finding.blind else ""
+    scenario, by = finding.noticed[0]
+    more = f"; {len(finding.noticed) - 1} more" if len(finding.noticed) > 1 else ""
+    return f"{by}, {scenario}{more}"
 
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:

@@ -1,0 +1,185 @@
+"""What a suite would notice: each parameter is changed by a step, one at a time.
+
+A change is noticed where a run leaves its reference's tubes, misses a criterion or fails. A change
+after which a scenario records the same bits has no effect there, and says nothing of the suite.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from ...fmus.errors import InputError
+from ...result.judging.verdicts import MISSED
+from ...result.recording import Recording
+from ...run.start import start_values
+from ...task.scenario import Scenario
+from ...task.tolerances import signal_of
+from .junit import Case, write_cases
+from .reference import column_digest
+from .regress import Outcome, Suite, run_suite
+from .wording import numbers
+
+# Steps of parameters that are 0 as a rule, in their units; all others are changed by a share.
+STEPS: Final = {
+    "plant.payload": 0.05,  # kg
+    "plant.joint_friction": 0.1,  # N.m
+    "plant.joint_viscous": 0.1,  # N.m.s/rad
+    "plant.block_yaw": 0.02,  # rad
+    "controller.ki": 0.1,
+    "controller.kd": 0.01,
+}
+NO_EFFECT: Final = "no effect"
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter with all its elements, before and after a step."""
+
+    key: str  # such as `controller.kp`
+    before: tuple[float, ...]
+    now: tuple[float, ...]
+
+    def __str__(self) -> str:
+        """Say what changes: of several elements the first that does."""
+        pairs = zip(self.before, self.now, strict=True)
+        return " -> ".join(numbers(next(pair for pair in pairs if pair[0] != pair[1])))
+
+    def applied(self, scenario: Scenario) -> Scenario:
+        """Return a scenario with it."""
+        value = self.now[0] if len(self.now) == 1 else list(self.now)
+        return scenario.changed({self.key: value})
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a suite makes of a change."""
+
+    key: str
+    change: str  # in the first scenario that has it
+    noticed: tuple[tuple[str, str], ...]  # scenario and what notices it there, the first signal
+    blind: tuple[str, ...]  # scenarios that record something else, and do not notice it
+
+    @property
+    def state(self) -> str:
+        """Whether it is noticed, is not, or has no effect."""
+        return "noticed" if self.noticed else "not noticed" if self.blind else NO_EFFECT
+
+
+def changes_of(scenario: Scenario, share: float) -> Iterator[Change]:
+    """Yield a change of each number that a scenario's FMUs take, up by a share if that is valid."""
+    for instance, values in start_values(scenario).items():
+        signals = defaultdict[str, list[float]](list)
+        for name, value in values.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                signals[signal_of(name)].append(float(value))
+        for name, before in signals.items():
+            key = f"{instance}.{name}"
+            step = STEPS.get(key, 0.0)
+            for factor in (1.0 + share, 1.0 - share):
+                now = tuple(value * factor if any(before) else step for value in before)
+                change = Change(key, tuple(before), now)
+                if change.now != change.before and _is_valid(change, scenario):
+                    yield change
+                    break
+
+
+def _is_valid(change: Change, scenario: Scenario) -> bool:
+    try:
+        start_values(change.applied(scenario))
+    except InputError:
+        return False
+    return True
+
+
+def qualify(
+    suite: Suite,
+    folder: Path,
+    share: float,
+    tell: Callable[[Outcome, int], None] = lambda *_: None,
+) -> list[Finding]:
+    """Run a suite as it is, then with each change; runs in `folder` are removed as they end.
+
+    `tell` is called with each outcome of a change, and the number of changes.
+
+    Raises:
+        InputError: A scenario cannot be read, or does not pass as it is.
+    """
+    digests: dict[str, Mapping[str, str]] = {}
+    scenarios = [each for each in suite.scenarios if isinstance(each, Scenario)]
+    for outcome in run_suite(suite, folder):
+        if not outcome.ok:
+            raise InputError(f"{outcome.name}: {outcome.verdict}: must pass before it is qualified")
+        digests[outcome.name] = _digests(outcome.run)
+    trials: dict[str, tuple[str, Change]] = {}
+    changed = []
+    for scenario in scenarios:
+        for change in changes_of(scenario, share):
+            name = f"{scenario.name}-{change.key}"
+            trials[name] = (scenario.name, change)
+            changed.append(replace(change.applied(scenario), name=name))
+    seen: dict[str, str] = {}
+
+    def look(outcome: Outcome) -> None:
+        tell(outcome, len(changed))
+        name, _ = trials[outcome.name]
+        seen[outcome.name] = noticed_by(outcome)
+        if not seen[outcome.name] and _digests(outcome.run) == digests[name]:
+            seen[outcome.name] = NO_EFFECT
+        shutil.rmtree(outcome.run, ignore_errors=True)
+
+    run_suite(replace(suite, scenarios=changed), folder, look)
+    return _findings(trials, seen)
+
+
+def _findings(trials: Mapping[str, tuple[str, Change]], seen: Mapping[str, str]) -> list[Finding]:
+    keys = dict.fromkeys(change.key for _, change in trials.values())
+    found = []
+    for key in keys:
+        runs = [(scenario, change, seen[name]) for name, (scenario, change) in trials.items()
+                if change.key == key]  # fmt: skip
+        noticed = [(scenario, by) for scenario, _, by in runs if by not in ("", NO_EFFECT)]
+        blind = [scenario for scenario, _, by in runs if not by]
+        found.append(Finding(key, str(runs[0][1]), tuple(noticed), tuple(blind)))
+    return found
+
+
+def noticed_by(outcome: Outcome) -> str:
+    """Return the criterion or the signal that notices a change first; "": none."""
+    if outcome.ok:
+        return ""
+    missed = [criterion.name for criterion in outcome.criteria if not criterion.ok]
+    first = outcome.comparison.first if outcome.comparison else None
+    if first is not None:
+        also = f", {MISSED.word} {', '.join(missed)}" if missed else ""
+        return f"{first.name} at {first.first:.3f} s{also}"
+    return f"{MISSED.word} {', '.join(missed)}" if missed else outcome.reason
+
+
+def _digests(run: Path) -> dict[str, str]:
+    recording = Recording.open(run)
+    return {name: column_digest(recording[name]) for name in recording.types}
+
+
+def score(findings: Sequence[Finding]) -> float:
+    """Return the share of changes with an effect that are noticed; 0 if none has one."""
+    judged = [finding for finding in findings if finding.state != NO_EFFECT]
+    return sum(finding.state == "noticed" for finding in judged) / max(len(judged), 1)
+
+
+def write_findings(findings: Sequence[Finding], path: Path) -> None:
+    """Write one test case of JUnit for each change: one that is not noticed is a failure."""
+    cases = [
+        Case(
+            f"{each.key} {each.change}",
+            0.0,
+            ("failure", each.state) if each.state == "not noticed" else None,
+            f"not noticed by {', '.join(each.blind)}",
+        )
+        for each in findings
+    ]
+    write_cases("panda-cosim regress --qualify", cases, path)
