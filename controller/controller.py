@@ -40,6 +40,9 @@ class Controller:
     two updates is in s. `update` reads `inputs` and writes `outputs`, by name and in the layouts
     `INPUTS` and `OUTPUTS`; `input_values` (109,), `output_values` (65,) and `state_values` are the
     flat arrays, of which the caller may bring the first two.
+
+    `ControllerSlave` makes one in the FMU's memory. A law alone is a `Law`, with views of arrays
+    that somebody else keeps: write one to move the arm in another way, not a second controller.
     """
 
     def __init__(

@@ -65,6 +65,8 @@ class Plant:
         table_force (): normal force of the fingers on the table during the last step [N].
         mass_matrix (7, 7): joint-space inertia of the arm with its rotors [kg.m2].
 
+    `PlantSlave` makes one in the FMU's memory. A model of your own becomes an FMU by `mjcf2fmu`.
+
     The caller may bring the flat buffers of inputs (42,) and outputs (160,). A ValueError refuses
     a block that would start inside something.
     """

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from panda_cosim.assets.franka import Q_MAX, robot_limits
+from panda_cosim.assets.franka import Q_MAX
+from panda_cosim.assets.limits import robot_limits
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.preflight import preflight
 from panda_cosim.result.recording import Recording

@@ -28,7 +28,12 @@ _COMPRESSED: Final = (".fmu", ".png")  # compressed already
 
 @dataclass(frozen=True)
 class NativeFmu:
-    """An FMU on a library of ours, for any FMI version and platform."""
+    """An FMU on a library of ours: all that is in the file, before there is one.
+
+    The modules of `fmus/sources` make it: `own_fmu`, laws, slaves and models. It is of no FMI
+    version and no platform; `build` takes these and makes the bytes of the file. Do not call it to
+    run an FMU: `sources.targets` finds it in the cache by `digest`.
+    """
 
     interface: Interface  # its variables; `Variable.source` in the backend's form
     backend: str  # key of `libraries.BACKENDS`

@@ -59,7 +59,11 @@ class Component:
 
 @dataclass(frozen=True)
 class WrittenSystem:
-    """A system that is written as one file."""
+    """A system that is written as one file: an SSP (`write_ssp`) or an FMU (`write_container`).
+
+    `written_system` (`src/panda_cosim/run/written.py`) makes it from a scenario. To run a system,
+    its FMUs are opened as they are (`master/system.py`).
+    """
 
     components: Mapping[str, Component]  # in the order of stepping
     connections: Sequence[Connection]

@@ -38,7 +38,12 @@ INTEGERS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """One scalar of a variable; its bounds are checked here and nowhere else."""
+    """One scalar of a variable: what FMI sets and gets by a value reference.
+
+    `Variable.scalars` makes them, or an `Interface` for all of its variables at once. Whatever a
+    user sets goes through `checked`: bounds and types are checked here and nowhere else. Do not
+    keep one to hold a value; values are in rows, by the scalar's name.
+    """
 
     name: str  # with the indices of an element, such as `jac[1,2]`
     variable: Variable
@@ -138,7 +143,12 @@ class Scalar:
 
 @dataclass(frozen=True)
 class Variable:
-    """One row of an interface table, or a variable of any FMU: a scalar, vector or matrix."""
+    """One row of an interface table, or a variable of any FMU: a scalar, vector or matrix.
+
+    Ours are made by `own.signals` and `own.parameters` from the TOML files, those of models and
+    laws by `fmus/sources`, and those of any .fmu file by `master/fmu_file.py`. It never changes:
+    another one comes from `dataclasses.replace`.
+    """
 
     name: str  # without indices
     shape: tuple[int, ...]  # () for a scalar, else (n,) or (rows, columns); indices start at 1
@@ -239,7 +249,12 @@ class Variable:
 
 @dataclass(frozen=True)
 class Interface:
-    """The interface of one FMU."""
+    """The interface of one FMU: all of its variables, whatever it is made from.
+
+    Descriptions, documents, connections, columns of recordings and keys of `--set` follow from it.
+    The modules beside this one make ours; `described_interface` reads that of an .fmu file, and
+    runs nothing of it. Do not compare two by identity, but for ours (`INTERFACES`, `SENSORS`).
+    """
 
     model: str  # name and identifier
     description: str  # one line
