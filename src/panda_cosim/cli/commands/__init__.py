@@ -46,5 +46,6 @@ ELSEWHERE = {
     "export": "render:export",
     "sweep report": "sweep:report",
     "sweep show": "sweep:show_one",
+    "sweep compare": "sweep:compare",
     "sweep promote": "sweep:promote",
 }

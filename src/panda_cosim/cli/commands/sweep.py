@@ -1,4 +1,4 @@
-"""`panda-cosim sweep`, with `report`, `show` and `promote`."""
+"""`panda-cosim sweep`, with `report`, `show`, `promote` and `compare`."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ from ...study.sweep.again import promote_row, show_row
 from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...study.sweep.engine import SweepResult, check_sweep
 from ...study.sweep.engine import sweep as run_sweep
+from ...study.sweep.paired import Paired, pair
 from ...study.sweep.report import REPORT_FILE, write_report
 from ...study.sweep.results import missing, share_bounds
 from ...study.sweep.row import STATUSES, UNJUDGED
 from ...study.sweep.store import Store
 from ...task.fields import check_rules
-from ..console import progress, show, show_file, show_json, table, tell, warn
+from ..console import as_cell, progress, show, show_file, show_json, table, tell, warn
 from ..forms import argument, option
 from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build
 from ..outcome import write_case
 
+FLIPS = 10  # flipped rows that are shown, of each kind
 SWEEP = argument("DIR", "Folder of a sweep.")
 ROW = argument("ROW", "Number of a row, from 0: the column index of the results.", min=0)
 
@@ -211,3 +213,67 @@ def promote(
 def _warn_if_changed(folder: Path) -> None:
     for remark in Store(folder).changed_scenarios():
         warn(remark)
+
+
+def compare(
+    first: Path = argument("A", "Folder of the sweep before."),
+    second: Path = argument("B", "Folder of the sweep after: of the same values."),
+    not_worse: float | None = option(
+        "--not-worse SHARE",
+        "By how much the success rate may sink. Default: it must not surely sink.",
+        min=0.0,
+        max=1.0,
+    ),
+    json: bool = JSON,
+) -> None:
+    """Compare two sweeps pair by pair: a law, a gain or a version against another.
+
+    Rows are paired by the values that vary; what is constant within each sweep is the treatment.
+    Flipped rows come with the commands that repeat them. Whether success changes is judged by
+    McNemar's exact test; intervals are of 95 %, by bootstrap over the pairs.
+
+    Exit code 3: the whole interval of the change of success is below 0 or, with `--not-worse 0.02`,
+    its lower end is below -0.02.
+
+    ```
+    panda-cosim sweep compare runs/before runs/after --not-worse 0.02
+    ```
+    """
+    found = pair(first, second)
+    if json:
+        show_json(_described(found))
+    else:
+        _show_pairs(found)
+    if found.is_worse(not_worse):
+        raise typer.Exit(MISSED.exit_code)
+
+
+def _described(found: Paired) -> dict[str, object]:
+    flips = {
+        name: [(a["index"], b["index"]) for a, b in found.flipped(lost=lost)]
+        for name, lost in (("lost", True), ("gained", False))
+    }
+    names = ("keys", "treatment", "unpaired", "rates", "success", "p_value", "margins")
+    return {"pairs": len(found.pairs), **{n: getattr(found, n) for n in names}, **flips}
+
+
+def _show_pairs(found: Paired) -> None:
+    """Print the treatment, the rates, the margins and the flipped rows."""
+    for line in found.treatment:
+        show(f"treatment: {line}")
+    before, after = found.rates
+    change = found.success
+    show(
+        f"{len(found.pairs)} pairs: success {before:.1%} -> {after:.1%}, {change.mean:+.1%} "
+        f"({change.low:+.1%} to {change.high:+.1%}), McNemar's p = {found.p_value:.3g}"
+    )
+    if any(found.unpaired):
+        warn("{} and {} rows have no partner".format(*found.unpaired))
+    rows = [(as_cell(name or "smallest"), f"{it.mean:+.3g}", f"{it.low:+.3g} to {it.high:+.3g}")
+            for name, it in found.margins.items()]  # fmt: skip
+    show(table(("margin*", "change", "95 %"), rows))
+    for word, lost in (("lost", True), ("gained", False)):
+        for row, other in found.flipped(lost=lost)[:FLIPS]:
+            bad = other if lost else row
+            why = bad["missed"] or bad["error"] or bad["status"]
+            show(f"{word}: rows {row['index']}, {other['index']}: {why}: {other['command']}")
