@@ -46,11 +46,10 @@ def advise(recording: Recording, summary: Summary, *, ours: bool = True) -> Iter
     """
     if not recording.rows:
         return
-    found = [*_contacts(recording, summary)]
-    found += _dragging(recording) if ours else ()
-    found += _limits(recording, summary)
-    holds = find_holds(recording) if ours else []
-    found += (*_grip(recording, holds), *_releases(recording, holds))
+    found = [*_contacts(recording, summary), *_limits(recording, summary)]
+    if ours:
+        holds = find_holds(recording)
+        found += (*_dragging(recording), *_grip(recording, holds), *_releases(recording, holds))
     put_in = {name: REMEDIES[name] if ours else "" for name in ("retime", "route", "noise", "weak")}
     for at, text, remedy in sorted(found):
         row = table_row(recording.metadata, at)

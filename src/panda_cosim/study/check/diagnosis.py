@@ -5,12 +5,9 @@ The rehearsal runs it in memory, as `run` does, and looks for what will not go w
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from difflib import SequenceMatcher
-from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +17,6 @@ from ...fmus.build.identity import mujoco_version
 from ...fmus.errors import CosimError, InputError, did_you_mean
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
-from ...fmus.interface.variables import Variable
 from ...fmus.master.system import conversions, notes, read_fmus
 from ...plant.parameters import PlantParameters
 from ...plant.plant import Plant
@@ -43,20 +39,17 @@ from ...run.start import (
     unsuitable_gains,
 )
 from ...run.summary import unrecorded
-from ...run.system.assembly import Assembly, system_scenario
-from ...run.system.connector import OPTIONAL, Connector
+from ...run.system.assembly import system_scenario
 from ...run.system.parts import UnreadSlaveError
 from ...task.files import as_argument
 from ...task.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
 from ...task.timing.demand import LimitViolation, find_violations
 from ...task.timing.reference import joint_reference
 from ...task.values import Values
+from .suggestions import suggestions
 
 SYSTEM: Final = ".ssp"
 SHOWN: Final = 4  # limit violations that are listed
-ALIKE: Final = 0.6  # of two names, as `SequenceMatcher` measures it
-LOOKED_AT: Final = 20  # unconnected inputs
-_SIDE: Final = re.compile(r"[_.]?(input|output|in|out|cmd|meas|measured)$", re.I)
 
 
 @dataclass(frozen=True)
@@ -123,7 +116,7 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     scenario, assembly = prepared.scenario, prepared.assembly
     fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
     seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
-    hints = _diagnostics("hint", [*assembly.notes, *_suggestions(assembly), *seen])
+    hints = _diagnostics("hint", [*assembly.notes, *suggestions(assembly), *seen])
     hints += _diagnostics("good", conversions(fmus, assembly.system))
     hints += _order(prepared)
     models = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
@@ -150,42 +143,6 @@ def _order(prepared: Prepared) -> list[Diagnostic]:
     if not prepared.assembly.connections:
         return []
     return [Diagnostic("good", prepared.assembly.course(prepared.scenario.coupling))]
-
-
-def _suggestions(assembly: Assembly) -> Iterator[str]:
-    """Yield lines of [connect] for inputs that nothing feeds: shape, type, unit and name fit."""
-    connector = Connector(assembly.parts)
-    fed = {*assembly.external, *(connection.target for connection in assembly.connections)}
-    unfed = (
-        (part.name, variable)
-        for part in assembly.parts
-        if part.file is not None
-        for variable in part.interface.of("input")
-        if variable.name not in OPTIONAL
-        if not any((part.name, name) in fed for name in variable.names())
-    )
-    for name, variable in islice(unfed, LOOKED_AT):
-        source = _nearest(connector, name, variable)
-        if source:
-            target = f"{name}.{variable.name}"
-            yield f'nothing feeds {target}; perhaps [connect] "{target}" = "{source}"'
-
-
-def _nearest(connector: Connector, name: str, fed: Variable) -> str:
-    """Return the output that fits an input: of a name like its own, or the only one of its unit."""
-    fitting, stem = [], _SIDE.sub("", fed.name.lower())
-    for part in connector.parts.values():
-        for giving in part.interface.of("output") if part.name != name else ():
-            with suppress(InputError):
-                source = f"{part.name}.{giving.name}"
-                connector.check(source, giving, f"{name}.{fed.name}", fed)
-                alike = SequenceMatcher(None, _SIDE.sub("", giving.name.lower()), stem).ratio()
-                fitting.append((alike, source, giving))
-    likeness, source, _ = max(fitting, default=(0.0, "", fed), key=lambda each: each[0])
-    if likeness >= ALIKE:
-        return source
-    same_unit = [each for each in fitting if fed.unit not in ("", "1") and each[2].unit]
-    return same_unit[0][1] if len(same_unit) == 1 else ""
 
 
 def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
