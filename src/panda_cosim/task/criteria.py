@@ -107,6 +107,9 @@ def split_instant(text: str) -> tuple[str, float]:
     return match["event"], float((match["sign"] or "") + (match["offset"] or "0"))
 
 
+Requirements = tuple[Annotated[str, Line()], ...]
+
+
 @checked
 class SignalCriterion:
     """One criterion: a signal, reduced to a number over a window of time, and its bounds.
@@ -125,6 +128,7 @@ class SignalCriterion:
         band: For `settle`, in the signal's unit.
         target: For `settle` and `overshoot`; None: the window's last value.
         level: For the durations, in the signal's unit.
+        requirements: Names of requirements that it proves, for reports.
 
     Raises:
         InputError: A value cannot be used, or the criterion cannot fail or cannot hold.
@@ -140,6 +144,7 @@ class SignalCriterion:
     band: Annotated[float, Quantity(1e-12, 1e9)] | None = None
     target: Annotated[float, _ANY] | None = None
     level: Annotated[float, _ANY] | None = None
+    requirements: Requirements = ()
 
     def __post_init__(self) -> None:
         if self.below is None and self.above is None:
@@ -267,6 +272,7 @@ class BodyCriterion:
     max_shift: Annotated[float, _LENGTH] | None = None  # of its origin from where it started [m]
     min_lift: Annotated[float, Quantity(-10.0, 10.0, "m")] | None = None  # above the start [m]
     at: Annotated[Instant, PlainValidator(check_instant)] = "end"  # [s], or an event
+    requirements: Requirements = ()  # names of those that it proves, for reports
 
     def __post_init__(self) -> None:
         check_both(self, "position", "tolerance")
@@ -348,6 +354,13 @@ class Success:
             if label in taken:
                 raise ValueError(f"name {excerpt(label)} is taken; must be unique")
             taken.add(label)
+
+    @property
+    def required(self) -> dict[str, Requirements]:
+        """Requirements of the criteria that state some, by their names in results."""
+        stated = {n: each.requirements for each in self.signal for n in each.labels.values()}
+        stated |= {each.label(n): each.requirements for each in self.body for n in each.bounds}
+        return {name: requirements for name, requirements in stated.items() if requirements}
 
     def within(self, start: float, end: float) -> Self:
         """Return the criteria that a run from `start` to `end` [s] can measure."""

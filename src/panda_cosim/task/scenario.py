@@ -17,7 +17,7 @@ from ..fmus.build.engines import check_engine
 from ..fmus.errors import InputError, did_you_mean, excerpt, located, refuse
 from ..fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
 from ..fmus.interface.plant import FORCE_MAX, FORCES
-from .criteria import Success
+from .criteria import Requirements, Success
 from .fields import (
     Choice,
     Line,
@@ -134,6 +134,8 @@ class Scenario:
             that each command judges it in the same way.
         expect_reason: Why it must fail; without a reason, an expected failure hides a fault.
             It is shown wherever the verdict is.
+        requirements: Names of the requirements that the run proves as a whole, for reports; a
+            criterion may state its own.
         regression: How far a run may deviate from its reference. Contacts amplify rounding, so
             it is the scenario's to say, and not the comparison's.
         push: Forces on hand and block, of some duration. They are inputs of the plant, so that
@@ -189,6 +191,7 @@ class Scenario:
     input_scale: Annotated[float, Quantity(0.99, 1.01, "1")] = 1.0
     expect: Annotated[str, Choice(("success", "failure"))] = "success"
     expect_reason: Annotated[str, Line()] = ""
+    requirements: Requirements = ()
     regression: Regression = field(default_factory=Tolerances)
     push: tuple[Push, ...] = ()
     system: Annotated[str, Line()] = ""

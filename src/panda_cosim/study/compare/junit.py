@@ -27,14 +27,20 @@ class Case:
     fault: tuple[Literal["failure", "error"], str] | None = None
     message: str = ""  # the fault in one line
     details: str = ""
+    properties: Sequence[tuple[str, str]] = ()  # names, which may recur, and values
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
     """Write one test case per scenario: a difference is a failure, anything else wrong an error."""
+    from .requirements import of_outcome  # noqa: PLC0415 - as above
+
     cases = []
     for each in outcomes:
         fault = each.meaning.fault and (each.meaning.fault, each.verdict)
-        cases.append(Case(each.name, each.seconds, fault, each.reason, details(each)))
+        stated = [("requirement", f"{it.requirement}: {it.verdict}") for it in of_outcome(each)]
+        judged = [(f"criterion {c.name}", line(c)) for c in each.criteria]
+        lines = (each.reason, details(each), [*stated, *judged])
+        cases.append(Case(each.name, each.seconds, fault, *lines))
     write_cases("panda-cosim regress", cases, path)
 
 
@@ -71,6 +77,10 @@ def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
     for case in cases:
         name, seconds = _valid(case.name), f"{case.seconds:.3f}"
         element = ET.SubElement(suite, "testcase", classname="scenarios", name=name, time=seconds)
+        if case.properties:
+            listed = ET.SubElement(element, "properties")
+        for key, value in case.properties:
+            ET.SubElement(listed, "property", name=_valid(key), value=_valid(value))
         if case.fault is not None:
             tag, kind = case.fault
             shown = {"type": _valid(kind), "message": _valid(case.message)}

@@ -29,6 +29,7 @@ from .differences import side_by_side
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
 from .regress import MEANINGS, Outcome, headline
+from .requirements import proofs
 from .tubes import tube
 from .views import Views, limited, shown_reference
 from .wording import DASH, instant, measure, numbers
@@ -42,6 +43,7 @@ CRITERIA: Final = ("Criterion", "Measured", "Required", "Margin", "Verdict")
 SIGNALS: Final = (
     "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
 )  # fmt: skip
+REQUIREMENTS: Final = ("Requirement", "Criterion", "Scenario", "Verdict")
 MANIFEST_FILE: Final = "made-by-regress.json"
 
 
@@ -49,6 +51,10 @@ def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> Non
     """Write the report of a suite that was run with some values changed, by key."""
     views = Views()
     sections = [_section(outcome, views) for outcome in sorted(outcomes, key=_rank)]
+    if proven := proofs(outcomes):
+        state = "good" if all(proof.ok for proof in proven) else "bad"
+        table = Table(REQUIREMENTS, [proof[:4] for proof in proven])
+        sections.insert(0, Section("Requirements", state, [Part("What proves them", [table])]))
     page = Page(
         title=headline(outcomes),
         state="good" if all(outcome.ok for outcome in outcomes) else "bad",

@@ -1,0 +1,71 @@
+"""Requirements: scenarios and criteria name those that they prove, and reports say whether."""
+
+import subprocess
+import sys
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from fault_support import write_scenario
+from panda_cosim.task.scenario import Scenario
+
+CRITERIA = """
+[[success.signal]]
+name = "high enough"
+signal = "plant.hand_xpos[3]"
+reduce = "min"
+above = 0.1
+below = 2.0
+requirements = ["REQ-2"]
+[[success.signal]]
+name = "too slow"
+signal = "plant.qvel[4]"
+reduce = "peak"
+below = 1e-9
+requirements = ["REQ-2", "REQ-3"]
+"""
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """The report of two scenarios, one of which misses a criterion."""
+    folder = tmp_path_factory.mktemp("suite")
+    whole = 'requirements = ["REQ-1"]\n[success]\ntracking_max = 0.1\n'
+    write_scenario(folder / "good", 0.02, whole)
+    write_scenario(folder / "bad", 0.02, CRITERIA)
+    out = folder / "report"
+    command = [sys.executable, "-m", "panda_cosim", "regress", "--scenarios", folder]
+    subprocess.run([*command, "--report", out], check=False, capture_output=True, timeout=300)
+    return out
+
+
+def test_criteria_state_their_requirements_by_their_names_in_results(tmp_path):
+    scenario = Scenario.read(write_scenario(tmp_path / "s", 0.02, CRITERIA))
+    assert scenario.success.required == {
+        "high enough above": ("REQ-2",),
+        "high enough below": ("REQ-2",),
+        "too slow": ("REQ-2", "REQ-3"),
+    }
+
+
+def test_each_requirement_has_what_proves_it_and_the_verdict(report):
+    cases = ET.parse(report / "junit.xml").getroot().iter("testcase")
+    stated = {
+        case.get("name"): [
+            each.get("value") for each in case.iter("property") if each.get("name") == "requirement"
+        ]
+        for case in cases
+    }
+    assert stated == {
+        "bad": ["REQ-2: ok", "REQ-2: ok", "REQ-2: missed", "REQ-3: missed"],
+        "good": ["REQ-1: holds"],
+    }
+    page = (report / "report.html").read_text()
+    places = [page.index(word) for word in ("What proves them", "REQ-1", "REQ-2", "REQ-3")]
+    assert places == sorted(places)
+
+
+def test_junit_has_value_and_bound_of_each_criterion(report):
+    root = ET.parse(report / "junit.xml").getroot()
+    names = [each.get("name") for each in root.iter("property")]
+    assert {"criterion high enough above", "criterion too slow"} <= {*names}
