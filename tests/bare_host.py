@@ -1,9 +1,8 @@
 """A host in Python that needs no package: it steps an FMU by ctypes, and prints its outputs.
 
-    python bare_host.py FOLDER MODEL STEPS [mujoco]
+    python bare_host.py FOLDER MODEL STEPS
 
-FOLDER is the unpacked FMU (FMI 2.0). With `mujoco`, the host has its own MuJoCo, which it steps
-before and after. Exit code 2: the FMU cannot be instantiated; the log says why.
+FOLDER is the unpacked FMU (FMI 2.0). Exit code 2: it cannot be instantiated; the log says why.
 """
 
 # No type hints and no newer syntax: it runs in any Python 3.
@@ -13,10 +12,6 @@ import sys
 from ctypes import c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from pathlib import Path
 
-PENDULUM = (
-    "<mujoco><worldbody><body><joint axis='0 1 0'/><geom size='.1' pos='.3 0 0'/></body>"
-    "</worldbody></mujoco>"
-)
 LOGGER = ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
 
 
@@ -26,19 +21,7 @@ class Callbacks(ctypes.Structure):
     _fields_ = [("logger", LOGGER), *((name, c_void_p) for name in ("make", "free", "end", "env"))]
 
 
-def own_physics():
-    """Where a pendulum is after 200 steps of the host's own MuJoCo."""
-    import mujoco  # noqa: PLC0415 - the host's
-
-    model = mujoco.MjModel.from_xml_string(PENDULUM)
-    data = mujoco.MjData(model)
-    for _ in range(200):
-        mujoco.mj_step(model, data)
-    return float(data.qpos[0]).hex()
-
-
-def main(folder, model, steps, has_mujoco):
-    before = own_physics() if has_mujoco else ""
+def main(folder, model, steps):
     text = Path(folder, "modelDescription.xml").read_text(encoding="utf-8")
     scalars = [v for v in re.findall("<ScalarVariable[^>]*>", text) if 'causality="output"' in v]
     references = [int(re.search('valueReference="([0-9]+)"', v).group(1)) for v in scalars]
@@ -58,11 +41,10 @@ def main(folder, model, steps, has_mujoco):
         assert not fmi.fmi2DoStep(it, c_double(i * 0.001), c_double(0.001), 1)
     count, values = len(references), (c_double * len(references))()
     assert not fmi.fmi2GetReal(it, (c_uint * count)(*references), c_size_t(count), values)
-    assert not has_mujoco or own_physics() == before
     fmi.fmi2FreeInstance(it)
     return list(values)
 
 
 if __name__ == "__main__":
-    for value in main(sys.argv[1], sys.argv[2], int(sys.argv[3]), "mujoco" in sys.argv[4:]):
+    for value in main(sys.argv[1], sys.argv[2], int(sys.argv[3])):
         print(value.hex())

@@ -3,8 +3,10 @@
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO, Any, Protocol
 
 PATIENCE = 120.0  # [s] for an answer, on a busy machine
@@ -78,3 +80,28 @@ def limited(**limits: int) -> list[str]:
     """
     words = " ".join(f"{name} {limit}" for name, limit in limits.items())
     return [sys.executable, "-ISc", _LIMITED, words]
+
+
+def wait_until(holds: Callable[[], object], process: "subprocess.Popen[str] | None" = None) -> None:
+    """Wait until something holds, while a process runs."""
+    end = time.monotonic() + PATIENCE
+    while not holds():
+        assert process is None or process.poll() is None
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+def is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def children(process: int) -> list[int]:
+    """Return the processes that a process has started, in any thread."""
+    found: list[str] = []
+    for thread in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):  # it has ended
+            found += thread.read_text().split()
+    return list(map(int, found))

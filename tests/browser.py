@@ -100,16 +100,9 @@ class Page:
         elif method == "Network.requestWillBeSent":
             self.requests.append(found["request"]["url"])
 
-    def open(
-        self,
-        path: Path,
-        width: int = 1280,
-        height: int = 900,
-        scheme: str = "light",
-        place: str = "",
-    ) -> None:
-        """Show a file in a window of a size, in a colour scheme, at a `#place` in it."""
-        self.visit(path.resolve().as_uri() + place, width, height, scheme)
+    def open(self, path: Path, *size: Any, place: str = "", **how: Any) -> None:
+        """Show a file as `visit` does, at a `#place` in it."""
+        self.visit(path.resolve().as_uri() + place, *size, **how)
 
     def visit(
         self, address: str, width: int = 1280, height: int = 900, scheme: str = "light"

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from couple_support import panda_system
@@ -17,10 +16,9 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.run.start import instants, resolve, start_values
 from panda_cosim.study import benchmark
+from panda_cosim.task.rotations import Array
 from panda_cosim.task.scenario import Scenario, load_scenario
 from random_tasks import run_plain
-
-Array = NDArray[np.float64]
 
 
 def compare(scenario: str, coupling: str, steps: int) -> dict[str, Any]:

@@ -117,16 +117,8 @@ class Unpacked:
         return other
 
 
-def _row(
-    arrays: str,
-    reference: str,
-    shape: str,
-    causality: str,
-    variability: str,
-    kind: str,
-    name: str,
-    start: str,
-) -> Row:
+def _row(arrays: str, *fields: str) -> Row:
+    reference, shape, causality, variability, kind, name, start = fields
     sizes = () if shape == "-" else tuple(map(int, shape.split("x")))
     numbers = [] if start == "-" or kind == "String" else start.split()
     values = tuple(struct.unpack(">d", bytes.fromhex(number))[0] for number in numbers)

@@ -8,7 +8,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu_instance import mujoco_library
 from panda_cosim.assets.franka import ROBOTS
@@ -17,8 +16,8 @@ from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.build.libraries import BACKENDS, FLAGS, SOURCES
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 CHOICES = {"reaction": REACTIONS, "robot": (*ROBOTS,)}
 
 # controller_functions of controller_law.h

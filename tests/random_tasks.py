@@ -7,7 +7,6 @@ bit, and need no FMUs, but ten times as long. `panda-cosim sweep random_box` dra
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fake_recording import FakeRecording
 from fmu_support import in_fork
@@ -25,10 +24,10 @@ from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import Prepared, prepare
 from panda_cosim.run.start import instants, resolve, start_values
 from panda_cosim.run.stopping import StopRequest
+from panda_cosim.task.rotations import Array
 from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.trajectory import COMMANDS
 
-Array = NDArray[np.float64]
 Task = dict[str, float]  # the plant's parameters by key
 DRAWN = tuple(f"plant.block_{name}" for name in ("pos[1]", "pos[2]", "yaw", "mass", "friction"))
 # Ranges of a random task: offset from the nominal place, yaw, mass, friction.

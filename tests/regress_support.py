@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.result.recording import Column, Recorder, Recording
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 STEP = 0.001  # s
 ROWS = 401
 UNITS = {

@@ -77,10 +77,6 @@ def drop(name: str) -> Change:
     return lambda members: members.__delitem__(name)
 
 
-def move_library(members: dict[str, bytes]) -> None:
-    members["binaries/win64/PandaPlant.dll"] = members.pop(LIBRARY)
-
-
 # Changes of the plant's FMU, and the message that each must give.
 BAD_FMUS: dict[str, tuple[Change, str]] = {
     "no description": (drop(XML), r"modelDescription.xml: no such file"),
@@ -94,7 +90,9 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
         r"modelIdentifier '../../../evil'; must be letters, digits, _ and -",
     ),
     "no binary": (drop(LIBRARY), "no binary for this platform; .* is missing"),
-    "binary of another platform": (move_library, "no binary for this platform"),
+    "binary of another platform": (
+        lambda m: put("binaries/win64/PandaPlant.dll", m.pop(LIBRARY))(m), "no binary for this"
+    ),
     "unknown type": (
         substitute(r"<Real ([^>]*?)/>", r"<Complex \1/>"), "'Complex': This element is not expected"
     ),

@@ -84,9 +84,7 @@ def test_what_differs_from_the_first_run_is_found_with_its_size_and_time(tmp_pat
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(1, 400), st.booleans())
-def test_a_run_and_its_beginning_are_compared_there_and_are_not_identical(
-    tmp_path_factory, rows, killed
-):
+def test_a_run_and_its_beginning_are_compared_and_not_identical(tmp_path_factory, rows, killed):
     folder = tmp_path_factory.mktemp("runs")
     whole = made(folder / "whole")
     record(folder / "cut", columns(rows), reason="stopped by SIGKILL" if killed else None)

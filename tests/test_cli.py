@@ -139,9 +139,7 @@ MOST_MODULES = 130  # of the project
 
 
 @pytest.mark.parametrize(("option", "unused"), [("--view", set()), ("--no-view", {"mujoco"})])
-def test_a_run_without_pictures_loads_only_what_it_uses_and_is_assembled_once(
-    tmp_path, option, unused
-):
+def test_a_run_without_pictures_loads_what_it_uses_and_is_assembled_once(tmp_path, option, unused):
     build(["plant", "controller"])  # for which more is imported
     arguments = ("run", "pick_and_place", "--no-video", option, "--out", tmp_path / "run")
     command = [sys.executable, "-c", COUNTED, *map(str, arguments)]

@@ -88,9 +88,7 @@ def test_an_event_may_move_by_the_tolerance_in_time(compared, ticks, ok):
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0.0, 30.0), st.floats(0.5, 20.0), st.floats(1.0, 10.0), st.integers(0, 3))
-def test_a_match_within_narrow_tubes_is_one_within_wider_ones(
-    tmp_path_factory, off, scale, wider, ticks
-):
+def test_a_match_in_narrow_tubes_is_one_in_wider_ones(tmp_path_factory, off, scale, wider, ticks):
     folder = tmp_path_factory.mktemp("runs")
     reference = Reference.of(record(folder / "before", columns()), SUMMARY, TOLERANCES)
     values = columns()

@@ -84,9 +84,7 @@ print(*build(["plant", "controller"]).values(), build_fmu(model_part(Path(sys.ar
 BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
 
 
-def test_an_output_of_the_plant_is_added_in_two_places_and_a_line_of_the_description_in_one(
-    changed, tmp_path
-):
+def test_an_output_is_added_in_two_places_and_a_line_of_the_description_in_one(changed, tmp_path):
     write_files(tmp_path, *SCENARIO)
     model = tmp_path / "ball.xml"
     model.write_text(BALL)

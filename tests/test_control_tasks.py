@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from panda_cosim import InputError, Scenario, TableRow, TrajectoryTable, load_scenario, run_scenario
 from panda_cosim.assets import STEP_SIZE
@@ -18,9 +17,9 @@ from panda_cosim.result.judging.advice import weakest_grip
 from panda_cosim.result.judging.limits import largest_share
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import rehearse
+from panda_cosim.task.rotations import Array
 from random_tasks import Done, random_tasks, run_in_memory, run_plain
 
-Array = NDArray[np.float64]
 Signals = dict[str, Array]
 PLACE = (0.60, 0.35)  # m
 SHARE = 0.95  # of every limit, of the robot and of its reference

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from control_support import started
 from law_support import replay
@@ -13,10 +12,9 @@ from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.presets import preset
 from panda_cosim.controller.signals import OUTPUTS
-from panda_cosim.task.rotations import exp, multiply
+from panda_cosim.task.rotations import Array, exp, multiply
 from random_tasks import connect
 
-Array = NDArray[np.float64]
 TICKS = 400
 ANGLE_TOLERANCE = 1e-12  # rad
 LAW_TOLERANCE = 1e-8  # rad and rad/s, of rounding where accelerations are made from a millisecond

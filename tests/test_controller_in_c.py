@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from law_support import INPUTS, LawInC, compile_law, replay
 from panda_cosim.assets import franka, limits
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
 from panda_cosim.controller.presets import preset
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 SEVERAL = 60  # updates of a random sequence
 PLAIN_FIELDS = [f.name for f in fields(Gains) if f.name in RANGES]
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fake_recording import FakeRecording
 from forked import command
@@ -25,8 +25,8 @@ from panda_cosim.run.summary import summarize
 from panda_cosim.study.analysis.margins import Loop, Margins
 from panda_cosim.task.criteria import EVENTS
 from panda_cosim.task.fields import field_names
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 SAME = 1e-9  # relative and in any unit, of rounding alone
 ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
 SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial",
@@ -62,17 +62,6 @@ def spans_of(time: Array, force: Array) -> list[tuple[int, int]]:
     return [(a, b) for a, b in filter(lasts, holds)]
 
 
-def turned_into(quaternion: Array, vector: Array) -> Array:
-    """Vectors (n, 3) in frames that are turned by quaternions (n, 4) (w, x, y, z)."""
-    w, x, y, z = quaternion.T
-    rotation = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
-    return np.einsum("jin,nj->ni", rotation, vector)
-
-
 def hold_again(run: Recording, grasp: int, end: int) -> dict[str, Any]:
     """Rows of a hold's events, and its slip [mm]."""
     block, opening = run["plant.qpos"][:, 9:12], run["controller.grip_cmd"]
@@ -88,7 +77,9 @@ def hold_again(run: Recording, grasp: int, end: int) -> dict[str, Any]:
     if lift is not None and lift <= release_command:
         carried = slice(lift, min(release_command + 1, end))
         away = block[carried] - run["plant.hand_xpos"][carried]
-        in_hand = turned_into(run["plant.hand_xquat"][carried], away)
+        in_hand = Rotation.from_quat(run["plant.hand_xquat"][carried], scalar_first=True).apply(
+            away, inverse=True
+        )
         slip = 1e3 * max(np.linalg.norm(in_hand - in_hand[0], axis=1))
     return {"grasp": grasp, "lift": lift, "release_command": release_command, "end": end,
             "slip_mm": slip}  # fmt: skip

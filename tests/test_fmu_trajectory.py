@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fmu_instance import OK, STEP, Instance, Unpacked
 from panda_cosim.fmus.inside.trajectory import NAMES
@@ -13,10 +12,10 @@ from panda_cosim.fmus.interface.tables import TRAJECTORY
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.sources.targets import Target, build_trajectory
 from panda_cosim.run.start import instants, resolve, start_values
+from panda_cosim.task.rotations import Array
 from panda_cosim.task.scenario import load_scenario
 from panda_cosim.task.writer import write_input_csv
 
-Array = NDArray[np.float64]
 LENGTH = 300  # [tick] that are played
 pytestmark = pytest.mark.own_process
 

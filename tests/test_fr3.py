@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from panda_cosim import InputError, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.assets import ASSETS
@@ -12,9 +12,9 @@ from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.plant import Plant
 from panda_cosim.study.check.diagnosis import feasibility
+from panda_cosim.task.rotations import Array
 from random_tasks import run_plain
 
-Array = NDArray[np.float64]
 TORQUE_TOLERANCE = 1e-6  # N.m
 ROUNDING = 1e-6  # of a limit
 # Scenarios that this arm does not manage.
@@ -48,12 +48,8 @@ def velocity_shares(q: Array, qd: Array) -> Array:
     return np.abs(qd) / np.clip(np.sqrt(factor * np.maximum(room, 0.0)) - offset, 1e-3, most)
 
 
-def about(axis: int, angle: float) -> Array:
-    """Rotation matrix about x (0) or z (2)."""
-    (c, s), turn = (np.cos(angle), np.sin(angle)), np.eye(3)
-    one, other = [(1, 2), (), (0, 1)][axis]
-    turn[[one, other], [one, other]], turn[one, other], turn[other, one] = c, -s, s
-    return turn
+def about(axis: str, angle: float) -> Array:
+    return Rotation.from_euler(axis, angle).as_matrix()
 
 
 def gravity_torques(q: Array) -> Array:
@@ -63,13 +59,13 @@ def gravity_torques(q: Array) -> Array:
     inertials = list(ElementTree.parse(ASSETS / "fr3.xml").iter("inertial"))
     turn, origin, axes, masses = np.eye(3), np.zeros(3), [], []
     for joint, inertial in enumerate(inertials):
-        tilt = turn @ about(0, tilts[joint])
+        tilt = turn @ about("x", tilts[joint])
         origin = origin + turn @ (a[joint], 0.0, 0.0) + tilt @ (0.0, 0.0, d[joint])
-        turn = tilt @ about(2, q[joint])
+        turn = tilt @ about("z", q[joint])
         axes.append((origin, turn[:, 2]))
         centre = np.array(inertial.attrib["pos"].split(), dtype=float)
         masses.append((float(inertial.attrib["mass"]), origin + turn @ centre, joint))
-    hand = turn @ about(2, -np.pi / 4)  # hand, and open fingers
+    hand = turn @ about("z", -np.pi / 4)  # hand, and open fingers
     for mass, centre in ((0.73, np.array([-0.01, 0.0, 0.137])), (0.03, [0.0, 0.0, 0.1654])):
         masses.append((mass, origin + hand @ centre, 6))
     return np.array(

@@ -77,9 +77,7 @@ def test_a_script_beside_modules_of_the_same_names_runs(own):
         ("editable", False, {"fmpy", "mujoco", "ziglang"}),
     ],
 )
-def test_a_build_needs_headers_and_a_compiler_only_where_it_compiles(
-    kind, compiler, needed, tmp_path
-):
+def test_a_build_needs_headers_and_compiler_where_it_compiles(kind, compiler, needed, tmp_path):
     (tmp_path / "pyproject.toml").write_text('[project]\nname = "p"\nversion = "1"\n')
     if compiler:
         (tmp_path / "cc").touch(mode=0o755)

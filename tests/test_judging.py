@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from panda_cosim import InputError, Recording, Scenario, SignalCriterion, Success, load_scenario
 from panda_cosim.result.judging.criterion import (
@@ -25,8 +24,8 @@ from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.start import check_criteria
 from panda_cosim.task.criteria import REDUCTIONS
 from panda_cosim.task.writer import write_scenario
+from refusals import refused
 
-Array = NDArray[np.float64]
 TIME = np.arange(2001) * 1e-3  # s
 UNITS = {"time": "s", "a[1]": "m", "a[2]": "m", "b[1]": "m", "b[2]": "m", "step": "m", "f": "N"}
 ROUNDING = 1e-12  # m, N
@@ -248,11 +247,10 @@ def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data):
 
 @pytest.mark.parametrize(("right", "wrong", "told"), WRONG)
 def test_bad_input_is_reported_in_one_line(tmp_path, right, wrong, told):
-    with pytest.raises(InputError) as caught:
-        check_criteria(Scenario.read(written(tmp_path, SIGNAL.replace(right, wrong))))
-    assert told in str(caught.value)
-    assert "[success" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    folder = written(tmp_path, SIGNAL.replace(right, wrong))
+    said = refused(lambda: check_criteria(Scenario.read(folder)))
+    assert told in said
+    assert "[success" in said
 
 
 def test_an_expected_failure_needs_its_reason(tmp_path):

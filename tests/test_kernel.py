@@ -167,7 +167,9 @@ def shipped(names: list[str], stepper: Stepper) -> list[tuple[str, str, str]]:
 
 
 @needs_compiler
-@pytest.mark.parametrize("share", range(4))
+@pytest.mark.parametrize(
+    "share", [0, *(pytest.param(share, marks=pytest.mark.long) for share in (1, 2, 3))]
+)
 def test_both_give_the_same_bits_over_all_shipped_scenarios(share):
     names = sorted(shipped_scenarios())[share::4]
     in_c, in_python = (in_process(shipped, names, stepper) for stepper in get_args(Stepper))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from random_moves import run_moves
 
 from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX
@@ -19,8 +18,8 @@ from panda_cosim.controller.limits import (
     Motion,
     within,
 )
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 PERIOD = 0.001  # s
 OVERSHOOT = QDD_MAX * PERIOD**2 / 4  # rad, by what the last, shorter step of a stop may miss
 seeds = st.integers(0, 2**32 - 1)

@@ -180,9 +180,7 @@ def test_here_the_main_job_can_be_done_and_all_that_is_missing_has_a_remedy():
 
 
 @pytest.mark.parametrize(("package", "state"), [("mujoco", "needed"), ("pillow", "optional")])
-def test_a_package_that_is_missing_is_named_with_the_command_that_gets_it(
-    package, state, monkeypatch
-):
+def test_a_missing_package_is_named_with_the_command_that_gets_it(package, state, monkeypatch):
     def no_version(name: str) -> str:
         if name == package:
             raise PackageNotFoundError(name)
@@ -231,9 +229,7 @@ def test_it_starts_and_reports_where_numpy_cannot_be_imported():
 @pytest.mark.parametrize(
     ("package", "extra", "last"), [("ompl", "route", 13), ("toppra", "retime", 14)]
 )
-def test_a_package_without_a_release_for_this_python_is_named_with_one_that_has_it(
-    package, extra, last, monkeypatch
-):
+def test_a_package_without_a_release_for_this_python_names_one(package, extra, last, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     for minor, must in ((last, f"pip install 'panda-cosim[{extra}]'"), (last + 1, f"3.{last} or")):
         monkeypatch.setattr(sys, "version_info", (3, minor, 0))

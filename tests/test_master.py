@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 import panda_cosim.fmus.master.master
 from panda_cosim.fmus.errors import InputError, SimulationEndedError, SimulationError
@@ -16,8 +15,8 @@ from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master, RealtimePacer, RunStatistics
 from panda_cosim.fmus.master.step import Coupling
 from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange, SlowSlave
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 H = 0.001
 Law = Callable[[dict[str, float], dict[str, float]], None]
 
@@ -26,11 +25,7 @@ class FakeSlave:
     """A slave y = step(u, state) in plain Python, which logs its calls."""
 
     def __init__(
-        self,
-        name: str,
-        law: Law,
-        outputs: Mapping[str, float],
-        log: list[str] | None = None,
+        self, name: str, law: Law, outputs: Mapping[str, float], log: list[str] | None = None
     ) -> None:
         self.name, self.stop = name, math.inf
         self.inputs: dict[str, float] = {}
@@ -195,9 +190,7 @@ def test_the_coupling_changes_between_two_ticks(first, at):
     [("gauss-seidel", "set c, step c, get c, set p, step p, get p", ["set c", "step c", "get c"]),
      ("jacobi", "set c, set p, step c, step p, get c, get p", [])],
 )  # fmt: skip
-def test_gauss_seidel_asks_the_leader_first_and_jacobi_sets_all_then_steps_all(
-    coupling, tick, last
-):
+def test_gauss_seidel_asks_the_leader_first_and_jacobi_steps_all_at_once(coupling, tick, last):
     log: list[str] = []
     run(loop(coupling, log), 2)
     assert log == ["get c", "get p", *tick.split(", ") * 2, *last]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fmu_support import in_process
-from panda_cosim import InputError, Recording, Scenario, Success, load_scenario, run_scenario
+from panda_cosim import Recording, Scenario, Success, load_scenario, run_scenario
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.sensor_errors import SensorErrors
 from panda_cosim.controller.sensors import TRUTH, Sensors
@@ -20,6 +20,7 @@ from panda_cosim.run.system.assembly import assemble
 from panda_cosim.task.mismatch import SIZES, Mismatch, draw_robot
 from panda_cosim.task.writer import write_scenario
 from random_tasks import run_in_memory
+from refusals import refused
 
 PUSH = load_scenario("push")
 
@@ -105,11 +106,9 @@ def test_what_is_impossible_is_refused_in_one_line(line, tmp_path):
     write_scenario(PUSH, tmp_path)
     with (tmp_path / "scenario.toml").open("a", encoding="utf-8") as file:
         file.write(f"\n[mismatch]\n{line}\n")
-    with pytest.raises(InputError) as refused:
-        Scenario.read(tmp_path)
-    assert "[mismatch]" in str(refused.value)
-    assert BAD[line] in str(refused.value)
-    assert "\n" not in str(refused.value)
+    said = refused(Scenario.read, tmp_path)
+    assert "[mismatch]" in said
+    assert BAD[line] in said
 
 
 @pytest.mark.parametrize("preset", ["nominal", *SIZES])

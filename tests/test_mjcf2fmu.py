@@ -1,6 +1,7 @@
 """`mjcf2fmu`: FMUs of models that others wrote are what MuJoCo makes of them."""
 
 import math
+import re
 import shutil
 import threading
 import zipfile
@@ -22,6 +23,7 @@ from panda_cosim.fmus.master.fmu_file import Fmu, library_of
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.plant.mujoco_warnings import taken_warnings
+from refusals import refused
 
 
 @pytest.fixture
@@ -130,9 +132,7 @@ BAD_INTERFACES = {
 def test_a_bad_interface_is_refused_in_one_line(box, tmp_path, text):
     file = tmp_path / "bad.toml"
     file.write_text(text)
-    with pytest.raises(InputError, match=BAD_INTERFACES[text]) as caught:
-        model_fmu(box, ModelOptions(interface=file))
-    assert "\n" not in str(caught.value)
+    assert re.search(BAD_INTERFACES[text], refused(model_fmu, box, ModelOptions(interface=file)))
 
 
 @pytest.mark.parametrize(
@@ -147,9 +147,7 @@ def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path, text, told):
     result = CliRunner().invoke(app, ["mjcf2fmu", str(model), "--out", str(tmp_path / "x.fmu")])
     assert result.exit_code == InputError.exit_code
     assert told in result.output.replace("\n", " ")
-    with pytest.raises(InputError) as caught:
-        model_fmu(model, ModelOptions())
-    assert "\n" not in str(caught.value)
+    assert refused(model_fmu, model, ModelOptions())
     assert not (tmp_path / "x.fmu").exists()
 
 
@@ -196,9 +194,8 @@ def test_a_model_that_was_cut_off_is_refused_in_a_line(box, tmp_path):
     path = tmp_path / "box.mjb"
     mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(path))
     path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(InputError, match=r"box\.mjb: MuJoCo cannot load it: \w") as refused:
-        describe(path, ModelOptions())
-    assert "\n" not in str(refused.value)
+    said = refused(describe, path, ModelOptions())
+    assert re.search(r"box\.mjb: MuJoCo cannot load it: \w", said)
 
 
 def test_a_model_that_another_version_compiled_is_refused_by_its_name(box, tmp_path):

@@ -157,14 +157,9 @@ GROWTH = 1000  # KB at most, in the second half: Python collects its garbage now
 @pytest.fixture(scope="module")
 def host(tmp_path_factory):
     """The host, and a locale with a decimal comma in its folder."""
-    folder, tool = tmp_path_factory.mktemp("host"), compiler()
-    assert tool
-    includes = [f"-isystem{include}" for include in native.includes()]
-    libraries = ["-ldl", "-lpthread", "-lm"]
+    folder = tmp_path_factory.mktemp("host")
     program = folder / "stress"
-    subprocess.run(
-        [tool, "-std=gnu11", *includes, SOURCE, "-o", program, *libraries], check=True, timeout=300
-    )
+    compiled(folder, "-std=gnu11", SOURCE, "-o", program, "-ldl", "-lpthread", "-lm")
     (folder / "comma.src").write_text(COMMA)
     words = ["-c", "--no-archive", "-i", "comma.src", "-f", "ANSI_X3.4-1968", "./comma"]
     # It warns, with status 1.
@@ -222,9 +217,7 @@ def test_the_functions_of_a_hosts_own_mujoco_are_not_called(host, tmp_path, name
     """The host is linked with another version; here its functions are nothing but traps."""
     source, other = tmp_path / "other.c", tmp_path / "libother.so"
     source.write_text(OTHER_MUJOCO)
-    subprocess.run(
-        [compiler() or "cc", "-shared", "-fPIC", source, "-o", other], check=True, timeout=300
-    )
+    compiled(tmp_path, "-shared", "-fPIC", source, "-o", other)
     fmu = unpacked("native", name, 2)
     stress(host, fmu, "threads", 1, LD_PRELOAD=str(other))
 

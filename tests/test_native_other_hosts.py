@@ -1,4 +1,4 @@
-"""FMUs in Python hosts of other versions, and beside another version of MuJoCo."""
+"""FMUs in Python hosts of other versions."""
 
 import shutil
 import subprocess
@@ -15,7 +15,6 @@ from panda_cosim.fmus.sources.targets import Kind, Target, build
 
 HOST = Path(__file__).with_name("bare_host.py")
 STEPS = 50
-OLDER_MUJOCO = "3.3.7"
 pytestmark = pytest.mark.skipif(
     this_platform() != "linux64", reason="the host opens Linux libraries"
 )
@@ -45,9 +44,8 @@ def fmus(tmp_path_factory):
     return found
 
 
-def run(python: str | Path, fmu: Path, *more: str) -> subprocess.CompletedProcess[str]:
-    command = [python, HOST, fmu, fmu.name, str(STEPS), *more]
-    return ran(command, code=None)
+def run(python: str, fmu: Path) -> subprocess.CompletedProcess[str]:
+    return ran([python, HOST, fmu, fmu.name, str(STEPS)], code=None)
 
 
 @pytest.fixture(scope="module")
@@ -74,22 +72,3 @@ def test_an_fmu_in_python_runs_in_another_python_or_says_why_not(fmus, expected,
             assert len(done.stderr.splitlines()) == 1
         else:
             assert done.stdout == expected["PandaPlant"], python
-
-
-@pytest.mark.long  # installs a package
-def test_native_fmus_run_beside_another_mujoco(fmus, expected, tmp_path):
-    subprocess.run(
-        [sys.executable, "-m", "venv", "--without-pip", tmp_path], check=True, timeout=300
-    )
-    python = tmp_path / "bin" / "python"
-    pip = [sys.executable, "-m", "pip", "-q", "--python", str(python), "install"]
-    if subprocess.run([*pip, f"mujoco=={OLDER_MUJOCO}"], check=False, timeout=300).returncode:
-        pytest.skip(f"MuJoCo {OLDER_MUJOCO} cannot be installed")
-    for model in ("PandaPlant", "PandaController"):
-        done = run(python, fmus["native", model], "mujoco")
-        assert (done.returncode, done.stdout) == (0, expected[model]), done.stderr
-    refused = run(python, fmus["python", "PandaPlant"], "mujoco")
-    assert refused.returncode == 2
-    assert f"mujoco {OLDER_MUJOCO}" in refused.stderr
-    assert "this process had loaded it already" in refused.stderr
-    assert "PANDA_COSIM_PYTHONPATH" not in refused.stderr  # it cannot help

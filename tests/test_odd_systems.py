@@ -205,9 +205,7 @@ def run_of(scenario: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_an_fmu_that_changes_the_working_directory_and_floods_with_messages_loses_nothing(
-    tmp_path, isolate
-):
+def test_an_fmu_that_changes_the_directory_and_talks_a_lot_loses_nothing(tmp_path, isolate):
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
     done = run(ssp, Path("run"), "--plot", *isolate, cwd=tmp_path, ACT="chdir")

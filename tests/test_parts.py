@@ -1,6 +1,7 @@
 """Other controllers, plants and systems by name: built, connected, judged, told what is wrong."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from panda_cosim.run.system.parts import Part
 from panda_cosim.study.check.diagnosis import check_folder
 from panda_cosim.task.writer import make_scenario
 from parts_jobs import run_folder, same_bits, write_arm
+from refusals import refused
 from toy_fmu import INDICES, toy_fmu
 
 LAW = """
@@ -162,8 +164,7 @@ def test_bad_input_is_one_line(folder, old, new, message):
     wrong = [d.text for d in check_folder(folder) if d.level == "wrong"]
     assert len(wrong) == 1
     assert "\n" not in wrong[0]
-    with pytest.raises(InputError, match=message):
-        raise InputError(wrong[0])
+    assert re.search(message, wrong[0])
 
 
 @pytest.mark.parametrize(
@@ -179,9 +180,7 @@ def test_bad_input_is_one_line(folder, old, new, message):
 def test_a_bad_law_is_one_line(folder, old, new, message):
     path = folder / "my_law.py"
     path.write_text(path.read_text().replace(old, new, 1))
-    with pytest.raises(InputError, match=message) as error:
-        assemble(load_scenario(folder))
-    assert "\n" not in str(error.value)
+    assert re.search(message, refused(lambda: assemble(load_scenario(folder))))
 
 
 def test_a_law_that_fails_ends_the_run_with_its_place(folder, tmp_path):

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.pid import PID_STATE, Pid
 from panda_cosim.controller.signals import Buffer
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 TOLERANCE = 1e-9  # rad: two ways to add up 400 terms
 UPDATES = 400
 NO_LIMIT = 1e3  # rad
@@ -25,25 +24,9 @@ def responses(gains: Gains, period: float, errors: Array) -> Array:
     return np.array([pid.update(error) for error in errors])
 
 
-def pid_gains(
-    kp: Array, ki: Array, kd: Array, derivative_filter: float = 0.0, limit: float = NO_LIMIT
-) -> Gains:
-    """Return gains with these of the PIDs (7,)."""
-    return Gains(
-        kp=tuple(kp.tolist()),
-        ki=tuple(ki.tolist()),
-        kd=tuple(kd.tolist()),
-        derivative_filter=derivative_filter,
-        integral_limit=(limit,) * 7,
-    )
-
-
-def transfer_function(
-    kp: float, ki: float, kd: float, tf: float, period: float
-) -> control.TransferFunction:
-    z = control.TransferFunction([1, 0], [1], period)
-    derivative = (z - 1) / ((tf + period) * z - tf)
-    return kp + ki * period * z / (z - 1) + kd * derivative
+def pid_gains(kp: Array, ki: Array, kd: Array, tf: float = 0.0, limit: float = NO_LIMIT) -> Gains:
+    each = {name: tuple(g.tolist()) for name, g in (("kp", kp), ("ki", ki), ("kd", kd))}
+    return Gains(**each, derivative_filter=tf, integral_limit=(limit,) * 7)
 
 
 @pytest.mark.parametrize("signal", ["step", "random"])
@@ -64,7 +47,10 @@ def test_a_pid_is_its_transfer_function(kp, ki, kd, tf, period, signal):
     error[0] = 0.0  # the first update gives no derivative
     answer = responses(gains, period, error[:, None] * ONE)
 
-    expected = control.forced_response(transfer_function(kp, ki, kd, tf, period), U=error)
+    z = control.TransferFunction([1, 0], [1], period)
+    derivative = (z - 1) / ((tf + period) * z - tf)
+    function = kp + ki * period * z / (z - 1) + kd * derivative
+    expected = control.forced_response(function, U=error)
     assert np.abs(answer - expected.outputs[:, None]).max() <= TOLERANCE
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fake_recording import FakeRecording
@@ -22,9 +21,9 @@ from panda_cosim.result.judging.preflight import preflight
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.view import run
 from panda_cosim.study.sweep.row import metrics
+from panda_cosim.task.rotations import Array
 from random_tasks import run_in_memory
 
-Array = NDArray[np.float64]
 Quantity = tuple[Array, Any, Any]  # values (n, k), largest sizes, and what both are counted from
 DT = 1e-3  # [s]
 SAME = 1e-5  # relative: third differences lose digits

@@ -14,14 +14,13 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from bounded import ran
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.result.recording import Column, MemoryRecorder, Recorder, Recording, storage
 from panda_cosim.result.recording import recorder as recorder_module
+from panda_cosim.task.rotations import Array
 
-Array = NDArray[np.float64]
 COLUMNS = (
     Column("time", "s", "instant"),
     *(Column(f"plant.qpos[{i}]", "rad", "joint position") for i in range(1, 4)),
@@ -139,9 +138,7 @@ ODD_NAMES = [
 
 @pytest.mark.parametrize(("names", "shapes"), ODD_NAMES)
 @pytest.mark.parametrize("in_memory", [False, True])
-def test_whatever_names_a_recorder_was_given_its_recording_opens(
-    tmp_path, names, shapes, in_memory
-):
+def test_whatever_names_a_recorder_has_its_recording_opens(tmp_path, names, shapes, in_memory):
     columns = [Column("time"), *map(Column, names)]
     rows = np.random.default_rng(1).normal(size=(3, len(columns)))
     with (MemoryRecorder if in_memory else Recorder)(tmp_path, columns, {}) as recorder:

@@ -103,9 +103,7 @@ def test_a_scenario_without_a_reference_is_judged_by_its_criteria(mine):
     assert advice in " ".join(missing.stdout.split())
 
 
-def test_a_report_keeps_the_runs_that_differ_and_replaces_only_what_regress_made(
-    approved, tmp_path
-):
+def test_a_report_keeps_runs_that_differ_and_replaces_only_what_regress_made(approved, tmp_path):
     """Recordings in ./runs and whatever else lies there are not lost to `--report .`."""
     precious = tmp_path / "runs" / "first" / "recording.parquet"
     precious.parent.mkdir(parents=True)
@@ -161,9 +159,7 @@ def test_a_page_shows_the_differences_before_a_reference_is_overwritten(approved
         assert "times its tolerance" in page
 
 
-def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced(
-    approved, tmp_path
-):
+def test_a_damaged_or_too_coarse_reference_ends_no_suite_and_is_replaced(approved, tmp_path):
     _, damaged, coarse = (
         shutil.copytree(approved, tmp_path / name) for name in ("good", "damaged", "coarse")
     )

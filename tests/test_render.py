@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import closing
 from pathlib import Path
 from typing import cast
@@ -16,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from bounded import line_of, ran
+from bounded import children, is_alive, line_of, ran, wait_until
 from fake_recording import FakeRecording
 from fault_support import write_scenario
 from forked import command
@@ -229,23 +228,8 @@ def test_no_process_outlives_the_one_that_draws(tmp_path, number):
     child.send_signal(number)
     child.wait(timeout=30)
     child.stdout.close()
-    end = time.monotonic() + 20
-    while any(alive(pid) for pid in group):
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    wait_until(lambda: not any(map(is_alive, group)))
     assert not path.exists()
-
-
-def children(pid: int) -> list[int]:
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @needs_gl
@@ -315,9 +299,7 @@ def no_backend(monkeypatch, tmp_path):
         ("vulkan", [], r"vulkan says"),
     ],
 )
-def test_mujoco_gl_is_honoured_and_only_what_is_missing_is_named(
-    monkeypatch, backend, libraries, message
-):
+def test_mujoco_gl_is_honoured_and_what_is_missing_named(monkeypatch, backend, libraries, message):
     monkeypatch.setenv("MUJOCO_GL", backend)
     monkeypatch.setattr(gl, "find_library", lambda name: name if name in libraries else None)
     with pytest.raises(RenderError, match=message):
@@ -357,9 +339,7 @@ def test_dressed_in_meshes_the_scene_has_the_same_positions():
     np.testing.assert_allclose(places[0], places[1], atol=EXACT)
 
 
-def test_meshes_that_are_asked_for_and_missing_are_an_error_that_says_how_to_get_them(
-    monkeypatch, tmp_path
-):
+def test_meshes_that_are_missing_are_an_error_that_says_how_to_get_them(monkeypatch, tmp_path):
     monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
     assert meshes.find_menagerie() is None
     assert meshes.load_model("tabletop", "auto").nq == 16

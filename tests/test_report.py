@@ -195,7 +195,7 @@ SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
 
 
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
-def test_a_report_opens_at_the_worst_tick_and_shows_one_scenario_at_a_time(
+def test_a_report_opens_at_the_worst_tick_and_shows_one_scenario(
     page, report_in_3d, outcomes_in_3d
 ):
     page.open(report_in_3d, 760, 420)

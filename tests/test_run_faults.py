@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 
 import forked
-from bounded import killed_after, line_of, ran, running
+from bounded import killed_after, line_of, ran, running, wait_until
 from fault_support import build_faulty, processes_with, run_command, run_with_fault, write_scenario
 from panda_cosim import InputError, Options, Recording
 from panda_cosim.fmus.atomic import TEMPORARY
@@ -44,13 +43,6 @@ def check_rows(recording: Recording) -> None:
     assert recording.time.tolist() == [k * 0.001 for k in range(recording.rows)]
     for name in recording.columns:
         assert np.isfinite(recording[name]).all()
-
-
-def wait_until(done: Callable[[], object], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.005)
 
 
 IN_STEP = "SimulationError: at t = 0.019 s, in FMU 'plant': "
@@ -136,7 +128,7 @@ ENDED = [
 
 
 @pytest.mark.parametrize(("number", "isolate"), ENDED)
-def test_an_ended_run_keeps_what_was_done_and_a_killed_one_all_but_half_a_second(
+def test_an_ended_run_keeps_all_and_a_killed_one_all_but_half_a_second(
     tmp_path, lasting, number, isolate
 ):
     ended = stop_run(lasting, tmp_path / "run", number, isolate=isolate)

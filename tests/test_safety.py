@@ -7,14 +7,13 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bounded import ran
+from bounded import ran, wait_until
 from fault_support import STARTING_LAW, write_scenario
 from fmu_support import copy_libraries, members, pack
 from live_support import asked, live, viewer
@@ -173,15 +172,6 @@ def test_a_new_cache_is_private_whatever_the_umask(shared, monkeypatch):
         os.umask(before)
 
 
-def text_in(path: Path) -> str:
-    """Return a file's text once it has one."""
-    end = time.monotonic() + 60.0
-    while not (path.exists() and path.read_text()):
-        assert time.monotonic() < end, f"{path}: nobody writes it"
-        time.sleep(0.01)
-    return path.read_text()
-
-
 def test_the_browser_gets_the_token_in_a_file_of_the_users_own(shared, monkeypatch):
     browser = shared / "browser"
     browser.write_text('#!/bin/sh\necho "$@" > "$0.said"\nexec sleep 45 >&- 2>&-\n')
@@ -189,7 +179,9 @@ def test_the_browser_gets_the_token_in_a_file_of_the_users_own(shared, monkeypat
     monkeypatch.setenv("BROWSER", f"{browser} %s")
     with live(shared / "run", "--speed", "0.05", "--open") as server:
         leads = server.folder / "open.html"
-        assert text_in(shared / "browser.said").strip() == leads.as_uri()
+        said = shared / "browser.said"
+        wait_until(lambda: said.exists() and said.read_text())
+        assert said.read_text().strip() == leads.as_uri()
         assert server.address in leads.read_text()
         assert stat.S_IMODE(leads.stat().st_mode) == 0o600
         with viewer(server) as socket:

@@ -16,6 +16,7 @@ from panda_cosim.controller.presets import PRESETS
 from panda_cosim.fmus.master.step import COUPLINGS
 from panda_cosim.task import scenario as scenario_module
 from panda_cosim.task.table import COLUMNS, read_tables
+from refusals import refused
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 GOOD = 'purpose = "A test"\nduration = 1.5\n'
@@ -64,12 +65,9 @@ def write(folder: Path, toml: str | bytes = GOOD, table: str | None = TABLE) -> 
 @pytest.mark.parametrize(("toml", "expected"), BAD_SCENARIOS.values(), ids=BAD_SCENARIOS.keys())
 def test_a_bad_scenario_is_refused_in_one_line_that_says_where_and_why(tmp_path, toml, expected):
     folder = write(tmp_path / "mine", toml)
-    with pytest.raises(InputError) as caught:
-        load_scenario(folder)
-    message = str(caught.value)
+    message = refused(load_scenario, folder)
     assert message.startswith(f"{folder / 'scenario.toml'}: ")
     assert expected in message
-    assert message.isprintable()
     assert len(message) < 400 + len(str(folder))
 
 
@@ -102,10 +100,7 @@ def test_a_folder_without_one_of_its_files_is_refused(tmp_path, missing):
     ],
 )
 def test_an_unknown_scenario_is_refused_with_the_nearest(name, expected):
-    with pytest.raises(InputError) as caught:
-        load_scenario(name)
-    assert expected in str(caught.value)
-    assert str(caught.value).isprintable()
+    assert expected in refused(load_scenario, name)
 
 
 def test_a_shipped_name_goes_before_a_folder_of_that_name(tmp_path, monkeypatch):
@@ -240,12 +235,9 @@ def write_table(folder: Path, content: str | bytes) -> Path:
 @pytest.mark.parametrize(("content", "expected"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
 def test_a_bad_table_is_refused_in_one_line_that_says_where_and_why(tmp_path, content, expected):
     path = write_table(tmp_path, content)
-    with pytest.raises(InputError) as caught:
-        read_tables(path)
-    message = str(caught.value)
+    message = refused(read_tables, path)
     assert message.startswith(f"{path}: ")
     assert expected in message
-    assert message.isprintable()
     assert len(message) < 400 + len(str(path))
 
 
@@ -260,8 +252,7 @@ def test_what_is_not_a_plain_file_is_refused_without_waiting_for_it(tmp_path, ki
         path = tmp_path / "a\0b.csv"
     elif kind == "name too long":
         path = tmp_path / ("a" * 5000)
-    with pytest.raises(InputError):
-        read_tables(path)
+    assert refused(read_tables, path)
 
 
 @pytest.mark.parametrize(

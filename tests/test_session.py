@@ -20,6 +20,7 @@ from panda_cosim import InputError, Options, Recording, Session, load_scenario, 
 from panda_cosim.fmus.interface.plant import FORCES
 from panda_cosim.run.journal import Journal
 from parts_jobs import session_of_other_parts
+from refusals import refused
 from toy_fmu import toy_fmu
 
 HEAD = {"scenario": "pick_and_place", "kind": "native", "fmus": {}}
@@ -186,10 +187,7 @@ def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path, plain):
     with Session(SCENARIO, tmp_path / "run") as session:
         session.step(10)
         for message, attempt in REFUSED.items():
-            with pytest.raises(InputError) as refused:
-                attempt(session)
-            assert message in str(refused.value)
-            assert "\n" not in str(refused.value)
+            assert message in refused(attempt, session)
         session.step(90)
         assert session.actions == []
     assert bits(tmp_path / "run") == bits(plain.folder, 101)
@@ -308,9 +306,7 @@ def test_an_action_that_cannot_be_done_is_named_by_its_line_before_the_run(tmp_p
     before = json.dumps({"tick": 2, "action": "set", "name": "controller.kp", "value": 6})
     for message, action in UNDOABLE.items():
         journal.write_text(f"{head}\n{before}\n{json.dumps({'tick': 3, **action})}\n")
-        with pytest.raises(InputError) as refused:
-            replay(tmp_path / "run", tmp_path / "again")
-        assert message in str(refused.value)
-        assert f"{journal}: line 3: " in str(refused.value)
-        assert "\n" not in str(refused.value)
+        said = refused(replay, tmp_path / "run", tmp_path / "again")
+        assert message in said
+        assert f"{journal}: line 3: " in said
         assert not (tmp_path / "again").exists()

@@ -17,6 +17,7 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import start_values
 from panda_cosim.study.compare.regress import with_values
+from refusals import refused
 
 ROTATED = load_scenario("rotated_block")
 PUSHED = load_scenario("push")
@@ -61,20 +62,6 @@ def test_any_order_of_keys_gives_the_same_scenario_and_start_values(order, left_
 Door = Callable[[Scenario, Mapping[str, Any]], Scenario]
 
 
-def by_option(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
-    return scenario.changed(values_of([f"{key}={written(values[key])}" for key in values]))
-
-
-def by_session(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
-    return Session(scenario, values=values).scenario
-
-
-def by_suite(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
-    (changed,) = with_values([scenario], values)
-    assert isinstance(changed, Scenario)
-    return changed
-
-
 def by_old_options(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     """Parameters by instance and name, the rest by key; to be removed in the next release."""
     overrides: dict[str, Any] = {}
@@ -90,9 +77,9 @@ def by_old_options(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
 
 
 DOORS: Mapping[str, Door] = {
-    "--set": by_option,
-    "session": by_session,
-    "regress": by_suite,
+    "--set": lambda s, values: s.changed(values_of([f"{k}={written(values[k])}" for k in values])),
+    "session": lambda scenario, values: Session(scenario, values=values).scenario,
+    "regress": lambda scenario, values: with_values([scenario], values)[0],  # type: ignore[return-value]
     "options": by_old_options,
 }
 # Of any kind of value; the keys of `VALUES` do not act together on any arm.
@@ -243,12 +230,9 @@ BAD = [
 
 @pytest.mark.parametrize(("instance", "given_", "expected"), BAD)
 def test_a_bad_parameter_is_refused_with_what_would_be_valid(instance, given_, expected):
-    with pytest.raises(InputError) as caught:
-        expand(instance, INTERFACES[instance], given_)  # type: ignore[arg-type]
-    message = str(caught.value)
+    message = refused(expand, instance, INTERFACES[instance], given_)
     assert expected in message
     assert instance in message
-    assert "\n" not in message
 
 
 @pytest.mark.parametrize(
@@ -268,9 +252,7 @@ def test_an_assignment_is_read(text, expected):
 
 @pytest.mark.parametrize("text", ["", "=", "kp=8", "plant.=1", "plant.block_mass", "plnt.scene=x"])
 def test_a_bad_assignment_is_refused_in_one_line(text):
-    with pytest.raises(InputError) as caught:
-        PUSHED.changed(values_of([text]))
-    assert "\n" not in str(caught.value)
+    assert refused(lambda: PUSHED.changed(values_of([text])))
 
 
 @given(

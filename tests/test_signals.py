@@ -285,9 +285,7 @@ def enumeration(items: dict[str, int]) -> Variable:
 
 
 @given(one=ITEMS, other=ITEMS)
-def test_an_enumeration_feeds_one_that_has_its_numbers_and_gives_them_no_other_name_of_its_own(
-    one, other
-):
+def test_an_enumeration_feeds_one_with_its_numbers_and_no_other_names_for_them(one, other):
     source, target = enumeration(one), enumeration(other)
     ours = dict(zip(source.choices, source.numbers, strict=True))
     theirs = dict(zip(target.choices, target.numbers, strict=True))

@@ -71,9 +71,7 @@ def walk(kind: Kind, name: str, version: int, courses: list[list[Any]]) -> list[
     version=st.sampled_from([2, 3]),
     courses=st.lists(st.lists(CALLS, min_size=10, max_size=40), min_size=4, max_size=4),
 )
-def test_whatever_is_called_values_are_those_of_a_twin_that_saves_nothing(
-    kind, name, version, courses
-):
+def test_values_are_those_of_a_twin_that_saves_nothing(kind, name, version, courses):
     assert in_process(walk, kind, name, version, courses) == []
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fake_recording import FakeRecording
 from panda_cosim import Recording, Scenario, Success, TableRow, TrajectoryTable, load_scenario
@@ -21,9 +20,9 @@ from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.limits import exceeded, first_limit, largest_share, limit_shares
 from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.summary import summarize
+from panda_cosim.task.rotations import Array
 from random_tasks import run_plain
 
-Array = NDArray[np.float64]
 TICKS = 2000
 MILLIMETRE = 1e-9  # [mm], rounding of a metric
 NAMES = ["time"] + [

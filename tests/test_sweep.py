@@ -1,5 +1,6 @@
 """Definitions of sweeps, and the values that they give."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from panda_cosim.study.sweep.definition import (
 from panda_cosim.study.sweep.design import Design, keys_without_effect
 from panda_cosim.study.sweep.engine import check_sweep
 from panda_cosim.study.sweep.packed import load_scenarios
+from refusals import refused
 from sweep_support import short_scenario
 
 MASS = "plant.block_mass"
@@ -53,10 +55,9 @@ def made(**keys: Any) -> Sweep:
 def test_what_is_wrong_in_a_definition_is_reported_in_one_line(text, message, tmp_path):
     path = tmp_path / "sweep.toml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=message) as told:
-        load_sweep(path)
-    assert str(told.value).startswith(str(path))
-    assert "\n" not in str(told.value)
+    told = refused(load_sweep, path)
+    assert re.search(message, told)
+    assert told.startswith(str(path))
 
 
 @pytest.mark.parametrize(

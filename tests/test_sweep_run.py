@@ -7,8 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from scipy.stats import beta
 
+from bounded import children, wait_until
 from forked import command
 from panda_cosim import InputError, Recording, load_scenario, sweep
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
@@ -51,22 +50,6 @@ def start(folder: Path, *more: str) -> subprocess.Popen[str]:
     path = folder / "sweep.toml"
     arguments = [COMMAND, "sweep", str(path), "--out", str(folder / "out"), "--jobs", "1", *more]
     return subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-
-def wait_for(holds: Callable[[], bool], process: subprocess.Popen[str] | None = None) -> None:
-    deadline = time.monotonic() + 240.0
-    while not holds():
-        assert process is None or process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
-def children(process: int) -> list[int]:
-    found: list[str] = []
-    for thread in Path(f"/proc/{process}/task").iterdir():
-        with suppress(OSError):  # it has ended
-            found += (thread / "children").read_text().split()
-    return list(map(int, found))
 
 
 def test_a_table_has_a_row_for_each_sample(whole):
@@ -144,13 +127,13 @@ def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(whole, tmp_path)
     (tmp_path / "sweep.toml").write_text(text, encoding="utf-8")
     results = tmp_path / "out" / "results"
     process = start(tmp_path)
-    wait_for(lambda: any(results.glob("part-*")), process)
+    wait_until(lambda: any(results.glob("part-*")), process)
     process.kill()
     process.communicate(timeout=60)
     there = len(Store(tmp_path / "out").parts())
     assert len(Store(tmp_path / "out").done()) < 40
     process = start(tmp_path)
-    wait_for(lambda: len(list(results.glob("part-*"))) > there, process)
+    wait_until(lambda: len(list(results.glob("part-*"))) > there, process)
     for worker in children(process.pid)[:1]:
         os.kill(worker, signal.SIGKILL)
     told, errors = process.communicate(timeout=300)
@@ -162,7 +145,7 @@ def test_ctrl_c_keeps_what_was_done_and_leaves_no_process_and_no_folder(tmp_path
     write_sweep(tmp_path, 400)
     before = set(cache_folder().glob(f"{TEMPORARY}*"))
     process = start(tmp_path)
-    wait_for(lambda: any((tmp_path / "out" / "results").glob("part-*")), process)
+    wait_until(lambda: any((tmp_path / "out" / "results").glob("part-*")), process)
     workers = children(process.pid)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
@@ -172,7 +155,7 @@ def test_ctrl_c_keeps_what_was_done_and_leaves_no_process_and_no_folder(tmp_path
     time.sleep(0.5)
     assert not [worker for worker in workers if Path(f"/proc/{worker}").exists()]
     left = set(cache_folder().glob(f"{TEMPORARY}*")) - before  # or those of other tests, which end
-    wait_for(lambda: not any(folder.exists() for folder in left))
+    wait_until(lambda: not any(folder.exists() for folder in left))
 
 
 def test_a_changed_definition_is_refused_and_named(whole):

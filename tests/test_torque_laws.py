@@ -6,7 +6,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from control_support import started
 from fault_support import write_files
@@ -17,6 +16,7 @@ from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.presets import OF_IMPEDANCE, OF_SERVOS, preset
 from panda_cosim.run.prepare import prepare
+from panda_cosim.task.rotations import Array
 
 LAWS = '''
 import numpy as np
@@ -89,9 +89,7 @@ def test_a_torque_law_and_its_scene_are_named_in_any_order(laws, law_first):
     ("law", "scene", "fits"),
     [("OSC", (), 'scene "motors" takes torques'), ("Angles", MOTORS, 'scene "tabletop" takes')],
 )
-def test_a_law_that_does_not_fit_the_scene_is_refused_with_the_one_that_does(
-    laws, law, scene, fits
-):
+def test_a_law_that_does_not_fit_the_scene_is_refused_with_one_that_does(laws, law, scene, fits):
     options = ("--controller", f"{laws / 'laws.py'}:{law}", *scene)
     code, text = said("run", laws / "hold", *options, "--no-video", "--out", laws / "run")
     assert code == 1
@@ -118,9 +116,7 @@ def test_a_module_that_is_imported_in_a_method_is_named(laws):
         ("", "return [0.0] * 8\n    def start(self): 1 / 0", 2, "line 5: ZeroDivisionError"),
     ],
 )
-def test_a_law_that_cannot_be_imported_or_returns_no_numbers_is_named(
-    laws, head, body, code, words
-):
+def test_a_law_that_cannot_be_imported_or_gives_no_numbers_is_named(laws, head, body, code, words):
     (laws / "bad.py").write_text(
         f"{head}\nclass Bad:\n    def update(self, time, qpos):\n        {body}\n"
     )
@@ -132,7 +128,6 @@ def test_a_law_that_cannot_be_imported_or_returns_no_numbers_is_named(
 
 
 # The impedance law: its formulas, its limits, pushes, and what the border refuses.
-Array = NDArray[np.float64]
 TORQUES = {"scene": "motors", "gains": "impedance"}
 MOVING = load_scenario("pick_and_place").changed({**TORQUES, "duration": 4.0})
 TASKS = ("pick_and_place_impedance", "wipe", "peg_in_hole", "stack_impedance", "open_door")

@@ -5,7 +5,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from control_support import hold, started
 from panda_cosim import Push, Scenario, Session, SignalCriterion, Success, load_scenario
@@ -16,7 +15,6 @@ from panda_cosim.result.judging.holds import COLLISION
 from panda_cosim.show.pictures.motion import key_moments
 from random_tasks import run_in_memory
 
-Array = NDArray[np.float64]
 PATH = replace(load_scenario("push"), push=())  # m; it moves until 1.2 s
 NUMERICAL = 0.02  # [N.m] of the observer on a model that is exact, by its finite differences
 

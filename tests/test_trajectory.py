@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from panda_cosim import InputError, TableRow, Trajectory, TrajectoryTable, load_scenario
 from panda_cosim.run import inputs
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import instants, resolve, start_values
 from panda_cosim.task import rotations
+from panda_cosim.task.rotations import Array
 from panda_cosim.task.trajectory import COMMANDS, StartPose
 from panda_cosim.task.writer import write_input_csv
 
-Array = NDArray[np.float64]
 DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
 HOME = (0.554499478, 0.0, 0.624502429)  # m
 TARGET = (0.4, -0.2, 0.1)  # m

@@ -5,7 +5,6 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from forked import command
 from panda_cosim import InputError, Recording, Scenario, Session, run_scenario
@@ -14,11 +13,11 @@ from panda_cosim.cli.outcome import outcome_lines
 from panda_cosim.fmus.interface.controller import COMMANDS, POSTURE_COMMANDS
 from panda_cosim.run.prepare import prepare
 from panda_cosim.task.input_table import InputTable
+from panda_cosim.task.rotations import Array
 from panda_cosim.task.scenario import Push
 from panda_cosim.task.table import TableRow, TrajectoryTable
 from random_tasks import run_in_memory
 
-Array = NDArray[np.float64]
 BEGIN, DOWN, REST, END = 1.0, 2.0, 2.3, 3.0  # s
 DEPTH, ABOVE = 0.305, 0.325  # m; closed fingers touch the table at 0.312
 BRAKING = 0.02  # s

@@ -4,13 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import work_jobs
+from bounded import is_alive, wait_until
 from panda_cosim.study.work import Workers
 
 TESTS = Path(__file__).parent
@@ -25,20 +24,6 @@ def _importable(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
-def is_there(process: int) -> bool:
-    try:
-        return Path(f"/proc/{process}/stat").read_text().split()[2] != "Z"
-    except OSError:
-        return False
-
-
 def test_a_process_works_again_and_is_apart_from_its_caller(capfd):
     with Workers(1) as workers:
         answers = [
@@ -51,7 +36,7 @@ def test_a_process_works_again_and_is_apart_from_its_caller(capfd):
     printed = capfd.readouterr()
     assert printed.out == ""  # which is the command's result
     assert printed.err.count("printed") == 3
-    assert not is_there(process)
+    assert not is_alive(process)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +69,7 @@ def test_a_call_beyond_its_time_is_killed(tmp_path):
     with Workers(1) as workers:
         late = workers.submit(work_jobs.sleep, mark, died=str.upper, late=same, time_limit=0.5)
         assert late.result(60.0) == "took more than 0.5 s and was killed"
-        assert not is_there(int(mark.read_text()))
+        assert not is_alive(int(mark.read_text()))
         assert workers.submit(work_jobs.told, 1, died=same, late=same).result(60.0)[0] == 1
 
 
@@ -93,8 +78,8 @@ def test_the_end_kills_what_runs_and_starts_nothing_more(tmp_path):
         workers.submit(work_jobs.sleep, tmp_path / "first", died=same, late=same)
         second = workers.submit(work_jobs.sleep, tmp_path / "second", died=same, late=same)
         first = tmp_path / "first"
-        wait_for(lambda: first.exists() and first.read_text())
-    assert not is_there(int(first.read_text()))
+        wait_until(lambda: first.exists() and first.read_text())
+    assert not is_alive(int(first.read_text()))
     assert second.done()
     assert not (tmp_path / "second").exists()
 
@@ -103,6 +88,7 @@ CALLER = """
 import sys
 from pathlib import Path
 import work_jobs
+from bounded import is_alive, wait_until
 from panda_cosim.study.work import Workers
 with Workers(1) as workers:
     workers.submit(work_jobs.sleep, Path(sys.argv[1]), died=str, late=str).result()
@@ -113,6 +99,6 @@ with Workers(1) as workers:
 def test_a_process_ends_with_its_caller(tmp_path):
     mark = tmp_path / "mark"
     with subprocess.Popen([sys.executable, "-c", CALLER, str(mark)]) as caller:
-        wait_for(lambda: mark.exists() and mark.read_text())
+        wait_until(lambda: mark.exists() and mark.read_text())
         caller.send_signal(signal.SIGKILL)
-    wait_for(lambda: not is_there(int(mark.read_text())))
+    wait_until(lambda: not is_alive(int(mark.read_text())))

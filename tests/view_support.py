@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forked import command
-
-Array = NDArray[np.float64]
+from panda_cosim.task.rotations import Array
 
 # Every kind of joint and of shape; meshes, textures, a height field, a camera on a moving body.
 MODEL = """
