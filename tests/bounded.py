@@ -83,7 +83,6 @@ def limited(**limits: int) -> list[str]:
 
 
 def wait_until(holds: Callable[[], object], process: "subprocess.Popen[str] | None" = None) -> None:
-    """Wait until something holds, while a process runs."""
     end = time.monotonic() + PATIENCE
     while not holds():
         assert process is None or process.poll() is None

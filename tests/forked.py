@@ -129,8 +129,6 @@ def _forked(
 
 
 # In the forked process.
-
-
 def _begin(
     files: Sequence[Path],
     cwd: Path,

@@ -44,7 +44,6 @@ SUMMARY, NO_SUCCESS = map(Summary.read, (CONTENT, MISSED_CONTENT))
 
 
 def columns(rows: int = ROWS) -> dict[str, Array]:
-    """Return smooth signals, one of them with a step."""
     time = STEP * np.arange(rows)
     return {
         "time": time,

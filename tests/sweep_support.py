@@ -30,7 +30,6 @@ FORCE = "push[1].force[2]"  # above about 25 N, tracking_max is missed
 
 
 def short_scenario(folder: Path) -> Path:
-    """Write a scenario of 0.1 s whose hand is pushed."""
     return write_files(folder, SETTINGS, "0,home,0,0,0,0.08", "0.1,home,0,0,0.005,0.08")
 
 

@@ -49,8 +49,6 @@ def refused(folder: Path, *arguments: object) -> str:
 
 
 # Files: changes of the plant's FMU, and the message that each must give.
-
-
 def replace(old: str, new: str) -> Change:
     def change(members: dict[str, bytes]) -> None:
         text = members[XML].decode()
@@ -189,8 +187,6 @@ def test_only_close_names_are_suggested():
 
 
 # Places to write to.
-
-
 def touched(path: Path) -> Path:
     path.parent.mkdir(exist_ok=True)
     path.touch()

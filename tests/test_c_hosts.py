@@ -69,8 +69,6 @@ def run(host: Path, plan: Path, **environment: str) -> tuple[list[str], str]:
 
 
 # Native FMUs where there is nothing else.
-
-
 @pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
 def root(request, tmp_path_factory, host):
     """A root folder with the host, the FMUs and the C library: nothing else."""
@@ -121,8 +119,6 @@ def test_the_first_instance_comes_quickly(root):
 
 
 # FMUs in Python: the library starts it.
-
-
 @needs_library
 @pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
 def test_fmus_in_python_record_the_same_in_any_environment(host, expected, tmp_path, version):
@@ -189,8 +185,6 @@ def test_packages_can_be_named_by_the_environment(host, tmp_path):
 
 
 # Threads that make the first instances of a process at one moment.
-
-
 @needs_library
 def test_fmus_in_python_may_be_first_at_one_moment(host, tmp_path):
     """Only one starts Python, although each has its own copy of the library."""

@@ -1,7 +1,5 @@
 """A red run names what it was made with differently, before its signals."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -34,8 +34,6 @@ def reference(tmp_path):
 
 @pytest.fixture
 def compared(tmp_path, reference):
-    """Return a function that records values and compares them with the reference."""
-
     def run(values: dict[str, Any], summary: Any = SUMMARY, **options: Any) -> Comparison:
         exact = options.pop("exact", False)
         tolerances = options.pop("tolerances", TOLERANCES)

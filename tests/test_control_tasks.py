@@ -62,8 +62,6 @@ def test_the_tutorial_is_as_it_was_published():
 
 
 # Beyond what the arm can do.
-
-
 def moved(*rows: tuple[float, str, tuple[float, float, float]]) -> Signals:
     """Run a scenario with these rows, in quintic segments, and a rest at the end."""
     table = TrajectoryTable(tuple(TableRow(*row, 0.08) for row in rows))
@@ -133,8 +131,6 @@ def test_too_fast_a_command_says_which_limit_binds():
 
 
 # Other blocks.
-
-
 @pytest.mark.parametrize("count", [3, pytest.param(300, marks=pytest.mark.long)])
 def test_other_blocks_are_placed_as_well(count):
     for task in random_tasks(count):
@@ -152,7 +148,6 @@ OFF = 0.03  # of the force, as the pads give
 
 
 def gripping(force: float) -> Scenario:
-    """Grasp the block where it stands."""
     rows = (
         TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
         TableRow(1.2, "target", (0.0, 0.0, 0.085), 0.06, grip_force=force),

@@ -36,8 +36,6 @@ RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expec
 
 
 # --- the numbers once more
-
-
 def spans_of(time: Array, force: Array) -> list[tuple[int, int]]:
     """First row of each hold and the first after it, found row by row."""
 
@@ -99,7 +97,6 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
         later = np.flatnonzero(time >= time[released["end"]] + 0.5 - SAME)
         again = [h for h in holds if h["grasp"] > released["end"] and h["grasp"] <= later[:1]]
         placed = int(later[0]) if len(later) and not again else None
-
     command = np.hstack((run["controller.pos_cmd"], run["controller.quat_cmd"]))
     changes = [row for row in range(last) if (command[row] != command[row + 1]).any()]
     moving = sorted({*changes, *(row + 1 for row in changes)})
@@ -107,7 +104,6 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
     rest = last
     while rest > 0 and speed[rest - 1] < 0.005:
         rest -= 1
-
     error = 1e3 * np.linalg.norm(hand - run["controller.pos_cmd"], axis=1)
     turns = [run["controller.quat_cmd"] + sign * run["plant.hand_xquat"] for sign in (-1, 1)]
     apart = np.min([np.linalg.norm(turn, axis=1) for turn in turns], axis=0)
@@ -202,8 +198,6 @@ def limits_again(run: Recording) -> dict[str, Any]:
 
 
 # --- against the product's
-
-
 @pytest.fixture(scope="module", params=SHIPPED)
 def run(request, tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / request.param
@@ -212,7 +206,6 @@ def run(request, tmp_path_factory):
 
 
 def told(summary: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """The numbers of a summary by key; those of the holds as lists."""
     for section, content in summary.items():
         if section in RUN:
             yield section, content
@@ -298,8 +291,6 @@ def test_every_definition_is_of_a_number_event_or_criterion(tmp_path):
 
 
 # --- holds
-
-
 @given(
     st.lists(
         st.tuples(st.integers(1, 120), st.sampled_from([0.0, 0.5, 0.75, 2.0, 9.0])),

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import nbformat
@@ -72,7 +73,6 @@ def lines_of(block: Block) -> list[str]:
 
 
 def walk(page: Path, folder: Path) -> None:
-    """Do in a folder what a page says."""
     environment = os.environ | {
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "BROWSER": "true",
@@ -194,7 +194,6 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 REFERENCE_PAGES = sorted((ROOT / "docs" / "reference").glob("*.md"))
 REFERENCE = "\n".join(page.read_text(encoding="utf-8") for page in REFERENCE_PAGES)
 SCENARIO = (ROOT / "docs" / "reference" / "scenario.md").read_text(encoding="utf-8")
-NOTEBOOK = ROOT / "scenarios" / "examples" / "first_steps.ipynb"
 
 
 def code_blocks(kind: str, text: str = README) -> list[str]:
@@ -251,13 +250,9 @@ def test_the_example_of_a_model_runs_anywhere(tmp_path):
 
 @pytest.mark.long
 def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
-    pytest.importorskip("pandas")
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
     shown = {
         cell.source: output.data
-        for cell in notebook.cells
-        if cell.cell_type == "code"
+        for cell in executed("first_steps", tmp_path)
         for output in cell.outputs
         if output.output_type == "execute_result"
     }
@@ -282,33 +277,24 @@ def activated(monkeypatch):
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
 
 
-def walk_script(name: str, folder: Path) -> str:
-    """Run a script in a new folder, as its first lines say; returns what it printed."""
-    done = ran(["sh", EXAMPLES / f"{name}.sh", folder], timeout=EXAMPLE_LIMIT)
-    return done.stdout
-
-
-def execute(name: str, folder: Path) -> dict[str, str]:
-    """Run a notebook; returns the text that each cell printed or returned, by its last line."""
+def executed(name: str, folder: Path) -> list[Any]:
+    """Run a notebook; returns its cells of code."""
     pytest.importorskip("pandas")
     notebook = nbformat.read(EXAMPLES / f"{name}.ipynb", as_version=4)
-    client = NotebookClient(
-        notebook, timeout=EXAMPLE_LIMIT, resources={"metadata": {"path": folder}}
-    )
-    client.execute()
-    return {
-        cell.source.splitlines()[-1]: "".join(
-            output.get("text", "") or output.get("data", {}).get("text/plain", "")
-            for output in cell.outputs
-        )
-        for cell in notebook.cells
-        if cell.cell_type == "code"
-    }
+    place = {"metadata": {"path": folder}}
+    NotebookClient(notebook, timeout=EXAMPLE_LIMIT, resources=place).execute()
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
 @pytest.mark.long
 def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path):
-    said = execute("own_law", tmp_path)
+    said = {
+        cell.source.splitlines()[-1]: "".join(
+            output.get("text", "") or output.get("data", {}).get("text/plain", "")
+            for output in cell.outputs
+        )
+        for cell in executed("own_law", tmp_path)
+    }
     assert "2 passed" in said["!{sys.executable} -m pytest -q test_my_task.py"]
     margins = said["analysis.margins.disk_margin, stiff.margins.disk_margin"]
     usual, stiff = (float(each) for each in margins.strip("()").split(","))
@@ -319,7 +305,7 @@ def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path):
 @pytest.mark.long
 def test_a_foreign_arm_runs_with_a_python_fmu_and_as_an_ssp(tmp_path):
     pytest.importorskip("gymnasium")
-    said = walk_script("foreign_arm", tmp_path / "new")
+    said = ran(["sh", EXAMPLES / "foreign_arm.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT).stdout
     assert "1 of 1 scenarios match" in said
     first, second = (Recording.open(tmp_path / "new" / name) for name in ("first", "second"))
     angle = first["plant.qpos[4]"]
@@ -329,7 +315,7 @@ def test_a_foreign_arm_runs_with_a_python_fmu_and_as_an_ssp(tmp_path):
 
 @pytest.mark.long
 def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path):
-    said = walk_script("nightly", tmp_path / "new")
+    said = ran(["sh", EXAMPLES / "nightly.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT).stdout
     assert "6 passed" in said
     suites = ET.parse(tmp_path / "new" / "nightly" / "junit.xml").getroot()
     cases = list(suites.iter("testcase"))
@@ -342,7 +328,7 @@ def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path):
 
 @pytest.mark.long
 def test_a_scene_with_a_wall_is_pushed_by_hand_and_kept(tmp_path):
-    execute("wall", tmp_path)
+    executed("wall", tmp_path)
     runs = {path.parent for path in (tmp_path / "runs").glob("*/summary.json")}
     summaries = [json.loads((run / "summary.json").read_text()) for run in runs]
     nominal = next(s for s, r in zip(summaries, runs, strict=True) if (r / "video.mp4").exists())

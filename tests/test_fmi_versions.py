@@ -118,19 +118,12 @@ def test_values_that_are_no_numbers_are_shown(tmp_path):
     assert fail(path, "warn")[0] == ""
 
 
-def test_an_fmu_may_ask_to_end(tmp_path):
-    toy = toy_fmu(tmp_path / "toy.fmu", 3)
-    error, _ = fail(toy, "end")
-    assert error == "at t = 0.002 s, in FMU 'it': the FMU asks to end the simulation, at 0.003 s"
-
-
 def test_an_fmu_that_is_not_instantiated_is_named(toy):
     with pytest.raises(CosimError, match="in FMU 'refused': cannot be instantiated"):
         open_slave("refused", Fmu(toy))
 
 
 def couple(first: Path, second: Path, isolate: bool = False) -> Any:
-    """Couple two of them, the second's outputs back to the first; returns the rows."""
     wires = [
         *(Connection(("a", y), ("b", u)) for y, u in zip(Y, U, strict=True)),
         Connection(("b", "y[1,2]"), ("a", "u[2,3]")),

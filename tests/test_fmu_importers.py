@@ -40,7 +40,6 @@ def outputs(ssp: Path) -> dict[str, int]:
 
 
 def ours(ssp: Path, coupling: Coupling = "jacobi") -> Any:
-    """The plant's outputs after each step, by our master."""
     coupled = system_from_ssp(ssp)
     blocks: list[Any] = []
     with open_system(

@@ -80,7 +80,6 @@ def says(page: Page, selector: str, text: str) -> bool:
 
 
 def sweep_folder(folder: Path, text: str) -> Path:
-    """Write a sweep's folder in which every text is the same one."""
     names = ["index", "margin", "margin.tracking_max", "status", "missed", "error", "command",
              "scenario"]  # fmt: skip
     definition = {"design": "random", "seed": 1, "samples": 2, "scenario": [text],
@@ -197,7 +196,6 @@ def test_an_fmus_description_is_xml_whatever_names_a_model_has():
 
 
 def in_notebook(page: Page, folder: Path, frame: str) -> None:
-    """Show a frame in a page that stands for a notebook."""
     path = folder / "notebook.html"
     path.write_text(f"<!DOCTYPE html><body>{frame}", encoding="utf-8")
     page.open(path)

@@ -91,8 +91,6 @@ def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
 
 
 # Pose error.
-
-
 @given(a=vectors, b=vectors, q=quaternions)
 def test_the_position_error_leads_from_the_hand_to_the_command(a, b, q):
     assert np.array_equal(pose_error(a, q, b, q)[:3], a - b)
@@ -131,8 +129,6 @@ def test_an_error_is_corrected_as_fast_as_can_be_braked(linear, angular, scale, 
 
 
 # Least squares.
-
-
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds)
 def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed):
@@ -215,8 +211,6 @@ def test_without_a_solution_the_joints_brake():
 
 
 # Singularities and inertia.
-
-
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
 def test_manipulability_and_smallest_singular_value_are_those_of_the_jacobian(seed):

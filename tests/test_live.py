@@ -46,7 +46,6 @@ def newest(page: Page, column: str) -> float:
 
 
 def block(page: Page) -> np.ndarray:
-    """Latest position of the block's centre (3,) [m]."""
     return np.array([newest(page, f"plant.qpos[{i}]") for i in (10, 11, 12)])
 
 

@@ -137,7 +137,6 @@ def test_the_disk_margin_is_that_of_python_control(made):
 
 
 def responses_of(made: Loops, positions: Matrix) -> Responses:
-    """What `analyze` would measure, with the positions (n, order) of the states."""
     n, state = made.b.shape[1], made.b
     moves = [np.zeros((len(positions), n))]
     for _ in range(TICKS - 1):

@@ -120,7 +120,6 @@ def test_a_written_scenario_is_read_as_the_same(preset, tmp_path):
 
 
 def shortened(**keys: object) -> Scenario:
-    """The first fifth of a second of a run."""
     scenario = load_scenario("pick_and_place").changed({"duration": 0.2})
     return replace(scenario, mismatch=Mismatch(**keys))  # type: ignore[arg-type]
 

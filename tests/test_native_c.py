@@ -38,7 +38,6 @@ def sources(names: tuple[str, ...]) -> list[Path]:
 
 
 def compile_drive(folder: Path, *arguments: str | Path) -> Path:
-    """Link the drive with an FMU's code, beside MuJoCo's library."""
     compiled(folder, *arguments, "-o", "drive", "-lm", "-ldl")
     (folder / "libmujoco.so").symlink_to(mujoco_library())
     return folder / "drive"
@@ -46,7 +45,6 @@ def compile_drive(folder: Path, *arguments: str | Path) -> Path:
 
 @pytest.fixture(scope="module")
 def layer(tmp_path_factory):
-    """The FMI layer and the drive, compiled once for all."""
     if not sanitizes():
         pytest.skip("ziglang brings no sanitizers")
     folder = tmp_path_factory.mktemp("layer")

@@ -112,8 +112,6 @@ def test_a_damaged_model_is_refused(tmp_path):
 
 
 # Any model.
-
-
 def _package_files(name: str, pattern: str) -> list[Path]:
     spec = find_spec(name)
     return sorted(Path(spec.origin).parent.glob(pattern)) if spec and spec.origin else []
@@ -160,8 +158,6 @@ def test_any_model_steps_as_mj_step(path, tmp_path):
 
 
 # Where the block can start.
-
-
 def starts(plant: Unpacked, scene: str, x: float, y: float, yaw: float) -> list[Any]:
     """The block's pose, or why it is refused: of the native plant, and of Python's."""
     outcomes: list[Any] = []

@@ -18,7 +18,6 @@ ZERO, ONE = np.zeros(7), np.ones(7)
 
 
 def responses(gains: Gains, period: float, errors: Array) -> Array:
-    """Return the corrections to a row of errors (n, 7) -> (n, 7) [rad]."""
     pid = Pid(gains, period, Buffer(PID_STATE).views)
     pid.reset()
     return np.array([pid.update(error) for error in errors])
@@ -46,7 +45,6 @@ def test_a_pid_is_its_transfer_function(kp, ki, kd, tf, period, signal):
     error = np.ones(UPDATES) if signal == "step" else np.random.default_rng(1).normal(size=UPDATES)
     error[0] = 0.0  # the first update gives no derivative
     answer = responses(gains, period, error[:, None] * ONE)
-
     z = control.TransferFunction([1, 0], [1], period)
     derivative = (z - 1) / ((tf + period) * z - tf)
     function = kp + ki * period * z / (z - 1) + kd * derivative

@@ -307,8 +307,6 @@ def test_each_condition_has_a_scenario_that_does_not_keep_it():
 
 
 # --- runs
-
-
 @pytest.fixture(scope="module")
 def fast(tmp_path_factory):
     """The Panda's fast cycle, as FR3 sees it; its observer is on, and no refusal allowed."""
@@ -460,8 +458,6 @@ def test_the_first_row_of_jacobi_coupling_has_no_command_yet(rows, rested):
 
 
 # --- what a user sees
-
-
 def test_view_and_sweeps_have_what_the_summary_has(fast):
     told = fast[0]["preflight"]
     lines = run.refusals_of(Summary.read(fast[0]))

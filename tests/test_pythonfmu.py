@@ -86,8 +86,6 @@ def with_step(step: bytes) -> Path:
 
 
 # The same bits.
-
-
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", ["elastic", "sensor_noise", "jacobi"])
 def test_our_master_gives_the_same_bits_with_each_kind(name, tmp_path):
@@ -149,8 +147,6 @@ def test_pythonfmu_alone_makes_an_fmu_of_a_short_script(name, tmp_path):
 
 
 # The wrapper's traps.
-
-
 @pytest.mark.own_process
 def test_any_number_of_instances_live_in_one_process():
     expected = outputs(Unit(plant()).steps(3))
@@ -207,15 +203,6 @@ def test_code_that_cannot_be_imported_is_named_when_it_is_built():
 
 
 @pytest.mark.own_process
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_an_input_that_is_not_finite_is_refused(bad):
-    unit = Unit(plant())
-    unit.set(["ctrl[1]"], [bad])
-    with pytest.raises(FMICallException, match="fatal"):
-        unit.steps(1)
-
-
-@pytest.mark.own_process
 def test_a_state_is_restored_bit_for_bit_also_in_another_instance():
     unit, other = Unit(plant()).steps(20), Unit(plant()).steps(3)
     kept = unit.slave.serializeFMUstate(unit.slave.getFMUstate())
@@ -225,18 +212,7 @@ def test_a_state_is_restored_bit_for_bit_also_in_another_instance():
         assert outputs(each.steps(20, 20)) == expected
 
 
-@pytest.mark.own_process
-def test_a_long_step_is_as_many_short_ones_and_parts_add_up():
-    expected = outputs(Unit(plant()).steps(9))
-    unit = Unit(plant())
-    for first, last in ((0.0, 0.0044), (0.0044, 0.0048), (0.0048, 0.009)):
-        unit.slave.doStep(first, last - first)
-    assert outputs(unit) == expected
-
-
 # What it cannot do, and what does without it.
-
-
 @pytest.mark.own_process
 @pytest.mark.parametrize(
     "words", [("--fmi", "3"), ("--platform", ",".join([this_platform(), [*PLATFORMS][-1]]))]
@@ -251,8 +227,6 @@ def test_what_pythonfmu_cannot_make_is_refused(words, tmp_path):
 
 
 # Our own FMUs as parts.
-
-
 @pytest.mark.own_process
 @pytest.mark.parametrize("target", [Target("native"), PACKED], ids=lambda target: target.kind)
 def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(target, tmp_path):

@@ -221,8 +221,6 @@ def test_the_rows_before_a_full_disk_are_kept(tmp_path):
 
 
 # --- Damaged files ---------------------------------------------------------------------------
-
-
 def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path):
     path = interrupted(tmp_path)
     content = path.read_bytes()

@@ -4,10 +4,6 @@ REFERENCE_FMUS names their folder, which holds fmi2 and fmi3.
 """
 
 import csv
-import json
-import shutil
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -74,31 +70,7 @@ def test_state_space_takes_matrices_as_in_fmpy(tmp_path):
     assert_equal(recording, "it", in_fmpy("fmi3/StateSpace", start_values=values))
 
 
-@pytest.mark.parametrize("fmi", ["2", "3"])
-@pytest.mark.parametrize("way", ["", "-mt", "-sequential"])
-def test_containers_of_two_fmus_run_as_in_fmpy(tmp_path, fmi, way):
-    pytest.importorskip("fmu_manipulation_toolbox")
-    name, end = f"pair{fmi}{way}", "Feedthrough.fmu"
-    for each in ("VanDerPol", "Feedthrough"):
-        shutil.copy(REFERENCE_FMUS / f"fmi{fmi}" / f"{each}.fmu", tmp_path)
-    links = [["VanDerPol.fmu", "x0", end, "Float64_continuous_input"]]
-    content = {"name": f"{name}.fmu", "step_size": STEP, "fmu": ["VanDerPol.fmu", end],
-               "input": [], "output": [["VanDerPol.fmu", "x1", "x1"]], "link": links, "start": [],
-               "mt": False, "profiling": False}  # fmt: skip
-    (tmp_path / f"{name}.json").write_text(json.dumps(content))
-    tool = Path(sys.executable).with_name("fmucontainer")
-    options = ["-fmi", fmi, "-fmu-directory", tmp_path, *([way] if way else [])]
-    subprocess.run([tool, "-container", f"{name}.json", *options], check=True, timeout=120)
-    path = tmp_path / f"{name}.fmu"
-    recording = run(write(tmp_path, {"it": str(path.with_suffix(""))}))
-    kind = {"fmi_type": "CoSimulation", "output_interval": STEP}
-    assert_equal(recording, "it", fmpy.simulate_fmu(path, stop_time=STEP * TICKS, **kind))
-    assert np.ptp(recording["it.Float64_continuous_output"]) > 0.01  # the two are coupled
-
-
 # Steps and couplings.
-
-
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_an_fmu_steps_in_multiples_of_the_system_s_step(tmp_path, isolate):
     recording = run(write(tmp_path, {"it": "fmi3/VanDerPol"}, "[steps]\nit = 5\n"), *isolate)
@@ -201,8 +173,6 @@ def _driven_in_fmpy(values: Mapping[str, list[float]], inputs: Sequence[float]) 
 
 
 # Feedthrough, whose outputs are its inputs, in all types.
-
-
 def inputs(fmi: str) -> dict[str, Sequence[Any]]:
     """A value of each input at each instant, in its type."""
     random, columns = np.random.default_rng(5), {}

@@ -68,7 +68,6 @@ def write_short(folder: Path, y: float = 0.005) -> Path:
 
 @pytest.fixture(scope="module")
 def approved(tmp_path_factory):
-    """Return the short scenario with a reference, to be copied."""
     folder = write_short(tmp_path_factory.mktemp("approved") / "short")
     new = cli("regress", "--scenarios", folder, "--update", code=0)
     assert "short: is new" in new.stdout
@@ -117,7 +116,6 @@ def test_a_report_keeps_runs_that_differ_and_replaces_only_what_regress_made(app
     kept = tmp_path / "runs" / "short"
     assert (kept / "recording.parquet").is_file()
     (kept / "notes.txt").write_text("mine")
-
     same = cli(*arguments, "--exact", code=0)
     assert "1 of 1 scenarios match their references" in same.stdout
     assert "short" in same.stderr  # the progress

@@ -163,7 +163,6 @@ NOMINAL = load_scenario("pick_and_place")
 
 
 def scenario(*rows: tuple[float, str, tuple[float, float, float]]) -> Scenario:
-    """Return a scenario with these rows and nothing else to judge."""
     table = TrajectoryTable(tuple(TableRow(*row, 0.08) for row in rows))
     return replace(NOMINAL, name="mine", table=table, duration=rows[-1][0] + 0.2)
 

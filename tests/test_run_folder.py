@@ -117,8 +117,6 @@ def test_any_scenario_written_reads_back_bit_for_bit(tmp_path_factory, scenario)
 
 
 # --- Who gets which folder -------------------------------------------------------------------
-
-
 def test_runs_of_the_same_second_get_folders_of_their_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
@@ -135,8 +133,6 @@ def test_a_folder_that_nothing_was_written_to_goes_again(tmp_path, monkeypatch):
 
 
 # --- Runs that end early ---------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

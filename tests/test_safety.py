@@ -66,7 +66,6 @@ def unprotected(command: list[object], folder: Path, **variables: str) -> None:
 
 
 def law_scenario(folder: Path) -> Path:
-    """Write a scenario whose controller starts a Python."""
     write_scenario(folder, 0.01, '[fmus]\ncontroller = "starts.py:Starts"\n')
     (folder / "starts.py").write_text(STARTING_LAW)
     return folder

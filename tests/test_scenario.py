@@ -156,15 +156,16 @@ def test_neither_the_package_nor_a_scenario_imports_anything_heavy(what, heavy):
     assert done.stdout.strip() == "set()"
 
 
+FUZZ = settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 VALUE = st.sampled_from(["1", "-1", "nan", "true", '"x"', "[]", "[1, 2]", "{}", "{a = 1}", "1e400"])
 KEY = st.sampled_from(
     ["duration", "purpose", "scene", "align", "plant", "controller", "success", "x", '"a[1]"']
 )
 
 
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@FUZZ
 @given(
     st.one_of(
         st.binary(max_size=100),
@@ -277,9 +278,6 @@ def test_harmless_variants_of_a_table_mean_the_same(tmp_path, content):
     )
 
 
-FUZZ = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 CELL = st.one_of(
     st.sampled_from(["0", "1", "0.05", "nan", "1e400", "", "home", "target", '"', "\r", "-1"]),
     st.text(max_size=5),

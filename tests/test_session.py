@@ -41,7 +41,6 @@ def bits(folder: Path, rows: int | None = None) -> bytes:
 
 
 def act(session: Session) -> None:
-    """Do everything that can be done."""
     session.set("controller.ik_gain", 12.0)
     session.step(100)
     session.set("controller.kp", 6)

@@ -79,7 +79,7 @@ def by_old_options(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
 DOORS: Mapping[str, Door] = {
     "--set": lambda s, values: s.changed(values_of([f"{k}={written(values[k])}" for k in values])),
     "session": lambda scenario, values: Session(scenario, values=values).scenario,
-    "regress": lambda scenario, values: with_values([scenario], values)[0],  # type: ignore[return-value]
+    "regress": lambda scenario, values: next(with_values([scenario], values)),  # type: ignore[arg-type,return-value]
     "options": by_old_options,
 }
 # Of any kind of value; the keys of `VALUES` do not act together on any arm.

@@ -40,7 +40,6 @@ below = -1.0
 
 
 def law_sweep(folder: Path, key: str, values: list[float]) -> Sweep:
-    """Return a sweep of a scenario with a law of its own."""
     write_files(folder, SETTINGS)
     (folder / "hold.py").write_text(LAW)
     vary = {key: {"values": values}}
@@ -78,7 +77,6 @@ SAMPLES = 8
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
-    """A folder with the sweep on this machine's pool."""
     folder = tmp_path_factory.mktemp("dask")
     sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=1)
     return folder

@@ -29,7 +29,6 @@ def edit(folder: Path, *changes: tuple[str, str]) -> None:
 
 
 def over_mass(*scenarios: Path, **keys: Any) -> Sweep:
-    """Return a grid of two rows of each scenario."""
     vary: Any = {"plant.block_mass": {"values": [0.1, 0.2]}}
     names = tuple(map(str, scenarios))
     return Sweep(**{"scenario": names, "vary": vary, "design": "grid", **keys})

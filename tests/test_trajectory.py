@@ -36,7 +36,9 @@ quaternions = st.tuples(number, number, number, number).filter(lambda q: np.lina
 
 
 @st.composite
-def trajectories(draw: st.DrawFn, kinds: tuple[str, ...] = ("linear", "quintic")) -> Trajectory:
+def trajectories(
+    draw: st.DrawFn, kinds: tuple[str, ...] = ("linear", "quintic", "spline")
+) -> Trajectory:
     """Draw a trajectory of 2 to 6 rows, 0.2 to 2 s apart."""
     gaps = draw(st.lists(st.floats(0.2, 2.0), min_size=1, max_size=5))
     n = len(gaps) + 1
@@ -60,26 +62,25 @@ def inner_times(trajectory: Trajectory) -> Array:
 
 
 def angle_between(a: Array, b: Array) -> Array:
-    """Return the angle of the rotation from a to b [rad]."""
     return np.linalg.norm(rotations.log(rotations.multiply(b, rotations.conjugate(a))), axis=-1)
 
 
 @given(trajectories())
 def test_each_row_is_reached_at_its_time_and_outside_the_hand_stays(trajectory):
     commands = trajectory.sample(trajectory.times)
-    assert np.array_equal(commands[:, POSITION], trajectory.positions)
+    np.testing.assert_allclose(commands[:, POSITION], trajectory.positions, atol=1e-12)
     assert angle_between(commands[:, QUATERNION], trajectory.orientations).max() < 1e-12
     assert np.array_equal(commands[:, GRIP], trajectory.grips)
     first, last = trajectory.times[0], trajectory.times[-1]
     before, after = trajectory.sample([first - 1.0, -1e9]), trajectory.sample([last + 1.0, 1e9])
     for commands, row in ((before, 0), (after, -1)):
-        assert (commands[:, POSITION] == trajectory.positions[row]).all()
-        assert (commands[:, QUATERNION] == trajectory.orientations[row]).all()
+        assert np.allclose(commands[:, POSITION], trajectory.positions[row], atol=1e-12)
+        assert np.allclose(commands[:, QUATERNION], trajectory.orientations[row], atol=1e-12)
         assert (commands[:, 7:13] == 0.0).all()
         assert (commands[:, GRIP] == trajectory.grips[row]).all()
 
 
-@given(trajectories(("quintic",)))
+@given(trajectories(("quintic", "spline")))
 def test_velocities_are_the_difference_quotients_of_the_poses(trajectory):
     times = inner_times(trajectory)
     ahead, now, behind = (trajectory.sample(times + shift) for shift in (STEP, 0.0, -STEP))
@@ -87,9 +88,11 @@ def test_velocities_are_the_difference_quotients_of_the_poses(trajectory):
     turn = rotations.multiply(ahead[:, QUATERNION], rotations.conjugate(behind[:, QUATERNION]))
     rates = np.hstack((moved, rotations.log(turn))) / (2.0 * STEP)
     assert np.abs(rates - now[:, 7:13]).max() < RATE_TOLERANCE
+    ahead, behind = (trajectory.sample(trajectory.times + shift) for shift in (STEP, -STEP))
+    assert np.abs(ahead - behind)[:, 7:13].max() < 1e-2  # no jump, in 2 us
 
 
-@given(trajectories())
+@given(trajectories(("linear", "quintic")))
 def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory):
     """Its quaternions keep length one, and their sign."""
     q = trajectory.sample(np.linspace(-0.5, trajectory.times[-1] + 0.5, 2000))[:, QUATERNION]
@@ -193,41 +196,6 @@ def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path):
         write_input_csv(tmp_path / "in.csv", times, commands)
     with pytest.raises(InputError, match="cannot be written"):
         write_input_csv(tmp_path / "in.csv" / "below_a_file.csv", times, commands)
-
-
-def spline(count: int, seed: int = 0) -> Trajectory:
-    """Return a spline through random poses at random times, from 0.5 s on."""
-    random = np.random.default_rng(seed)
-    quaternions = random.normal(size=(count, 4))
-    return Trajectory(
-        0.5 + np.cumsum(random.uniform(0.1, 1.0, count)),
-        random.uniform(-1.0, 1.0, (count, 3)),
-        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
-        random.uniform(0.0, 0.08, count),
-        "spline",
-    )
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 6, 40])
-def test_spline_goes_through_all_rows_and_rests_outside(count):
-    trajectory = spline(count)
-    at_rows = trajectory.sample(trajectory.times)
-    np.testing.assert_allclose(at_rows[:, :3], trajectory.positions, atol=1e-12)
-    np.testing.assert_allclose(at_rows[:, 3:7], trajectory.orientations, atol=1e-12)
-    outside = trajectory.sample([0.0, trajectory.times[-1] + 1.0])
-    np.testing.assert_allclose(outside[:, :3], trajectory.positions[[0, -1]], atol=1e-12)
-    assert not outside[:, 7:13].any()
-
-
-def test_spline_velocities_are_the_poses_derivatives_and_continuous():
-    trajectory, step = spline(8), 1e-6
-    t = np.linspace(0.4, trajectory.times[-1] + 0.1, 2001)  # [s]
-    before, now, after = (trajectory.sample(t + shift) for shift in (-step, 0.0, step))
-    velocity = (after - before)[:, :3] / (2 * step)
-    turn = rotations.multiply(after[:, 3:7], rotations.conjugate(before[:, 3:7]))
-    np.testing.assert_allclose(velocity, now[:, 7:10], atol=1e-4)  # [m/s]
-    np.testing.assert_allclose(rotations.log(turn) / (2 * step), now[:, 10:13], atol=1e-4)
-    assert np.abs(after - before)[:, 7:13].max() < 1e-2  # no jump, in 2 us
 
 
 # What is given from outside is the same, made at once or a part at a time.

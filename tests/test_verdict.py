@@ -132,7 +132,6 @@ def test_every_door_says_the_same(word, tmp_path, capsys, monkeypatch):
     record(folder, columns(), reason=raw["reason"])
     (folder / SUMMARY_FILE).write_text(json.dumps(raw))
     run = Run(folder, summary, SIGTERM if word == "stopped" else 0)
-
     # The command line, with its JUnit file.
     junit = tmp_path / "junit.xml"
     output = door.Output(None, video=False, plot=False, view=False, junit=junit, json=True)
@@ -146,13 +145,11 @@ def test_every_door_says_the_same(word, tmp_path, capsys, monkeypatch):
     _, style = next(door.outcome_lines(summary, run.recording, realtime=False))
     assert style == {"good": "bold green", "plain": "bold", "bad": "bold red"}[level]
     assert fault_in(junit) == fault
-
     # The page and the notebook.
     shown = Shown("run", run.recording, MODEL, summary=Summary.of(run.recording))
     about = describe(shown, "model")["verdict"]
     assert (about["state"], about["words"].partition(":")[0]) == (level, word)
     assert f"</b>: {word}" in run._repr_html_()
-
     # `compare`, and a row of a sweep.
     compared = compare(folder, folder)
     assert compared.to_dict()["verdicts"] == [word, word]

@@ -190,7 +190,6 @@ BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css"
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """A copy of the source with the locked libraries in it."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("no node and npm here")
     folder = tmp_path_factory.mktemp("build") / "source"
@@ -253,8 +252,6 @@ def test_the_bundle_carries_its_licences_and_asks_nobody():
 
 
 # The command `panda-cosim view`.
-
-
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     return run_scenario_outside(tmp_path_factory.mktemp("runs") / "first")

@@ -110,7 +110,6 @@ def poses_at(page: Page, times: Any, figure: int = 0) -> np.ndarray:
 
 
 def check_poses(page: Page, model: Any, run: Any, ticks: np.ndarray) -> None:
-    """Check the page's bodies against MuJoCo's at some ticks."""
     data, qpos = mujoco.MjData(model), run["plant.qpos"]
     for tick, shown in zip(ticks, poses_at(page, run.time[ticks]), strict=True):
         data.qpos[:] = qpos[tick]
