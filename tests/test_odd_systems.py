@@ -236,8 +236,6 @@ def test_a_negative_status_is_a_failure(tmp_path, fault, told):
 
 
 # Values to start from.
-
-
 def values_of_x(folder: Path, causality: str) -> list[float]:
     """Set x, which y follows, in a section, by an .ssv and by key; return y at the starts."""
     fmu = odd_fmu(folder / "odd.fmu", [("x", "Real", causality, 0), ("y", "Real", "output", 100)])
@@ -278,8 +276,6 @@ def test_what_the_fmu_computes_alone_cannot_be_set(tmp_path, causality):
 
 
 # What FMUs say.
-
-
 def toy_scenario(folder: Path, act: str, fmi: int = 2, duration: float = 0.01) -> Path:
     """A scenario of one toy."""
     folder.mkdir()
@@ -326,8 +322,6 @@ def test_what_an_fmu_prints_is_in_no_result(tmp_path, options):
 
 
 # What cannot be opened.
-
-
 def test_a_library_that_another_one_lacks_is_named(tmp_path):
     folder, tool = toy_scenario(tmp_path / "toys", ""), compiler()
     assert tool
