@@ -13,7 +13,8 @@ from forked import command
 from panda_cosim import InputError, Recording
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import described_interface, read_fmu
-from panda_cosim.fmus.master.ssp_reader import CoupledSystem, read_parameters, system_from_ssp
+from panda_cosim.fmus.master.ssp_parameters import read_parameters
+from panda_cosim.fmus.master.ssp_reader import CoupledSystem, system_from_ssp
 from panda_cosim.fmus.master.system import open_system
 from refusals import refused
 from toy_fmu import toy_fmu

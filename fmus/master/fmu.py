@@ -54,7 +54,11 @@ def _keep_signatures(fmpy_class: type) -> None:
 
 
 class FmuSlave(Caller, ABC):
-    """One instance of an FMU, as the master steps it; for the arguments see `system.open_slave`."""
+    """One instance of an FMU, in this process, as the master steps it.
+
+    `open_slave` makes it, of FMI 2.0 or 3.0. Its library is loaded at once, until `close`; what can
+    be known without running an FMU's code is told by `Fmu`.
+    """
 
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         super().__init__(name, fmu, on_message)

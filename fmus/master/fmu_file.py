@@ -50,7 +50,10 @@ _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
 
 class Fmu:
-    """An .fmu file, unpacked and described; messages call it by its label, else by its path."""
+    """An .fmu file, unpacked and described; messages call it by its label, else by its path.
+
+    `read_fmu` makes it, once a file. Nothing of the FMU runs: for that there is `FmuSlave`.
+    """
 
     description: Any  # FMPy's `ModelDescription`
     fmi: int  # major version of FMI, 2 or 3

@@ -77,9 +77,10 @@ def make_kernel(step: Step, rows: Array, *others: Any) -> Kernel | None:
 
 
 class Kernel:
-    """Takes steps in C.
+    """Takes the steps of a `Step` in C, many in one call.
 
-    `checked` are the columns whose values must be finite before followers read a row.
+    `make_kernel` makes it, or returns None where a call can only be made from Python. `checked` are
+    the columns whose values must be finite before followers read a row.
     """
 
     def __init__(

@@ -82,7 +82,12 @@ class RealtimePacer:
 
 
 class Master:
-    """Steps slaves and records every exchanged value."""
+    """Steps slaves and records every exchanged value.
+
+    `open_system` makes it of FMUs, tests of plain objects. It is for one run from t_0 on; a run of
+    a scenario, with its folder, signals and verdict, is an `Execution`. Steps that go back to a
+    state are those of a `PerturbedSystem`.
+    """
 
     columns: list[Name]  # of a row after the time: external inputs, then outputs, as given
 

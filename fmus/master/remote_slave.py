@@ -41,7 +41,11 @@ _CHILD: Final = (
 
 
 class RemoteSlave:
-    """An FMU in a process of its own, with the same bits; `step_timeout` [s] ends a late one."""
+    """An FMU in a process of its own, with the same bits; `step_timeout` [s] ends a late one.
+
+    `open_system` makes it with `isolate`, for FMUs that may crash or hang; a tick takes longer, and
+    its state cannot be restored by a `PerturbedSystem`.
+    """
 
     def __init__(
         self,

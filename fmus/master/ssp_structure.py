@@ -89,7 +89,10 @@ class Document:
 
 
 class Structure:
-    """Reads a system and all those within it."""
+    """Reads a system and all those within it, of an .ssp file.
+
+    `system_from_ssp` makes it, and takes a flat system from it; nothing else has use for nesting.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -32,7 +32,11 @@ TOLERANCE: Final = 1e-10  # change of an output by an iteration; relative, or ab
 
 
 class Step:
-    """One communication step of a coupled system."""
+    """One communication step of a coupled system.
+
+    The master makes one for each coupling that it is given. It keeps no values and no time: all are
+    in the rows.
+    """
 
     fed_back: list[int]  # columns of outputs that a leader or an earlier one reads in the next step
     ended: SimulationEndedError | None = None  # by an FMU, at the end of a step

@@ -228,7 +228,11 @@ class ExternalInputs(Protocol):
 
 
 class RowBuffer:
-    """`BLOCK_ROWS` rows of the recording, and one more for the outputs of the last tick."""
+    """`BLOCK_ROWS` rows of the recording, and one more for the outputs of the last tick.
+
+    The master makes one for its run. FMUs write into the rows directly, so that they stay where
+    they are in memory, and are used again and again.
+    """
 
     rows: Array  # (BLOCK_ROWS + 1, 1 + external + outputs)
     first: int  # tick of the first row

@@ -168,7 +168,7 @@ def replay(  # noqa: PLR0913 - one for each option
 
 def _set_of(file: Path, scenario: Scenario, options: Options) -> Values:
     """Return the values of a parameter set, for the FMUs of a scenario."""
-    from ...fmus.master.ssp_reader import read_parameters  # noqa: PLC0415 - rarely needed
+    from ...fmus.master.ssp_parameters import read_parameters  # noqa: PLC0415 - rarely needed
 
     return read_parameters(file, assemble(scenario, options.kind).interfaces)
 

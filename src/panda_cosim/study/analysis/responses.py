@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from ...fmus.errors import InputError, did_you_mean
-from ...fmus.master.system import PerturbedSystem
+from ...fmus.master.perturbed import PerturbedSystem
 from ...fmus.master.wiring import Array, Name
 from ...run.inputs import Inputs
 from ...run.prepare import Prepared
