@@ -329,7 +329,7 @@ def test_a_library_that_another_one_lacks_is_named(tmp_path):
         source = tmp_path / "empty.c"
         source.write_text("int nothing;")
         command_line = [tool, "-shared", "-fPIC", *more[-1:], source, "-o", name, *more[:-1]]
-        subprocess.run(command_line, cwd=tmp_path, check=True)
+        subprocess.run(command_line, cwd=tmp_path, check=True, timeout=300)
     members = {"modelDescription.xml": None, "binaries/linux64/toy.so": tmp_path / "toy.so"}
     with zipfile.ZipFile(folder / "toy.fmu") as archive:
         described = archive.read("modelDescription.xml")
