@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.tables import INTERFACES
-from .fields import Line, check_keys, check_rules, field_names
+from .fields import Line, check_keys, field_names
 from .input_table import InputTable
 from .mismatch import Mismatch, default_of
 from .table import QUATERNION_COLUMNS
@@ -61,27 +61,22 @@ def _blamed(scenario: Scenario, values: Values, text: str) -> str:
 
 def _with_all(scenario: Scenario, values: Values) -> Scenario:
     """Change all values at once, so that no order of the keys is seen."""
-    fmus = {*scenario.fmus, *(key[5:] for key in values if key.startswith("fmus."))}
+    parts = {key[5:]: value for key, value in values.items() if key.startswith("fmus.")}
+    fmus, top = {*scenario.fmus, *parts}, _top(scenario)
     ours = () if scenario.is_system else ("plant", "controller", "sensors")
     instances = None if scenario.system else tuple(dict.fromkeys((*ours, *sorted(fmus))))
-    parts = [key for key in values if key.startswith("fmus.")]
-    check_rules({
-        f"{', '.join(parts[:1])}: cannot be combined with system = {scenario.system!r}": (
-            scenario.system and parts
-        ),
-        "gains: acts only on the project's own controller; must be left out here": (
-            "gains" in values and "controller" in fmus
-        ),
-    })  # fmt: skip
-    top = [name for name in field_names(scenario) if name not in _FIXED
-           and isinstance(getattr(scenario, name), str | bool | float)]  # fmt: skip
-    changes: dict[Steps, Any] = {}
+    for name in parts if scenario.system else ():
+        raise InputError(f"fmus.{name}: cannot be combined with system = {scenario.system!r}")
+    if "gains" in values and "controller" in fmus:
+        raise InputError("gains: acts only on the project's own controller; must be left out here")
+    changes: dict[Steps, Any] = {
+        ("fmus", name): _from_here(Line().check(f"fmus.{name}", file))
+        for name, file in parts.items()
+    }
     for key, value in values.items():
         if key in _OF_SCENE and "plant" in ours and "plant" not in fmus:
             changes.setdefault((key.partition(".")[2],), value)
-        elif key.startswith("fmus."):
-            changes["fmus", key[5:]] = _from_here(Line().check(key, value))
-        else:
+        elif not key.startswith("fmus."):
             changes[_steps(key, top, instances)] = value
     if scenario.is_system and any(steps[0] == "table" for steps in changes):
         raise InputError("the scenario is a system, which has no trajectory.csv")
@@ -89,6 +84,12 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
         file = (scenario.folder or Path()) / str(values["inputs.file"])
         changes["input_table",] = InputTable.read(file)
     return _changed(scenario, changes)  # type: ignore[no-any-return]  # a scenario, as given
+
+
+def _top(scenario: Scenario) -> list[str]:
+    """Return the keys of a scenario's texts, numbers and switches."""
+    names = (name for name in field_names(scenario) if name not in _FIXED)
+    return [name for name in names if isinstance(getattr(scenario, name), str | bool | float)]
 
 
 def _from_here(text: str) -> str:

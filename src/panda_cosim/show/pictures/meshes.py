@@ -19,6 +19,7 @@ Meshes = Literal["never", "auto", "always"]
 
 ROBOT = "franka_emika_panda"
 PREFIX = "menagerie_"  # prefix that keeps added names apart from the scene's
+LOOK = ("rgba", "specular", "shininess")  # of a material, that is taken over
 SHOWN = 2  # geom group of visual geoms, in this arm and in Menagerie's
 HIDDEN = 5  # geom group that is not drawn
 
@@ -58,12 +59,8 @@ def apply_meshes(spec: Any, folder: Path) -> None:
 
     source = mujoco.MjSpec.from_file(str(folder / "panda.xml"))
     for material in source.materials:
-        spec.add_material(
-            name=PREFIX + material.name,
-            rgba=material.rgba,
-            specular=material.specular,
-            shininess=material.shininess,
-        )
+        look = {name: getattr(material, name) for name in LOOK}
+        spec.add_material(name=PREFIX + material.name, **look)
     shapes = [(body.name, g) for body in source.bodies for g in body.geoms if g.group == SHOWN]
     meshes = {geom.meshname for _, geom in shapes}
     for mesh in source.meshes:
