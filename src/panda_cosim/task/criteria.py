@@ -306,6 +306,9 @@ class BodyCriterion:
 class Success:
     """Conditions for a run to count as a success; those that are None are not judged.
 
+    A scenario has one. It only says what must hold: `judging` measures and judges, and what a
+    controller must not exceed at any time belongs to the law.
+
     Raises:
         InputError: A bound is out of range, or a position has no tolerance.
     """

@@ -15,7 +15,12 @@ from .files import MAX_BYTES, Csv, csv_text, parse_csv, read_text
 
 @dataclass(frozen=True)
 class InputTable:
-    """Inputs over time as texts; what they are for gives them their types."""
+    """Inputs over time as texts; what they are for gives them their types.
+
+    `read` makes it from the file that `[inputs]` names, `of` from columns of trajectory.csv. Values
+    are checked where the FMUs are known, when the system is connected; constants do not belong
+    here, but in `Scenario.inputs`.
+    """
 
     times: tuple[float, ...] = ()  # of each row [s]; two rows of one time are a jump
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by FMU.INPUT

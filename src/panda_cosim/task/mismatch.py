@@ -88,7 +88,11 @@ def _as(interface: Interface, name: str) -> PlainValidator:
 
 @checked
 class Mismatch:
-    """Differences of robot and camera from the controller's model; None: as in the preset."""
+    """Differences of robot and camera from the controller's model; None: as in the preset.
+
+    A scenario has one, which gives plant and sensors their parameters (`start_values`). What the
+    controller knows of, such as a heavier block, belongs to `Scenario.plant` instead.
+    """
 
     preset: Annotated[str, Choice(("nominal", *SIZES))] = "nominal"
     seed: Annotated[int, Whole(0, 2**32 - 1)] = 0  # of the preset's robot, and of all noise

@@ -155,7 +155,11 @@ class TableRow:
 
 @checked
 class TrajectoryTable:
-    """The rows of a trajectory, in the order of time.
+    """The rows of a trajectory, in the order of time: what the user wrote, relative to frames.
+
+    `read_tables` makes it from trajectory.csv, a program from `TableRow`s, a planned route and
+    optimal timing from poses in the world (`world_table`). It knows neither where the block stands
+    nor how the hand goes from row to row: for poses at instants, resolve it into a `Trajectory`.
 
     Raises:
         InputError: There are too few or too many rows, times do not increase, or only some rows

@@ -41,7 +41,11 @@ _ELEMENT = re.compile(r"(?P<signal>.+)\[[\d,]+\]", re.A)
 
 @dataclass(frozen=True)
 class Tolerances:
-    """A scenario's section [regression]."""
+    """How far a run may be from its reference: a scenario's section [regression].
+
+    A scenario has one; `tubes.py` makes the widths of all signals from it. It does not say whether
+    a run succeeds, which is `Success`.
+    """
 
     time: float | None = None  # half-width of all tubes in time [s]; None: a step of the scenario
     scale: float = 1.0  # factor on the defaults [1]

@@ -48,6 +48,10 @@ class StartPose:
 class Trajectory:
     """Poses of the hand in the world at given times, and the path between them.
 
+    `Trajectory.from_table` makes it, once the plant's start pose is known; the inputs of a run
+    sample it, and so does whatever looks at a motion before it runs. It ends no row early: commands
+    that wait for a contact are `GuardedCommands`.
+
     Between rows the hand moves in a straight line and turns about one axis, the shortest way:
 
         p(t) = p_k + s(u) (p_k+1 - p_k),  q(t) = exp(s(u) r_k) q_k,  u = (t - t_k) / T_k

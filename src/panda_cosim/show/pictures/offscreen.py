@@ -34,7 +34,11 @@ PROCESS: Final = "panda_cosim.show.pictures.offscreen"
 
 
 class OffscreenRenderer:
-    """Draws with `mujoco.Renderer` in another process, by the first `backend` that works."""
+    """Draws with `mujoco.Renderer` in another process, by the first `backend` that works.
+
+    Video and contact sheet make one each, and close it. Pages draw in the browser, and plots need
+    no scene: neither uses it.
+    """
 
     def __init__(
         self,

@@ -68,7 +68,11 @@ class RunData(Signals, Protocol):
 
 @dataclass(frozen=True)
 class Shown:
-    """A run to show."""
+    """A run to show, with the model that it is drawn with.
+
+    `shown_run` makes it from a folder, `show_source` from a recording or a reference. It reads
+    nothing by itself until it is described for a page.
+    """
 
     name: str  # in links and on the page
     source: RunData

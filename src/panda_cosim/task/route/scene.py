@@ -52,6 +52,9 @@ class Load(Enum):
 class RouteScene:
     """Kinematics of arm and block, and distances by MuJoCo's own contacts.
 
+    A scenario whose route is planned makes one when it is prepared. It knows no time and no
+    control, and steps nothing: dynamics are in `timing`.
+
     `block` is the pose of the standing block, `held` its pose in the hand's frame: position (3,)
     [m] and quaternion (w, x, y, z), and `opening` that between the fingertips [m]. All else is
     where `qpos` says. Postures are between `low` and `high` (7,) [rad], away from the joints' ends.

@@ -36,7 +36,12 @@ WITHOUT_LIMITS = {  # gains far beyond what any command asks for
 
 @dataclass(frozen=True, eq=False)
 class JointReference:
-    """Joint reference for a trajectory, of an arm that follows it exactly."""
+    """Joint reference for a trajectory, of an arm that follows it exactly.
+
+    `joint_reference` computes it with the controller's own FMU; a planned route, which has joint
+    positions, makes it of these. It is for limits and reach before a run. What a run commanded is
+    in its recording.
+    """
 
     time: Array  # (n,) [s]
     position: Array  # (n, 7) [rad]
