@@ -103,6 +103,9 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         plant=draw(SECTION),
         controller=draw(SECTION),
         push=tuple(Push(0.1, 0.2, force) for force in draw(st.lists(POSITION, max_size=2))),
+        not_finite=tuple(draw(st.lists(TEXT, max_size=2))),
+        order=tuple(draw(st.lists(TEXT, max_size=2))),
+        parameters=draw(st.dictionaries(TEXT.filter(bool), SECTION, max_size=2)),
         success=Success(max_tilt=draw(st.one_of(st.none(), st.floats(0.0, 179.0)))),
         regression=Tolerances(values={"plant.qpos[10]": draw(st.floats(1e-9, 1.0))}),
     )

@@ -134,7 +134,7 @@ def _section(values: Mapping[str, object], *path: str) -> Iterator[str]:
         if isinstance(each, list):
             for item in each:
                 yield from ("", f"[[{head}]]", *_lines(item))
-        elif each:
+        elif each or path:  # an FMU that is named with no values is named again
             yield from ("", f"[{head}]", *_section(each, *path, _key(name)))
 
 
