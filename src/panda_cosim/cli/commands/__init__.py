@@ -25,7 +25,7 @@ COMMANDS = {
     "render": (RESULTS, "Redraw a run's video and contact sheet."),
     "plot": (RESULTS, "Plot a run's signals on one page."),
     "compare": (RESULTS, "Compare runs: parameters, verdicts, metrics and signals."),
-    "export": (RESULTS, "Write a recording as CSV."),
+    "export": (RESULTS, "Write a recording as CSV, or as MCAP for Foxglove and rerun."),
     "analyze": (RESULTS, "Measure the control loops: margins, Bode plots, a state-space model."),
     "build": (MACHINE, "Build the FMUs of a scenario, and Panda.ssp that connects them."),
     "mjcf2fmu": (MACHINE, "Build an FMU from any MuJoCo model, without run-time dependencies."),

@@ -14,13 +14,14 @@ from ...show.pictures.motion import position_columns
 from ...show.pictures.plot import plot_recording
 from ...show.pictures.sheet import contact_sheet
 from ...show.pictures.video import check_video
+from ...show.view.mcap import MCAP, write_mcap
 from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...show.view.run import Shown
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
 from ..console import show, show_file, tell
-from ..forms import option
-from ..options import CSV_FILE, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes
+from ..forms import argument, option
+from ..options import MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes
 from ..outcome import PLOTTING, TILING, draw_video
 
 
@@ -130,15 +131,28 @@ def _other(first: Shown, against: str) -> Shown:
     return shown_run(path, name=against if name == first.name else name)
 
 
-def export(run: Path = RUN, file: Path = CSV_FILE, overwrite: bool = OVERWRITE) -> None:
-    """Write a recording as CSV.
+def export(
+    run: Path = RUN,
+    file: Path = argument("FILE", "The file to write: .csv or .mcap."),
+    rate: float = option("--rate HZ", "Of .mcap: messages a second.", 100.0, min=1e-3, max=1e6),
+    overwrite: bool = OVERWRITE,
+) -> None:
+    """Write a recording as CSV, or as MCAP for Foxglove and rerun.
 
-    One column per signal and one row per tick, in full precision (RFC 4180).
+    CSV: one column per signal and one row per tick, in full precision (RFC 4180).
+
+    MCAP: joint states, the poses of all bodies, their shapes, the signals of each FMU, events and
+    the verdict, as Foxglove's messages. It needs the extra `logs`.
 
     ```
     panda-cosim export runs/first first.csv
+    panda-cosim export runs/first first.mcap --rate 250
     ```
     """
     recording = Recording.open(run, in_order=True)
+    if file.suffix == MCAP:
+        number = write_mcap(recording, file, rate, overwrite=overwrite)
+        show(f"{file}: {number} instants")
+        return
     recording.to_csv(file, overwrite=overwrite)
     show(f"{file}: {recording.rows} rows, {len(recording.columns)} columns")

@@ -1,0 +1,192 @@
+"""A run as an MCAP file of Foxglove's messages, which Foxglove, rerun and MCAP's tools open.
+
+Topics: `/joint_states`, the poses of all bodies in `/tf` (frame `world`), their shapes once in
+`/scene`, the signals of each FMU as JSON in `/FMU`, and events and the verdict in `/log`. Times are
+simulated ones, from 0. Quaternions are (x, y, z, w) there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ...fmus.atomic import check_replaceable, replacing
+from ...fmus.extras import needing
+from ...result.judging.summary import Summary
+from ...result.recording import Recording
+from ...task.files import model_file
+from ..pictures.meshes import load_model
+from ..pictures.motion import refuse_without_model
+from .page import plant_parameters
+
+MCAP: Final = ".mcap"
+NS: Final = 1_000_000_000
+WORLD: Final = "world"
+
+
+def write_mcap(recording: Recording, path: Path, rate: float, *, overwrite: bool = False) -> int:
+    """Write a run's file, with so many messages a second of each topic; return their instants."""
+    with needing("foxglove-sdk", "logs", f"{path}"):
+        import foxglove  # noqa: PLC0415 - an extra
+        from foxglove import channels  # noqa: PLC0415
+    check_replaceable(path, overwrite=overwrite)
+    step = float(np.diff(recording.time[:2])[0]) if recording.rows > 1 else 1.0
+    rows = range(0, recording.rows, max(round(1.0 / (rate * step)), 1))
+    model, context = _model_of(recording), foxglove.Context()
+    with replacing(path) as partial, foxglove.open_mcap(
+        partial, allow_overwrite=True, context=context
+    ):  # fmt: skip
+        log = channels.LogChannel("/log", context=context)
+        for at, message in _events(recording):
+            log.log(message, log_time=at)
+        for name, columns in _by_fmu(recording).items():
+            channel = foxglove.Channel(f"/{name}", message_encoding="json", context=context)
+            values = {column: recording[f"{name}.{column}"].tolist() for column in columns}
+            for row in rows:
+                at = _nanoseconds(recording.time[row])
+                channel.log({key: value[row] for key, value in values.items()}, log_time=at)
+        if model is not None:
+            scene = channels.SceneUpdateChannel("/scene", context=context)
+            scene.log(_shapes(model), log_time=_nanoseconds(recording.time[0]))
+            joints = channels.JointStatesChannel("/joint_states", context=context)
+            poses = channels.FrameTransformsChannel("/tf", context=context)
+            for at, states, transforms in _motion(recording, model, rows):
+                joints.log(states, log_time=at)
+                poses.log(transforms, log_time=at)
+    return len(rows)
+
+
+def _model_of(recording: Recording) -> Any:
+    """Return the plant's model (`mujoco.MjModel`); None: no plant's motion is recorded."""
+    if "plant.qpos[1]" not in recording:
+        return None
+    own = model_file(recording)
+    if own is not None:
+        return load_model(str(own))
+    refuse_without_model(recording)
+    from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
+
+    return load_scene(plant_parameters(recording.metadata), drawn=True)
+
+
+def _nanoseconds(time: float) -> int:
+    return round(float(time) * NS)
+
+
+def _stamp(nanoseconds: int) -> Any:
+    from foxglove.messages import Timestamp  # noqa: PLC0415 - an extra
+
+    return Timestamp(*divmod(nanoseconds, NS))
+
+
+def _by_fmu(recording: Recording) -> dict[str, list[str]]:
+    """Return the columns of each FMU, without its name."""
+    found: dict[str, list[str]] = {}
+    for column in recording.types:
+        instance, _, name = column.partition(".")
+        if name:
+            found.setdefault(instance, []).append(name)
+    return found
+
+
+def _events(recording: Recording) -> Iterator[tuple[int, Any]]:
+    from foxglove.messages import Log, LogLevel  # noqa: PLC0415 - an extra
+
+    summary = Summary.of(recording)
+    for name, time in summary.events.items():
+        if time is not None:
+            at = _nanoseconds(time)
+            yield at, Log(timestamp=_stamp(at), level=LogLevel.Info, message=name, name="event")
+    at = _nanoseconds(recording.time[-1])
+    level = LogLevel.Info if summary.as_expected else LogLevel.Error
+    yield at, Log(timestamp=_stamp(at), level=level, message=summary.brief, name="verdict")
+
+
+def _motion(
+    recording: Recording, model: Any, rows: Sequence[int]
+) -> Iterator[tuple[int, Any, Any]]:
+    """Yield instant [ns], joints and poses of all bodies, by forward kinematics."""
+    import mujoco  # noqa: PLC0415 - slow to import
+    from foxglove import messages as fox  # noqa: PLC0415 - an extra
+
+    data = mujoco.MjData(model)
+    qpos, qvel = recording["plant.qpos"], recording["plant.qvel"]
+    bodies = [model.body(number) for number in range(1, model.nbody)]
+    single = [j for j in map(model.joint, range(model.njnt)) if len(j.qpos0) == 1]
+    for row in rows:
+        at = _nanoseconds(recording.time[row])
+        data.qpos[:] = qpos[row]
+        mujoco.mj_kinematics(model, data)
+        states = [
+            fox.JointState(name=joint.name, position=float(qpos[row, joint.qposadr[0]]),
+                           velocity=float(qvel[row, joint.dofadr[0]]))
+            for joint in single
+        ]  # fmt: skip
+        transforms = [
+            fox.FrameTransform(
+                timestamp=_stamp(at), parent_frame_id=WORLD, child_frame_id=_name(body),
+                translation=fox.Vector3(**_parts("xyz", data.xpos[body.id])),
+                rotation=fox.Quaternion(**_parts("wxyz", data.xquat[body.id])),
+            )
+            for body in bodies
+        ]  # fmt: skip
+        joints = fox.JointStates(timestamp=_stamp(at), joints=states)
+        yield at, joints, fox.FrameTransforms(transforms=transforms)
+
+
+def _name(body: Any) -> str:
+    return body.name or f"body {body.id}"
+
+
+def _parts(names: str, values: Any) -> dict[str, float]:
+    return dict(zip(names, map(float, values), strict=True))
+
+
+def _shapes(model: Any) -> Any:
+    """Return the shapes of all bodies but planes and meshes, which move with the bodies' frames."""
+    import mujoco  # noqa: PLC0415 - slow to import
+    from foxglove import messages as fox  # noqa: PLC0415 - an extra
+
+    entities: dict[int, Any] = {}
+    for geom in map(model.geom, range(model.ngeom)):
+        kind, size = mujoco.mjtGeom(geom.type[0]), geom.size
+        common: dict[str, Any] = {
+            "pose": fox.Pose(
+                position=fox.Vector3(**_parts("xyz", geom.pos)),
+                orientation=fox.Quaternion(**_parts("wxyz", geom.quat)),
+            ),
+            "color": fox.Color(**_parts("rgba", _colour(model, geom))),
+        }
+        shape: tuple[str, Any] | None = None
+        if kind == mujoco.mjtGeom.mjGEOM_BOX:
+            shape = "cubes", fox.CubePrimitive(size=_size(2 * size), **common)
+        elif kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+            half = size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else np.repeat(size[0], 3)
+            shape = "spheres", fox.SpherePrimitive(size=_size(2 * half), **common)
+        elif kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+            whole = (2 * size[0], 2 * size[0], 2 * size[1])  # of a capsule, without its ends
+            ends: dict[str, Any] = {"bottom_scale": 1.0, "top_scale": 1.0}
+            shape = "cylinders", fox.CylinderPrimitive(size=_size(whole), **ends, **common)
+        if shape is not None:
+            shapes = entities.setdefault(int(geom.bodyid[0]), {})
+            shapes.setdefault(shape[0], []).append(shape[1])
+    return fox.SceneUpdate(entities=[
+        fox.SceneEntity(
+            id=_name(model.body(body)), frame_id=_name(model.body(body)) if body else WORLD,
+            frame_locked=True, **shapes,
+        )
+        for body, shapes in entities.items()
+    ])  # fmt: skip
+
+
+def _size(values: Any) -> Any:
+    from foxglove.messages import Vector3  # noqa: PLC0415 - an extra
+
+    return Vector3(**_parts("xyz", values))
+
+
+def _colour(model: Any, geom: Any) -> Any:
+    return model.mat_rgba[geom.matid[0]] if geom.matid[0] >= 0 else geom.rgba

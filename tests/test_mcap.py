@@ -1,0 +1,107 @@
+"""`export RUN x.mcap`: another program's reader finds what was recorded."""
+
+import json
+
+import numpy as np
+import pytest
+
+from panda_cosim.cli.commands.render import export
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.run.execution import run_scenario
+from panda_cosim.task.scenario import load_scenario
+
+reader = pytest.importorskip("mcap.reader")
+messages = pytest.importorskip("foxglove.messages")
+RATE = 50.0  # [Hz]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "run"
+    return run_scenario(load_scenario("push"), folder)
+
+
+@pytest.fixture(scope="module")
+def found(run):
+    """Messages by topic: instant [ns] and content, decoded where it is JSON."""
+    path = run.folder / "run.mcap"
+    export(run.folder, path, rate=RATE, overwrite=False)
+    topics = {}
+    with path.open("rb") as file:
+        for schema, channel, message in reader.make_reader(file).iter_messages():
+            is_json = channel.message_encoding == "json"
+            content = json.loads(message.data) if is_json else (schema.name, message.data)
+            topics.setdefault(channel.topic, []).append((message.log_time, content))
+    return topics
+
+
+def floats(data):
+    """All doubles of a protobuf message, in order, wherever a field of that type begins."""
+    found, at = [], 0
+
+    def varint(at):
+        value, shift = 0, 0
+        while True:
+            byte = data[at]
+            value |= (byte & 127) << shift
+            at, shift = at + 1, shift + 7
+            if not byte & 128:
+                return value, at
+
+    while at < len(data):
+        key, at = varint(at)
+        kind = key & 7
+        if kind == 1:
+            found.append((key >> 3, float(np.frombuffer(data[at : at + 8], "<f8")[0])))
+            at += 8
+        elif kind == 2:
+            size, at = varint(at)
+            found.append((key >> 3, data[at : at + size]))
+            at += size
+        else:
+            value, at = varint(at)
+            found.append((key >> 3, value))
+    return found
+
+
+def test_topics_have_foxgloves_messages_at_the_rate_asked_for(run, found):
+    names = {"/tf": "foxglove.FrameTransforms", "/joint_states": "foxglove.JointStates",
+             "/scene": "foxglove.SceneUpdate", "/log": "foxglove.Log"}  # fmt: skip
+    assert {topic: found[topic][0][1][0] for topic in names} == names
+    instants = [at for at, _ in found["/tf"]]
+    assert instants == [round(time * 1e9) for time in run.recording.time[::20]]
+    assert [at for at, _ in found["/plant"]] == instants == [at for at, _ in found["/joint_states"]]
+    assert len(found["/scene"]) == 1
+
+
+def test_signals_are_those_that_were_recorded(run, found):
+    recording = run.recording
+    for instance in ("plant", "controller"):
+        for row, (_, values) in zip(
+            range(0, recording.rows, 20), found[f"/{instance}"], strict=True
+        ):
+            for name in ("qpos[3]", "contact_force") if instance == "plant" else ("ctrl[2]",):
+                assert values[name] == recording[f"{instance}.{name}"][row]
+
+
+def test_frames_are_where_the_plant_says_that_the_hand_is(run, found):
+    recording = run.recording
+    for row, (_, (_, data)) in zip(range(0, recording.rows, 20), found["/tf"], strict=True):
+        (transform,) = (
+            dict_of for _, part in floats(data)
+            if (dict_of := dict(floats(part)))[3] == b"hand"
+        )  # fmt: skip
+        place = [value for _, value in floats(transform[4])]
+        turn = [dict(floats(transform[5])).get(key, 0.0) for key in (4, 1, 2, 3)]  # w, x, y, z
+        assert place == pytest.approx(recording["plant.hand_xpos"][row], abs=1e-9)
+        assert turn == pytest.approx(recording["plant.hand_xquat"][row], abs=1e-9)
+
+
+def test_events_and_verdict_are_in_the_log(run, found):
+    texts = [dict(floats(data))[3].decode() for _, (_, data) in found["/log"]]
+    assert run.summary.brief in texts
+
+
+def test_a_file_that_exists_stays(run, found):
+    with pytest.raises(InputError, match="already exists"):
+        export(run.folder, run.folder / "run.mcap", rate=RATE, overwrite=False)
