@@ -22,6 +22,7 @@ class Callbacks(ctypes.Structure):
 
 
 def main(folder, model, steps):
+    """Step the FMU; returns its outputs."""
     text = Path(folder, "modelDescription.xml").read_text(encoding="utf-8")
     scalars = [v for v in re.findall("<ScalarVariable[^>]*>", text) if 'causality="output"' in v]
     references = [int(re.search('valueReference="([0-9]+)"', v).group(1)) for v in scalars]

@@ -29,6 +29,7 @@ SRCDOC = "about:srcdoc"  # address of a frame whose page is an attribute
 
 
 def find_browser() -> str | None:
+    """Return the path of a Chromium, or None."""
     names = ("chromium", "chromium-browser", "google-chrome", "chrome")
     return next((path for name in names if (path := shutil.which(name))), None)
 
@@ -55,6 +56,7 @@ class Page:
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **parameters: Any) -> Any:
+        """Send a command and return its result."""
         self._count += 1
         message = {"id": self._count, "method": method, "params": parameters}
         if self._session is not None:
@@ -107,6 +109,7 @@ class Page:
     def visit(
         self, address: str, width: int = 1280, height: int = 900, scheme: str = "light"
     ) -> None:
+        """Show what is at an address."""
         self.resize(width, height)
         feature = {"name": "prefers-color-scheme", "value": scheme}
         self.call("Emulation.setEmulatedMedia", features=[feature])
@@ -118,6 +121,7 @@ class Page:
         self.wait("document.readyState === 'complete'")
 
     def resize(self, width: int, height: int) -> None:
+        """Give the window another size."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -127,6 +131,7 @@ class Page:
         )
 
     def value(self, expression: str) -> Any:
+        """Evaluate JavaScript and return its value."""
         answer = self.call(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
         )
@@ -135,6 +140,7 @@ class Page:
         return answer["result"].get("value")
 
     def wait(self, condition: str) -> None:
+        """Wait until an expression is true."""
         deadline = time.monotonic() + TIMEOUT
         while not self.value(condition):
             if time.monotonic() > deadline:
@@ -164,6 +170,7 @@ class Page:
         return [target["targetId"] for target in ours]
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag the mouse from one place in the window to another."""
         for kind, (x, y) in (
             ("mouseMoved", start),
             ("mousePressed", start),
@@ -183,6 +190,7 @@ class Page:
         self.click_at(x, y)
 
     def click_at(self, x: float, y: float) -> None:
+        """Click with the mouse."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
@@ -201,6 +209,7 @@ class Page:
             )
 
     def type(self, text: str) -> None:
+        """Type text into what has the focus."""
         self.call("Input.insertText", text=text)
 
 

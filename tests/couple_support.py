@@ -46,6 +46,7 @@ class Task:
     folders: Mapping[str, Path]
 
     def library(self, name: str) -> Path:
+        """The library of an instance."""
         target, binaries = PLATFORMS[self.platform], self.folders[name] / "binaries"
         place = target.fmi2 if self.fmi == 2 else target.fmi3
         return binaries / place / f"{TABLES[name].model}{target.suffix}"
@@ -74,6 +75,7 @@ def unpack_task(
 
 
 def write_plan(task: Task, path: Path, foreign: Callable[[Path], str] = str) -> list[str]:
+    """Write the host's plan; returns the names of the recording's columns."""
     lines, columns = [f"fmi {task.fmi}"], _columns()
     at = {name: i for i, name in enumerate(columns)}
     for name, table in TABLES.items():
@@ -161,5 +163,6 @@ def compile_host(program: Path, *tool: str) -> None:
 
 
 def read_rows(path: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """What the host has recorded, by column."""
     rows = np.fromfile(path).reshape(-1, len(columns))
     return dict(zip(columns, rows.T, strict=True))

@@ -5,6 +5,7 @@ ODD = f"{CRAFTED}\u202e\0\x1b[31m\r\u2028{'W' * 10_000}"  # not in XML
 HEBREW = "\u05e9\u05dc\u05d5\u05dd"
 # Whether a page shows a character that is not seen.
 HIDDEN = r"/[\p{Cc}\p{Cf}\p{Zl}\p{Zp}]/u.test(document.body.innerText.replace(/[\n\t]/g, ''))"
+
 HOSTILE = [
     "{{CURVES}}", "{{ curves }}", "{% raw %}", "{{ ''.__class__ }}", "</script><script>stolen()",
     "<img src=x onerror=stolen()>", "' onmouseover='stolen()", '" autofocus onfocus="stolen()',

@@ -24,6 +24,7 @@ class FakeRecording:
 
     @property
     def columns(self) -> list[str]:
+        """Names of all columns, such as `plant.qpos[1]`."""
         return [
             name + (f"[{','.join(str(i + 1) for i in index)}]" if index else "")
             for name, values in self.signals.items()
@@ -32,16 +33,20 @@ class FakeRecording:
 
     @property
     def rows(self) -> int:
+        """Number of rows."""
         return len(self.time)
 
     def in_blocks(self, *names: str, before: int = 0) -> Iterator[list[FloatArray]]:
+        """Yield signals in one block."""
         del before  # none are
         yield [self.time if name == "time" else self[name] for name in names]
 
     def __contains__(self, name: str) -> bool:
+        """Whether there is such a signal, or a column of one."""
         return name in self.signals or name.rpartition("[")[0] in self.signals
 
     def __getitem__(self, name: str) -> FloatArray:
+        """Return a signal (n, ...), or one of its columns (n,)."""
         if name in self.signals:
             return self.signals[name]
         signal, _, element = name.rpartition("[")

@@ -47,10 +47,12 @@ class Row:
 
     @property
     def size(self) -> int:
+        """Number of elements."""
         return prod(self.shape)
 
     @property
     def arrays(self) -> list[tuple[int, int]]:
+        """Reference and size of each array in FMI 3.0."""
         firsts = accumulate(self.sizes, initial=self.reference)
         return list(zip(firsts, self.sizes, strict=False))
 
@@ -63,11 +65,13 @@ class Unpacked:
 
     @cached_property
     def version(self) -> int:
+        """Major version of FMI."""
         description = (self.folder / "modelDescription.xml").read_text(encoding="utf-8")
         return 3 if 'fmiVersion="3.0"' in description else 2
 
     @property
     def library(self) -> Path:
+        """Its shared library."""
         files = (self.folder / "binaries").glob("*/*")
         return next(path for path in files if "mujoco" not in path.name)
 
@@ -88,10 +92,12 @@ class Unpacked:
 
     @property
     def token(self) -> str:
+        """GUID or instantiation token."""
         return self._records("token")[0][0]
 
     @cached_property
     def rows(self) -> dict[str, Row]:
+        """Variables by name."""
         rows = [_row(fields[10], *fields[:7]) for fields in self._records("variable")]
         return {row.name: row for row in rows}
 
@@ -108,9 +114,11 @@ class Unpacked:
 
     @property
     def size(self) -> int:
+        """Number of values."""
         return sum(row.size for row in self.rows.values())
 
     def copy(self, folder: Path, change: Callable[[str], str] = str) -> "Unpacked":
+        """Copy it, with another table."""
         shutil.copytree(self.folder, folder)
         other = Unpacked(folder)
         other.table.write_text(change(self.table.read_text(encoding="utf-8")), encoding="utf-8")
@@ -140,10 +148,12 @@ def unpacked(kind: Kind, name: str, version: int) -> Unpacked:
 
 
 def mujoco_library() -> Path:
+    """MuJoCo's library, as its package brings it."""
     return next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
 
 
 def unpacked_fmu(fmu: NativeFmu, version: int = 2) -> Unpacked:
+    """Build an FMU, and unpack it."""
     return Unpacked(Fmu(build_fmu(fmu, target=Target(fmi=version))).folder)
 
 
@@ -219,9 +229,11 @@ class Instance:
         self.log.append((status, category.decode(), text.decode()))
 
     def messages(self) -> str:
+        """All that has been logged."""
         return "\n".join(text for _, _, text in self.log)
 
     def __call__(self, name: str, *arguments: Any) -> int:
+        """Call a function of the standard without its prefix."""
         status: int = self.dll[f"fmi{self.version}{name}"](self.c, *arguments)
         return status
 
@@ -239,6 +251,7 @@ class Instance:
         return self
 
     def enter(self, start_time: float = 0.0, stop_time: float | None = None) -> int:
+        """Enter initialization mode."""
         has_stop, stop = c_int(stop_time is not None), c_double(stop_time or 0.0)
         times = (c_int(0), c_double(0), c_double(start_time), has_stop, stop)
         if self.version == 3:
@@ -246,6 +259,7 @@ class Instance:
         return max(self("SetupExperiment", *times), self("EnterInitializationMode"))
 
     def step(self, time: float, size: float = STEP) -> int:
+        """Take a communication step."""
         if self.version == 2:
             return self("DoStep", c_double(time), c_double(size), 1)
         self.event, self.terminate, self.early = c_bool(True), c_bool(True), c_bool(True)
@@ -259,16 +273,19 @@ class Instance:
             assert self.step(i * STEP) == OK, self.messages()
 
     def set(self, name: str, *values: Any) -> int:
+        """Set all elements of a variable."""
         return self.set_references(self._references(name), values, self.fmu.rows[name].kind)
 
     def set_references(
         self, references: Sequence[int], values: Sequence[Any], kind: str = "Real"
     ) -> int:
+        """Set by value references."""
         name, c_type = _FUNCTIONS[self.version][kind]
         cast = int if kind == "Enumeration" else bytes if kind == "String" else c_type
         return self._access(f"Set{name}", references, (c_type * len(values))(*map(cast, values)))
 
     def get(self, name: str) -> list[Any]:
+        """Values of all elements of a variable."""
         row = self.fmu.rows[name]
         status, values = self.get_references(self._references(name), row.size, row.kind)
         assert status == OK, self.messages()
@@ -277,6 +294,7 @@ class Instance:
     def get_references(
         self, references: Sequence[int], count: int, kind: str = "Real"
     ) -> tuple[int, list[Any]]:
+        """Status and values by value references."""
         name, c_type = _FUNCTIONS[self.version][kind]
         values = (c_type * count)()
         return self._access(f"Get{name}", references, values), list(values)
@@ -293,9 +311,11 @@ class Instance:
         return [row.reference + i for i in range(row.size)]
 
     def outputs(self) -> list[float]:
+        """Values of all outputs of type Real."""
         return [value for name in self.fmu.names("output") for value in self.get(name)]
 
     def set_inputs(self, values: Sequence[float]) -> None:
+        """Set all inputs."""
         at = 0
         for name in self.fmu.names("input"):
             size = self.fmu.rows[name].size
@@ -327,17 +347,21 @@ class Instance:
                     *arguments)  # fmt: skip
 
     def save(self) -> c_void_p:
+        """Get a state."""
         state = c_void_p()
         assert self._state("GetFMUState", byref(state)) == OK, self.messages()
         return state
 
     def load(self, state: c_void_p) -> int:
+        """Set a state."""
         return self._state("SetFMUState", state)
 
     def drop(self, state: c_void_p) -> int:
+        """Free a state."""
         return self._state("FreeFMUState", byref(state))
 
     def serialize(self, state: c_void_p) -> bytes:
+        """A state as bytes."""
         size = c_size_t()
         assert self._state("SerializedFMUStateSize", state, byref(size)) == OK, self.messages()
         content = (ctypes.c_ubyte * size.value)()
@@ -345,10 +369,12 @@ class Instance:
         return bytes(content)
 
     def deserialize(self, content: bytes) -> tuple[int, c_void_p]:
+        """Status, and a state from bytes."""
         state = c_void_p()
         name = "DeSerializeFMUState" if self.version == 2 else "DeserializeFMUState"
         buffer = (ctypes.c_ubyte * len(content)).from_buffer_copy(content) if content else None
         return self._state(name, buffer, c_size_t(len(content)), byref(state)), state
 
     def free(self) -> None:
+        """Free the instance."""
         self("FreeInstance")

@@ -84,6 +84,7 @@ def copy_libraries(folder: Path, *left_out: str) -> None:
 
 
 def initialize(slave: Any, values: Mapping[str, Any]) -> None:
+    """Go through initialization, for a second."""
     slave.enter_initialization(values, 0.0, 1.0)
     slave.exit_initialization()
 
@@ -95,6 +96,7 @@ def members(archive: Path) -> dict[str, bytes]:
 
 
 def pack(archive: Path, content: Mapping[str, bytes | str]) -> Path:
+    """Write an archive; returns its path."""
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
         for name, member in content.items():
             file.writestr(name, member)
@@ -102,6 +104,7 @@ def pack(archive: Path, content: Mapping[str, bytes | str]) -> Path:
 
 
 def compiler() -> str | None:
+    """Path of a C compiler, or None."""
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 

@@ -129,6 +129,8 @@ def _forked(
 
 
 # In the forked process.
+
+
 def _begin(
     files: Sequence[Path],
     cwd: Path,

@@ -41,6 +41,8 @@ LAYOUT = np.dtype(
         ("state", STATE),
     ]
 )
+
+
 LAW = [name for name in BACKENDS["controller"] if name.startswith("controller")]
 
 
@@ -87,20 +89,24 @@ class LawInC:
 
     @property
     def gains(self) -> Gains:
+        """Gains and switches."""
         return self._set_gains
 
     @gains.setter
     def gains(self, gains: Gains) -> None:
+        """Gains and switches."""
         self._set_gains = gains
         for name in GAINS.names or ():
             value = getattr(gains, name)
             self._gains[name] = 1 + CHOICES[name].index(value) if name in CHOICES else value
 
     def update(self) -> None:
+        """Compute the outputs of one period from the inputs."""
         self._law.controller_update(self._controller, self._mujoco)
 
 
 def replay(law: Controller | LawInC, rows: Array) -> Array:
+    """Return the outputs for each row of inputs."""
     outputs = np.empty((len(rows), law.output_values.size))
     for row, out in zip(rows, outputs, strict=True):
         law.input_values[:] = row

@@ -103,5 +103,6 @@ def upgrade(server: Live) -> bytes:
 
 
 def viewer(server: Live) -> ClientConnection:
+    """Open the page's socket."""
     address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
     return connect(address, origin=origin, max_size=None, ping_interval=None)

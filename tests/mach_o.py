@@ -27,6 +27,7 @@ class MachO:
 
 
 def read(content: bytes) -> MachO:
+    """Read a file of one processor."""
     magic, processor, _, kind, count, size, *_ = struct.unpack_from(_HEADER, content)
     assert magic == MAGIC, f"magic {magic:#x}: no Mach-O file of 64 bits"
     file, at = MachO(processor, kind), struct.calcsize(_HEADER)
@@ -40,6 +41,7 @@ def read(content: bytes) -> MachO:
 
 
 def slices(content: bytes) -> list[MachO]:
+    """Read a file of one processor or of several."""
     if struct.unpack_from(">I", content)[0] != FAT_MAGIC:
         return [read(content)]
     (count,) = struct.unpack_from(">I", content, 4)

@@ -80,6 +80,7 @@ below = 0.02
 
 
 def write_arm(folder: Path, settings: str = ARM_SCENARIO) -> Path:
+    """Write the scenario of the two-link arm."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "arm.xml").write_text(ARM)
     (folder / "pd.py").write_text(SLAVE)
@@ -88,6 +89,7 @@ def write_arm(folder: Path, settings: str = ARM_SCENARIO) -> Path:
 
 
 def run_folder(folder: str, out: str, values: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Run a scenario; returns what the tests look at."""
     run = run_scenario(folder, out, values=values)
     recording = run.recording
     parameters = {n: dict(p) for n, p in recording.metadata["parameters"].items()}
@@ -101,6 +103,7 @@ def run_folder(folder: str, out: str, values: dict[str, Any] | None = None) -> d
 
 
 def same_bits(one: str, other: str) -> bool:
+    """Whether two runs have the same recorded values."""
     first, second = Recording.open(one), Recording.open(other)
     return first.columns == second.columns and all(
         (first[name] == second[name]).all() for name in first.columns

@@ -29,6 +29,7 @@ from panda_cosim.task.scenario import Scenario
 from panda_cosim.task.trajectory import COMMANDS
 
 Task = dict[str, float]  # the plant's parameters by key
+
 DRAWN = tuple(f"plant.block_{name}" for name in ("pos[1]", "pos[2]", "yaw", "mass", "friction"))
 # Ranges of a random task: offset from the nominal place, yaw, mass, friction.
 OFFSET = 0.10  # [m]
@@ -87,6 +88,7 @@ def commanded(commands: Array) -> dict[str, Array]:
 
 
 def connect(plant: Plant, controller: Controller) -> None:
+    """Copy the plant's outputs to the controller's inputs."""
     for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias", "actuator_force"):
         controller.inputs[name] = plant.outputs[name]
     for name in ("qpos", "qvel"):

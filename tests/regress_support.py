@@ -30,7 +30,9 @@ METADATA: dict[str, Any] = {
 }
 CONTENT: dict[str, Any] = {  # of a summary.json
     "success": True,
-    "criteria": [{"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True}],
+    "criteria": [
+        {"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True},
+    ],
     "tracking": {"rms_mm": 100.0, "max_mm": 150.0},
     "limits": {"torque_share": [0.1, 0.2]},
     "timing": {"simulated_s": 0.4, "wall_s": 1.0},
@@ -44,6 +46,7 @@ SUMMARY, NO_SUCCESS = map(Summary.read, (CONTENT, MISSED_CONTENT))
 
 
 def columns(rows: int = ROWS) -> dict[str, Array]:
+    """Return smooth signals, one of them with a step."""
     time = STEP * np.arange(rows)
     return {
         "time": time,
@@ -62,6 +65,7 @@ def record(
     metadata: Mapping[str, Any] | None = None,
     reason: str | None = None,
 ) -> Recording:
+    """Write a recording and open it."""
     units = {**UNITS, **(units or {})}
     described = [Column(name, units.get(name, "1"), f"what {name} is") for name in values]
     recorder = Recorder(folder, described, {**METADATA, **(metadata or {})})

@@ -30,6 +30,7 @@ FORCE = "push[1].force[2]"  # above about 25 N, tracking_max is missed
 
 
 def short_scenario(folder: Path) -> Path:
+    """Write a scenario of 0.1 s whose hand is pushed."""
     return write_files(folder, SETTINGS, "0,home,0,0,0,0.08", "0.1,home,0,0,0.005,0.08")
 
 
@@ -41,6 +42,7 @@ def short_sweep(folder: Path, samples: int = 12, **keys: Any) -> Sweep:
 
 
 def write_sweep(folder: Path, samples: int, more: str = "") -> Path:
+    """Write the same as a TOML file."""
     short_scenario(folder / "short")
     path = folder / "sweep.toml"
     path.write_text(
@@ -53,6 +55,7 @@ def write_sweep(folder: Path, samples: int, more: str = "") -> Path:
 
 
 def job(sweep: Sweep, fmus: dict[str, bytes], **options: Any) -> Job:
+    """Return what the rows of a sweep share."""
     return Job(load_scenarios(sweep), fmus, **options)
 
 

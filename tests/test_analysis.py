@@ -115,6 +115,7 @@ def test_an_own_law_and_plant_have_the_loop_of_the_closed_form(slide, spring, la
     one = in_process(measured, str(slide), 0.05, values)
     assert one["names"] == [["plant_ctrl"], ["plant_ctrl", "plant_qpos"]]
     assert one["period"] == one["dt"] == pytest.approx(period)
+
     tick, force = np.array([[1.0, step], [0.0, 1.0]]), np.array([step**2, step])
     a, b = np.eye(2), np.zeros(2)
     for _ in range(round(period / step)):
@@ -203,6 +204,7 @@ def grasp_of(scenario: str, folder: str) -> float | None:
 
 
 def swing(folder: str) -> tuple[float, float]:
+    """Largest change of a joint speed per tick, before and after the middle of a pushed hold."""
     speed = run_scenario(folder, Path(folder) / "run").recording["plant.qvel"][:, :7]
     change = np.abs(np.diff(speed, axis=0))
     return float(change[300:550].max()), float(change[750:].max())

@@ -31,6 +31,7 @@ TASK_NAMES = {
 FINGERS = ("left_finger", "right_finger")
 FINGERTIP = 0.1034  # centre of the fingertips along z of the hand [m]
 GRASP_HEIGHT = 0.015  # fingertips above the block's centre in a grasp [m]
+
 MENAGERIE = os.environ.get("MENAGERIE_ROOT")
 ARM_TOLERANCE = 1e-9  # relative to the quantity's largest entry [1]
 POSITION_TOLERANCE = 1e-9  # [m]
@@ -75,6 +76,7 @@ def grasped(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
+    """Pairs of bodies that are in contact."""
     return {
         frozenset(model.body(model.geom_bodyid[geom]).name for geom in contact.geom)
         for contact in data.contact

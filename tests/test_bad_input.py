@@ -49,7 +49,11 @@ def refused(folder: Path, *arguments: object) -> str:
 
 
 # Files: changes of the plant's FMU, and the message that each must give.
+
+
 def replace(old: str, new: str) -> Change:
+    """Return a change of the description's text."""
+
     def change(members: dict[str, bytes]) -> None:
         text = members[XML].decode()
         assert old in text
@@ -138,6 +142,7 @@ def test_each_fmu_is_quoted_with_its_own_words(scenario, tmp_path):
 
 
 # Keys and values: what scenario.toml says, whether there is a trajectory, and the message.
+
 SIGNAL = '[[success.signal]]\nsignal = "plant.qvel"\nreduce = "peak"\nbelow = 1.0\n'
 BAD_KEYS = [
     ('system = "no.ssp"\n', False, "no.ssp"),
@@ -187,6 +192,8 @@ def test_only_close_names_are_suggested():
 
 
 # Places to write to.
+
+
 def touched(path: Path) -> Path:
     path.parent.mkdir(exist_ok=True)
     path.touch()

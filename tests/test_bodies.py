@@ -51,6 +51,7 @@ def lifted(folder: Path, step: float) -> Recording:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
+    """The cup of `lifted`, in 1 s."""
     return lifted(tmp_path_factory.mktemp("run"), 0.1)
 
 

@@ -32,6 +32,7 @@ needs_library = pytest.mark.skipif(
 
 
 def record(out: str) -> None:
+    """Run the task by our master."""
     run_scenario(SCENARIO, out, Options())
 
 
@@ -50,12 +51,14 @@ def host(tmp_path_factory):
 
 
 def plan_of(folder: Path, version: int, *lines: str) -> Path:
+    """Write a plan."""
     path = folder / "plan"
     path.write_text("\n".join((f"fmi {version}", *lines, "")))
     return path
 
 
 def source(fmu: Unpacked, library: Path | None = None) -> str:
+    """What a plan says of an FMU."""
     return f"{library or fmu.library} {fmu.token} {fmu.location}"
 
 
@@ -69,6 +72,8 @@ def run(host: Path, plan: Path, **environment: str) -> tuple[list[str], str]:
 
 
 # Native FMUs where there is nothing else.
+
+
 @pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
 def root(request, tmp_path_factory, host):
     """A root folder with the host, the FMUs and the C library: nothing else."""
@@ -119,6 +124,8 @@ def test_the_first_instance_comes_quickly(root):
 
 
 # FMUs in Python: the library starts it.
+
+
 @needs_library
 @pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
 def test_fmus_in_python_record_the_same_in_any_environment(host, expected, tmp_path, version):
@@ -185,6 +192,8 @@ def test_packages_can_be_named_by_the_environment(host, tmp_path):
 
 
 # Threads that make the first instances of a process at one moment.
+
+
 @needs_library
 def test_fmus_in_python_may_be_first_at_one_moment(host, tmp_path):
     """Only one starts Python, although each has its own copy of the library."""

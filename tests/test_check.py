@@ -111,7 +111,13 @@ EDITS = [
     ("scenario.toml", "Picks the block up and holds it", "", "hint", "purpose is empty"),
     ("trajectory.csv", "0.08\n1.2", "0,08\n1.2", "wrong", "line 2: 7 values; must be 6"),
     ("trajectory.csv", "1.7,target", "1.1,target", "wrong", "goes back"),
-    ("trajectory.csv", "1.7,target,0.0", "1.7,target,1.0", "hint", "within the arm's reach"),
+    (
+        "trajectory.csv",
+        "1.7,target,0.0",
+        "1.7,target,1.0",
+        "hint",
+        "within the arm's reach",
+    ),
     ("trajectory.csv", "0.085,0.0\n2", "-0.085,0.0\n2", "hint", "the path must avoid this"),
     ("trajectory.csv", "1.2,target", "0.1,target", "hint", "of joint"),
 ]
@@ -137,6 +143,8 @@ def test_nothing_is_wrong_with_the_shipped_ones(name):
 
 
 # What `check` finds out without FMUs: collisions, the grip, the block's symmetry.
+
+
 FOLDER = shipped_scenarios()["pick_and_place"]
 
 

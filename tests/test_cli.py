@@ -28,6 +28,7 @@ PROGRAM = [sys.executable, "-m", "panda_cosim"]
 
 
 def call(*arguments: object) -> Result:
+    """Run a command in this process."""
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
@@ -37,12 +38,14 @@ def scenario(tmp_path):
 
 
 def make_scenario(folder: Path, tracking_max: float = 0.01) -> Path:
+    """Write a scenario in which the hand goes up a little."""
     settings = f"duration = 0.2\n[success]\ntracking_max = {tracking_max}\n"
     return write_files(folder, settings, "0,home,0,0,0,0.08", "0.2,home,0,0,0.002,0.08")
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
+    """A run's folder, for commands that start from one."""
     folder = tmp_path_factory.mktemp("finished")
     small = make_scenario(folder / "small")
     done = forked("run", small, "--no-video", "--out", folder / "run", code=0)
@@ -87,6 +90,7 @@ BAD_USE = [
 @pytest.mark.parametrize(("arguments", "message"), BAD_USE)
 def test_bad_use_is_reported_in_one_line(arguments, message):
     result = call(*arguments)
+
     assert result.exit_code == InputError.exit_code
     assert result.stderr.startswith("Error: ")
     assert result.stderr.count("\n") == 1
@@ -106,6 +110,7 @@ def test_bad_pictures_are_refused_before_any_is_drawn(finished, tmp_path):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_has_its_summary_and_an_example(command):
     result = call(command, "--help")
+
     assert result.exit_code == 0
     assert f"\n  panda-cosim {command}" in result.stdout
     assert "<bool>" not in result.stdout  # of a flag
@@ -177,6 +182,7 @@ def test_a_missed_success_condition_is_named_also_to_ci(tmp_path):
     strict, file = make_scenario(tmp_path / "strict", tracking_max=0.0), tmp_path / "junit.xml"
     options = ("--no-video", "--junit", file, "--out", tmp_path / "run")
     done = forked("run", strict, *options, code=3)
+
     assert "Success criteria missed: tracking_max" in done.stdout
     suite = ElementTree.parse(file).getroot()[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("1", "1", "0")
@@ -188,6 +194,7 @@ def test_a_missed_success_condition_is_named_also_to_ci(tmp_path):
 
 def test_a_run_is_printed_as_json(scenario, tmp_path):
     done = forked("run", scenario, "--no-video", "--json", "--out", tmp_path / "r", code=0)
+
     printed = json.loads(done.stdout)
     assert printed["folder"] == str(tmp_path / "r")
     assert printed["files"] == ["recording.parquet", "summary.json", "view.html"]
@@ -212,6 +219,7 @@ def test_what_there_is_is_printed_as_json(scenario):
 def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(tmp_path, monkeypatch):
     make_scenario(tmp_path / "tutorial")
     monkeypatch.chdir(tmp_path)
+
     shipped = call("inputs", "tutorial", "shipped.csv")
     assert shipped.exit_code == 0
     assert "write ./tutorial" in shipped.stderr
@@ -260,12 +268,14 @@ def test_a_signal_keeps_what_was_recorded(number, exit_code, tmp_path):
 def test_real_time_pacing_is_reported(scenario, tmp_path):
     options = ("--no-video", "--realtime", "--out", tmp_path / "run")
     done = forked("run", scenario, *options, code=0)
+
     assert "of 200 steps were late" in done.stdout
     assert json.loads((tmp_path / "run/summary.json").read_text())["timing"]["wall_s"] > 0.1
 
 
 def test_without_opengl_the_rest_of_the_job_is_done(scenario, tmp_path):
     done = forked("run", scenario, "--out", tmp_path / "run", MUJOCO_GL="disable", code=0)
+
     assert "MUJOCO_GL=disable" in done.stderr
     assert "panda-cosim render" in done.stderr
     assert (tmp_path / "run" / "plot.png").is_file()
@@ -277,6 +287,7 @@ def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(monkeypatch)
         raise RuntimeError("the roof is on fire")
 
     monkeypatch.setattr(f"{MODULES}.new.shipped_scenarios", fail)
+
     result = call("list")
     assert result.exit_code == 1
     assert "unexpected RuntimeError: the roof is on fire" in result.stderr
@@ -294,6 +305,7 @@ def test_a_reader_that_goes_away_is_no_error():
     program = " ".join(PROGRAM)
     command = f"set -o pipefail; {program} info | head -1; {program} list | true"
     done = ran(["bash", "-c", command])
+
     assert done.stderr == ""
 
 

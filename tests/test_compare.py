@@ -27,6 +27,7 @@ TOLERANCES = Tolerances(values=VALUES)
 
 @pytest.fixture
 def reference(tmp_path):
+    """Return a reference that was written and read."""
     run = record(tmp_path / "before", columns())
     Reference.of(run, SUMMARY, TOLERANCES).write(tmp_path / "reference.parquet", run)
     return Reference.read(tmp_path / "reference.parquet")
@@ -34,6 +35,8 @@ def reference(tmp_path):
 
 @pytest.fixture
 def compared(tmp_path, reference):
+    """Return a function that records values and compares them with the reference."""
+
     def run(values: dict[str, Any], summary: Any = SUMMARY, **options: Any) -> Comparison:
         exact = options.pop("exact", False)
         tolerances = options.pop("tolerances", TOLERANCES)
@@ -156,8 +159,10 @@ def rename(old: str, new: str | None = None) -> Change:
 
 FAULTS = [
     (put("plant.jac[1,1]", 17, np.nan), "plant.jac[1,1] is nan at 0.017 s"),
-    (put("controller.dq[1]", slice(17, 20), np.inf),
-     "controller.dq[1] is inf at 0.017 s and at 2 more ticks"),
+    (
+        put("controller.dq[1]", slice(17, 20), np.inf),
+        "controller.dq[1] is inf at 0.017 s and at 2 more ticks",
+    ),
     (put("time", 100, 0.099), "time is 0.099000000 s in row 101, must be 0.100000000 s"),
     (put("time", 100, 0.1004), "time is 0.100400000 s in row 101, must be 0.100000000 s"),
     (put("time", -1, 0.4 + 4e-9), "goes from 0 to 0.400000004 s, the reference from 0 to 0.4 s"),
@@ -166,10 +171,12 @@ FAULTS = [
     (keep(slice(0)), "goes from nan to nan s"),
     (rename("plant.contact_force"), "signal plant.contact_force is missing"),
     (rename("controller.dq[2]"), "signal controller.dq[2] is missing"),
-    (rename("plant.contact_force", "plant.contact_forces"),
-     "plant.contact_force is missing, perhaps renamed to 'plant.contact_forces'"),
+    (
+        rename("plant.contact_force", "plant.contact_forces"),
+        "plant.contact_force is missing, perhaps renamed to 'plant.contact_forces'",
+    ),
     (rename("plant.jac[1,1]", "plant.temperature"), "signal plant.temperature is new"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("fault", "expected"), FAULTS)

@@ -50,6 +50,7 @@ def record(
 
 
 def against(folder: Path, before: Recording, now: Recording, *, exact: bool = False) -> Comparison:
+    """Compare a run with the reference made of another, which is written and read."""
     Reference.of(before, SUMMARY, DEFAULT).write(folder / "reference.parquet", before)
     reference = Reference.read(folder / "reference.parquet")
     return compare_with_reference(now, SUMMARY, reference, DEFAULT, exact=exact)

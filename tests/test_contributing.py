@@ -53,6 +53,7 @@ def copy_of_project(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def changed(tmp_path_factory):
+    """A copy of the project with the output of the example."""
     root = copy_of_project(tmp_path_factory.mktemp("changed"))
     (diff,) = re.findall(r"^```diff\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
     follow(diff, root)
@@ -97,6 +98,7 @@ def test_an_output_is_added_in_two_places_and_a_line_of_the_description_in_one(c
     moving = np.abs(speeds) > 1e-9
     assert np.all(passive[moving] * speeds[moving] < 0)
     assert before[0].variable("qfrc_passive[1]").variable.causality == "output"
+
     source = changed / "fmus" / "build" / "description.py"
     text = source.read_text(encoding="utf-8")
     source.write_text(text.replace('DATE: Final = "2026', 'DATE: Final = "2027'))

@@ -21,6 +21,7 @@ from panda_cosim.task.rotations import Array
 from random_tasks import Done, random_tasks, run_in_memory, run_plain
 
 Signals = dict[str, Array]
+
 PLACE = (0.60, 0.35)  # m
 SHARE = 0.95  # of every limit, of the robot and of its reference
 
@@ -62,6 +63,8 @@ def test_the_tutorial_is_as_it_was_published():
 
 
 # Beyond what the arm can do.
+
+
 def moved(*rows: tuple[float, str, tuple[float, float, float]]) -> Signals:
     """Run a scenario with these rows, in quintic segments, and a rest at the end."""
     table = TrajectoryTable(tuple(TableRow(*row, 0.08) for row in rows))
@@ -131,6 +134,8 @@ def test_too_fast_a_command_says_which_limit_binds():
 
 
 # Other blocks.
+
+
 @pytest.mark.parametrize("count", [3, pytest.param(300, marks=pytest.mark.long)])
 def test_other_blocks_are_placed_as_well(count):
     for task in random_tasks(count):
@@ -143,11 +148,14 @@ def test_other_blocks_are_placed_as_well(count):
 
 
 # The grip force as a command: in a table and as the controller's parameter.
+
+
 FORCE = 22.0  # [N] a finger
 OFF = 0.03  # of the force, as the pads give
 
 
 def gripping(force: float) -> Scenario:
+    """Grasp the block where it stands."""
     rows = (
         TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
         TableRow(1.2, "target", (0.0, 0.0, 0.085), 0.06, grip_force=force),
@@ -207,6 +215,8 @@ def test_a_scene_without_that_gripper_refuses_the_column():
 
 
 # The gains "robust": noise, elastic joints, and the line that proposes them.
+
+
 APPROACH = load_scenario("pick_and_place").changed({"duration": 1.4})  # s, before the grasp
 NOISE = {"mismatch.joint_noise": 1e-5, "mismatch.hand_pose_source": "model"}  # [rad]
 SETTLED = 100  # ticks, after which the servos carry the arm

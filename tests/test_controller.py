@@ -142,6 +142,7 @@ def test_a_restored_state_replays_bit_for_bit(gains, instant):
     replay(original, INPUT_ROWS[:instant])
     state = original.get_state()
     expected = replay(original, INPUT_ROWS[instant:])
+
     other = Controller(gains)
     replay(other, INPUT_ROWS[::-1][:50])  # somewhere else
     other.set_state(state)

@@ -36,6 +36,8 @@ RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expec
 
 
 # --- the numbers once more
+
+
 def spans_of(time: Array, force: Array) -> list[tuple[int, int]]:
     """First row of each hold and the first after it, found row by row."""
 
@@ -97,6 +99,7 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
         later = np.flatnonzero(time >= time[released["end"]] + 0.5 - SAME)
         again = [h for h in holds if h["grasp"] > released["end"] and h["grasp"] <= later[:1]]
         placed = int(later[0]) if len(later) and not again else None
+
     command = np.hstack((run["controller.pos_cmd"], run["controller.quat_cmd"]))
     changes = [row for row in range(last) if (command[row] != command[row + 1]).any()]
     moving = sorted({*changes, *(row + 1 for row in changes)})
@@ -104,6 +107,7 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
     rest = last
     while rest > 0 and speed[rest - 1] < 0.005:
         rest -= 1
+
     error = 1e3 * np.linalg.norm(hand - run["controller.pos_cmd"], axis=1)
     turns = [run["controller.quat_cmd"] + sign * run["plant.hand_xquat"] for sign in (-1, 1)]
     apart = np.min([np.linalg.norm(turn, axis=1) for turn in turns], axis=0)
@@ -198,14 +202,18 @@ def limits_again(run: Recording) -> dict[str, Any]:
 
 
 # --- against the product's
+
+
 @pytest.fixture(scope="module", params=SHIPPED)
 def run(request, tmp_path_factory):
+    """Folder of a run of a shipped scenario."""
     out = tmp_path_factory.mktemp("runs") / request.param
     command("run", request.param, "--no-video", "--no-view", "--out", out, code=0)
     return out
 
 
 def told(summary: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The numbers of a summary by key; those of the holds as lists."""
     for section, content in summary.items():
         if section in RUN:
             yield section, content
@@ -232,6 +240,7 @@ def test_each_number_is_what_its_definition_says(run):
 
 
 def without(path: Path, signal: str) -> Recording:
+    """A recording that lacks a signal."""
     source = open_parquet(path)
     columns = [each for each in source.columns if each.name.partition("[")[0] != signal]
     return Recording(path, replace(source, columns=columns))
@@ -291,6 +300,8 @@ def test_every_definition_is_of_a_number_event_or_criterion(tmp_path):
 
 
 # --- holds
+
+
 @given(
     st.lists(
         st.tuples(st.integers(1, 120), st.sampled_from([0.0, 0.5, 0.75, 2.0, 9.0])),
@@ -315,6 +326,8 @@ def test_holds_are_those_found_row_by_row(runs, step):
 
 
 # The example of ISO 9283: its figures computed again from the recordings, and by hand.
+
+
 EXAMPLES = Path(__file__).parents[1] / "scenarios" / "examples"
 ISO = runpy.run_path(str(EXAMPLES / "iso9283.py"))
 

@@ -73,6 +73,7 @@ def lines_of(block: Block) -> list[str]:
 
 
 def walk(page: Path, folder: Path) -> None:
+    """Do in a folder what a page says."""
     environment = os.environ | {
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "BROWSER": "true",
@@ -91,6 +92,7 @@ def walk(page: Path, folder: Path) -> None:
 
 
 def run(line: str, entered: str, folder: Path, environment: dict[str, str]) -> str:
+    """Run a line, and return what it prints."""
     ended = "Ctrl-C" in line
     expected = re.search(r"exit code (\d)$", line)
     with subprocess.Popen(
@@ -190,6 +192,8 @@ def test_every_page_is_in_the_menu():
 
 
 # README, reference and notebook say what is so: commands, scenario files, links.
+
+
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 REFERENCE_PAGES = sorted((ROOT / "docs" / "reference").glob("*.md"))
 REFERENCE = "\n".join(page.read_text(encoding="utf-8") for page in REFERENCE_PAGES)
@@ -197,6 +201,7 @@ SCENARIO = (ROOT / "docs" / "reference" / "scenario.md").read_text(encoding="utf
 
 
 def code_blocks(kind: str, text: str = README) -> list[str]:
+    """Code code_blocks of one kind."""
     return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
@@ -227,6 +232,7 @@ def test_every_key_and_column_of_a_scenario_is_named():
 
 
 def headings(text: str) -> set[str]:
+    """Anchors of a page's headings."""
     found = re.findall(r"^#+ (.*)$", text, re.M)
     return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found}
 
@@ -267,6 +273,8 @@ def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
 
 
 # The examples run as they stand: four ways to use the project, from own parts to a kept result.
+
+
 EXAMPLES = Path(__file__).parent.parent / "scenarios" / "examples"
 EXAMPLE_LIMIT = 500.0  # [s]
 

@@ -105,6 +105,8 @@ def qpos(run: Path) -> np.ndarray:
 
 
 # What only reads.
+
+
 @pytest.mark.parametrize("name", ["push", "arm"])
 def test_check_and_info_download_no_engine_and_say_so(arm, tmp_path, monkeypatch, name):
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
@@ -124,6 +126,8 @@ def test_check_and_info_download_no_engine_and_say_so(arm, tmp_path, monkeypatch
 
 
 # FMUs.
+
+
 def test_an_fmu_holds_the_engine_and_what_it_compiles(engine, arm, tmp_path):
     model = arm / "model.xml"
     assert cli("mjcf2fmu", model, "--mujoco", ENGINE, "--out", tmp_path / "a.fmu").returncode == 0
@@ -171,6 +175,8 @@ def test_a_run_of_a_model_with_another_engine_is_drawn_by_the_installed_one(engi
 
 
 # What failed with older versions.
+
+
 def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(engine, arm, tmp_path):
     key = '<keyframe><key name="home" qpos=".1 .2"/></keyframe></mujoco>'
     (arm / "arm.xml").write_text(ARM.replace("</mujoco>", key))
@@ -185,6 +191,8 @@ def test_a_short_keyframe_is_filled_with_qpos0_by_every_engine(engine, arm, tmp_
 
 
 # Bad input.
+
+
 @pytest.mark.parametrize("version", ["3.9.0", "3.10", "new", "2.3.7", "../x"])
 def test_a_version_that_cannot_be_used_is_refused(version, tmp_path):
     done = cli("run", "push", "--mujoco", version, "--out", tmp_path / "r", code=2)
@@ -205,6 +213,8 @@ def test_a_key_that_no_fmu_can_follow_is_refused(arm):
 
 
 # Sweeps and suites.
+
+
 def test_a_sweep_varies_the_engine(engine, arm, tmp_path):
     definition = sweep_of(arm, [f"mujoco={HERE},{ENGINE}"])
     rows = sweep(definition, tmp_path / "sweep", jobs=1).table.to_pylist()
@@ -233,12 +243,15 @@ def test_a_folder_with_a_model_is_a_suite_over_engines(engine, arm, tmp_path):
     assert int(other["difference"].split()[-1]) <= first  # outputs beside qpos may differ before
     page = (tmp_path / "report" / "report.html").read_text()
     assert page.count("rounding, tick") >= 1
+
     text = cli(*suite, "--mujoco", ENGINE).stdout
     assert f"MuJoCo of the runs: {ENGINE}, {HERE}; of the references: {HERE}" in text
     assert other["difference"] in text
 
 
 # What counts as a change.
+
+
 def test_noise_tells_rounding_from_change(tmp_path):
     rows = len(columns()["time"])
     grown = 1e-13 * np.exp(0.02 * np.arange(rows))  # what noise makes, growing

@@ -17,7 +17,10 @@ from panda_cosim.fmus.master.fmu_file import Fmu, described_interface, read_valu
 from panda_cosim.fmus.master.system import System, open_slave, open_system
 from toy_fmu import INDICES, toy_fmu
 
-pytestmark = [pytest.mark.own_process, needs_compiler]
+pytestmark = [
+    pytest.mark.own_process,
+    needs_compiler,
+]
 U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
 
 
@@ -124,6 +127,7 @@ def test_an_fmu_that_is_not_instantiated_is_named(toy):
 
 
 def couple(first: Path, second: Path, isolate: bool = False) -> Any:
+    """Couple two of them, the second's outputs back to the first; returns the rows."""
     wires = [
         *(Connection(("a", y), ("b", u)) for y, u in zip(Y, U, strict=True)),
         Connection(("b", "y[1,2]"), ("a", "u[2,3]")),

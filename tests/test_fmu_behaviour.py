@@ -41,6 +41,7 @@ def fmu(request):
 
 
 def values_of(fmu: Unpacked) -> dict[str, Any]:
+    """Values that are not the start values."""
     return next(VALUES[name] for _, name, _ in MIXED if f"Panda{name.title()}" in fmu.library.name)
 
 
@@ -79,7 +80,10 @@ def changed(request):
 
 
 # Steps.
+
+
 def count(it: Instance) -> float:
+    """How many internal steps have been taken."""
     number: float = it.get("pos_cmd")[0]
     return number
 
@@ -176,6 +180,8 @@ def test_diverging_physics_is_an_error_with_time_and_cause(changed, tmp_path, mo
 
 
 # Values.
+
+
 @pytest.mark.parametrize("kind", ["native", "python"])
 def test_outputs_at_initialization_follow_the_parameters(kind):
     it = Instance(unpacked(kind, "plant", 2)).start({"block_pos": [0.5, 0.1]})
@@ -322,6 +328,8 @@ def test_reset_makes_an_instance_new(fmu):
 
 
 # Instances, and where they find their resources.
+
+
 def test_a_wrong_token_type_or_mode_is_refused(controller):
     with pytest.raises(RefusedError, match=r"the token '\{0\}' is not that of this FMU"):
         Instance(controller, token="{0}")
@@ -428,6 +436,8 @@ def test_the_rest_of_the_functions_say_that_they_are_not_offered(controller):
 
 
 # States.
+
+
 def test_a_state_replays_bit_for_bit_in_another_process(fmu):
     """Of an FMU whose parameters have other values there."""
 
@@ -476,6 +486,8 @@ def test_a_damaged_or_foreign_state_is_refused(kind, tmp_path):
 
 
 # Many instances.
+
+
 def test_instances_do_not_disturb_each_other_in_turns_or_threads(fmu):
     alone = Instance(fmu).start().play(0, 40)
     source = random.Random(3)

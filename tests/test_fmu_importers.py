@@ -35,11 +35,13 @@ def ssp(tmp_path_factory):
 
 
 def outputs(ssp: Path) -> dict[str, int]:
+    """Value references of the plant's outputs."""
     variables = Fmu(system_from_ssp(ssp).system.fmus["plant"]).variables
     return {n: v.value_reference for n, v in variables.items() if v.variable.causality == "output"}
 
 
 def ours(ssp: Path, coupling: Coupling = "jacobi") -> Any:
+    """The plant's outputs after each step, by our master."""
     coupled = system_from_ssp(ssp)
     blocks: list[Any] = []
     with open_system(

@@ -207,7 +207,10 @@ def test_the_same_content_gives_the_same_bytes(target, tmp_path, monkeypatch):
 
 
 # What it does in a host.
+
+
 def three_steps(fmu: Unpacked) -> list[float]:
+    """Outputs after three steps."""
     it = Instance(fmu).start()
     it.steps(3)
     return it.outputs()

@@ -34,6 +34,7 @@ def system(fmi: int, name: str = "pick_and_place", *, flat: bool = False) -> Wri
 
 @pytest.fixture(scope="module")
 def ssps(tmp_path_factory):
+    """The system by its version of SSP."""
     folder = tmp_path_factory.mktemp("ssp")
     return {f"{fmi - 1}.0": write_ssp(folder / f"{fmi}.ssp", system(fmi)) for fmi in (2, 3)}
 

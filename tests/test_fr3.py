@@ -49,6 +49,7 @@ def velocity_shares(q: Array, qd: Array) -> Array:
 
 
 def about(axis: str, angle: float) -> Array:
+    """Rotation matrix about x (0) or z (2)."""
     return Rotation.from_euler(axis, angle).as_matrix()
 
 

@@ -59,6 +59,7 @@ def record(folder: Path, blocks: int, shift: float) -> Path:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
+    """Two runs of each length."""
     place = tmp_path_factory.mktemp("runs")
     return {
         blocks: [record(place / f"{blocks}-{shift}", blocks, shift) for shift in (0.1, 0.2)]

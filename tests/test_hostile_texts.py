@@ -80,6 +80,7 @@ def says(page: Page, selector: str, text: str) -> bool:
 
 
 def sweep_folder(folder: Path, text: str) -> Path:
+    """Write a sweep's folder in which every text is the same one."""
     names = ["index", "margin", "margin.tracking_max", "status", "missed", "error", "command",
              "scenario"]  # fmt: skip
     definition = {"design": "random", "seed": 1, "samples": 2, "scenario": [text],
@@ -116,6 +117,7 @@ def test_a_rows_command_holds_any_scenario():
 
 
 def compared(folder: Path, text: str) -> RunComparison:
+    """Compare two runs in which every text is the same one."""
     for name, mass in (("a", 1.0), ("b", 2.0)):
         values = columns()
         values["controller.dq[2]"] = values["controller.dq[2]"] * mass
@@ -126,12 +128,14 @@ def compared(folder: Path, text: str) -> RunComparison:
 
 
 def documented(text: str) -> bytes:
+    """Return the documentation of an FMU in which every text is the same one."""
     variables = tuple(replace(v, description=text, unit=text) for v in SENSORS.variables)
     interface = replace(SENSORS, description=text, variables=variables)
     return documentation(NativeFmu(interface, "python", text), Layout(), (text,))
 
 
 def reported(folder: Path, text: str) -> bytes:
+    """Return a report in which every text that users can choose is the same one."""
     units = {"controller.dq[2]": text}
     tolerances = Tolerances(values={"controller.dq": 3e-7})
     scenario = Scenario("x", TABLE, 0.4, folder=folder, regression=tolerances)
@@ -196,6 +200,7 @@ def test_an_fmus_description_is_xml_whatever_names_a_model_has():
 
 
 def in_notebook(page: Page, folder: Path, frame: str) -> None:
+    """Show a frame in a page that stands for a notebook."""
     path = folder / "notebook.html"
     path.write_text(f"<!DOCTYPE html><body>{frame}", encoding="utf-8")
     page.open(path)
@@ -250,6 +255,7 @@ def test_junit_holds_any_text(tmp_path):
 
 
 # The live page.
+
 TUNABLES = {f"{ODD}.p": 1.0, f"{ODD}.on": True, f"{ODD}.kind": ODD}
 PLAN = {
     "time": [0.0, 1.0],

@@ -36,6 +36,7 @@ Changed = dict[str, list[bool]]  # whether the digests of FMUs and sweeps change
 
 
 def layers(container: str) -> list[str]:
+    """The layers within a package, from the top."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     (found,) = (c["layers"] for c in settings["contracts"] if c.get("containers") == [container])
     return list(found)

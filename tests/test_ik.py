@@ -33,6 +33,7 @@ from panda_cosim.task.rotations import Array
 
 ANGLE_TOLERANCE = 1e-9  # rad
 SOLUTION_TOLERANCE = 1e-7  # rad/s, of the solver's and of the pseudo-inverse's rounding
+
 part = st.floats(-1.0, 1.0)
 vectors = st.tuples(part, part, part).map(np.array)
 seeds = st.integers(0, 2**32 - 1)
@@ -87,10 +88,13 @@ def random_posture(seed: int) -> Array:
 
 
 def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
+    """Return the joint velocities for a wanted twist and null-space rate."""
     return damped_least_squares(jac, damped_factor(jac, damping), twist, rate)
 
 
 # Pose error.
+
+
 @given(a=vectors, b=vectors, q=quaternions)
 def test_the_position_error_leads_from_the_hand_to_the_command(a, b, q):
     assert np.array_equal(pose_error(a, q, b, q)[:3], a - b)
@@ -105,6 +109,7 @@ def test_the_error_brings_the_hand_to_the_command_by_the_shorter_way(a, b):
 
 
 # Correction.
+
 rates = st.floats(1e-3, 100.0)
 
 
@@ -129,6 +134,8 @@ def test_an_error_is_corrected_as_fast_as_can_be_braked(linear, angular, scale, 
 
 
 # Least squares.
+
+
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds)
 def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed):
@@ -211,6 +218,8 @@ def test_without_a_solution_the_joints_brake():
 
 
 # Singularities and inertia.
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
 def test_manipulability_and_smallest_singular_value_are_those_of_the_jacobian(seed):

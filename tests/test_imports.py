@@ -39,10 +39,13 @@ def test_the_import_contracts_hold():
     [
         ("plant/plant.py", "from ..fmus import errors", "The folders are layers BROKEN"),
         ("fmus/interface/tables.py", "from ..master import fmu", "within fmus are layers BROKEN"),
-        ("src/panda_cosim/task/files.py", "import fmpy",
-         "foreign library is imported in one place BROKEN"),
+        (
+            "src/panda_cosim/task/files.py",
+            "import fmpy",
+            "foreign library is imported in one place BROKEN",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_forbidden_import_is_seen(module, statement, contract, tmp_path):
     for folder in ("assets", "plant", "controller", "fmus", "src"):
         ignored = shutil.ignore_patterns("__pycache__", "*.parquet", "native")
@@ -88,6 +91,8 @@ def test_the_packages_themselves_cost_nothing():
 
 
 # No test waits without an end: one process that hangs would hold up all tests.
+
+
 FILES = sorted(Path(__file__).parent.glob("*.py"))
 RUNS = ("subprocess.run", "subprocess.check_output", "subprocess.check_call")
 WAITS = ("wait", "communicate", "join")  # without arguments: without an end

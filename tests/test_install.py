@@ -66,6 +66,8 @@ def test_a_script_beside_modules_of_the_same_names_runs(own):
 
 
 # --- What a build needs ------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize(
     ("kind", "compiler", "needed"),
     [
@@ -99,6 +101,8 @@ def test_an_editable_install_compiles_modules_where_python_keeps_no_byte_code(tm
 
 
 # --- A wheel ---------------------------------------------------------------------------------
+
+
 def copied_source(folder: Path) -> Path:
     source = folder / "source"
     source.mkdir()

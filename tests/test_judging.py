@@ -113,13 +113,17 @@ def test_two_bounds_are_two_criteria(recording):
     [
         ({"signal": "f", "reduce": "max", "from_": "release"}, "no release in this run"),
         ({"signal": "f", "reduce": "max", "from_": 5.0}, "no samples from 5 to 2 s"),
-        ({"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": 1.5},
-         "does not settle within its window of 0.5 s"),
-        ({"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": "end"},
-         "a window of one row"),
+        (
+            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": 1.5},
+            "does not settle within its window of 0.5 s",
+        ),
+        (
+            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": "end"},
+            "a window of one row",
+        ),
         ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_measured_neither_holds_nor_is_missed(recording, keys, word):
     result = judged(recording, **keys, below=1.0)
     assert (result.value, result.margin, result.word) == (None, None, "not measured")
@@ -130,7 +134,11 @@ def test_what_cannot_be_measured_neither_holds_nor_is_missed(recording, keys, wo
 SIZES = st.floats(-1e6, 1e6).map(lambda size: round(size, 3))
 
 
-@given(value=st.floats(-1e6, 1e6), bound=st.floats(-1e6, 1e6), above=st.booleans())
+@given(
+    value=st.floats(-1e6, 1e6),
+    bound=st.floats(-1e6, 1e6),
+    above=st.booleans(),
+)
 def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(value, bound, above):
     criterion = Criterion("x", value, bound, "m", "above" if above else "below")
     assert criterion.ok == (value >= bound if above else value <= bound)
@@ -193,9 +201,12 @@ WRONG = [
     (B, B + "\nabove = 61.0", "so that it can never hold; must be at most be"),
     (f"{R}\n{B}", 'reduce = "peak"\nbelow = -1.0', "is never negative, so that it can never hold"),
     (f"{R}\n{B}", 'reduce = "rms"\nabove = 0.0', "is never negative, so that it can never fail"),
-    (f"{R}\n{B}", 'reduce = "duration_above"\nlevel = 1.0\nabove = 0.6\nfrom = 2.0',
-     "the window lasts 0.5 s at most, so that it can never hold"),
-]  # fmt: skip
+    (
+        f"{R}\n{B}",
+        'reduce = "duration_above"\nlevel = 1.0\nabove = 0.6\nfrom = 2.0',
+        "the window lasts 0.5 s at most, so that it can never hold",
+    ),
+]
 
 
 def written(folder: Path, section: str, top: str = "") -> Path:

@@ -106,6 +106,7 @@ def test_both_give_the_same_bits(folder, plans):
 
 
 def plan(version: int, **changes: Any) -> dict[str, Any]:
+    """Two toys in a row, the first of a version."""
     return {
         "versions": [version, 2], "external": [["toy0", "u[1,1]"]],
         "connections": [[["toy0", "y[2,1]"], ["toy1", "u[1,2]"]]],
@@ -178,6 +179,8 @@ def test_both_give_the_same_bits_over_all_shipped_scenarios(share):
 
 
 # The co-simulation over real FMUs is the plain loop of the same objects, bit for bit.
+
+
 @pytest.mark.parametrize(
     ("scenario", "coupling", "steps"),
     [

@@ -23,6 +23,8 @@ from panda_cosim.task.rotations import Array
 PERIOD = 0.001  # s
 OVERSHOOT = QDD_MAX * PERIOD**2 / 4  # rad, by what the last, shorter step of a stop may miss
 seeds = st.integers(0, 2**32 - 1)
+
+
 LIMITS = JointLimits(share=1.0, lead=0.05, period=PERIOD)
 pull_from_ends = LIMITS.pull_from_ends
 NONE = np.zeros(7)
@@ -30,6 +32,7 @@ HOME = np.array(HOME_Q)
 
 
 def box_at(q: Array, qd: Array, qdd: Array = NONE, lag: Array = NONE) -> tuple[Array, Array]:
+    """Return the lowest and highest velocities where the reference moves at qd and qdd."""
     low, high = LIMITS.velocity_box(Motion(q, qd, qdd, lag))
     return low, high
 
@@ -154,6 +157,8 @@ def test_where_limits_are_inactive_the_box_contains_the_velocities(seed, size):
 
 
 # Random straight moves end at their goals, near singularities, too.
+
+
 NEAR_SINGULARITIES = (2, 8, 13, 22)  # moves whose goals once were missed by 1.5 to 2.5 mm
 
 

@@ -42,19 +42,23 @@ WAYPOINT = 5  # row of the table, from 1: above the table, far from the block
 
 
 def newest(page: Page, column: str) -> float:
+    """A column's latest value in the page."""
     return float(page.value(f"{RUN}.newest('{column}')"))
 
 
 def block(page: Page) -> np.ndarray:
+    """Latest position of the block's centre (3,) [m]."""
     return np.array([newest(page, f"plant.qpos[{i}]") for i in (10, 11, 12)])
 
 
 def mouse(page: Page, kind: str, x: float, y: float) -> None:
+    """Press, move or release the mouse."""
     pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
     page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
 
 
 def pause(page: Page) -> None:
+    """Pause the run, once the page knows that it runs."""
     page.wait("document.querySelector('.pv-run').textContent === 'Pause'")
     page.click(".pv-run")
     page.wait("document.querySelector('.pv-run').textContent === 'Run'")
@@ -107,6 +111,7 @@ def move_the_slider(page: Page, name: str) -> float:
 
 
 def replayed(folder: Path, out: Path) -> Recording:
+    """Run a session again on the command line."""
     quiet = ("--no-video", "--no-view", "--no-plot")
     done = command("replay", folder, "--out", out, *quiet)
     assert done.returncode in (0, 3), done.stderr

@@ -160,7 +160,10 @@ def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path):
 
 
 # The doctor: it finds what is missing, and says how to get it.
+
+
 def look(what: str) -> Finding:
+    """Return the one finding about something."""
     (finding,) = [finding for finding in examine() if finding.what.startswith(what)]
     return finding
 

@@ -16,6 +16,7 @@ from panda_cosim.study.analysis.responses import Responses
 from panda_cosim.study.analysis.sensitivity import Sensitivity, disk_margin, limits
 
 Matrix = NDArray[Any]
+
 PERIOD = 0.004  # s
 NEAR = 1e-3  # share of a margin within which a system is on its other side
 SAME = 1e-6  # relative, of the same number by another way
@@ -59,14 +60,17 @@ class Loops:
 
     @property
     def sensitivity(self) -> Sensitivity:
+        """S by the responses to pulses."""
         return Sensitivity(self.pulses, PERIOD)
 
     def alone(self, index: int) -> "Loops":
+        """One loop, with the others closed."""
         others = np.arange(self.b.shape[1]) != index
         a = self.a - self.b[:, others] @ self.c[others]
         return Loops(a, self.b[:, [index]], self.c[[index]])
 
     def response(self, omega: Matrix) -> Matrix:
+        """L (m, n, n) at frequencies (m,)."""
         z = np.exp(1j * omega * PERIOD)[:, None, None]
         return np.asarray(self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b))
 
@@ -137,6 +141,7 @@ def test_the_disk_margin_is_that_of_python_control(made):
 
 
 def responses_of(made: Loops, positions: Matrix) -> Responses:
+    """What `analyze` would measure, with the positions (n, order) of the states."""
     n, state = made.b.shape[1], made.b
     moves = [np.zeros((len(positions), n))]
     for _ in range(TICKS - 1):

@@ -36,14 +36,18 @@ class FakeSlave:
         self._kept: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def save_state(self) -> None:
+        """Keep inputs and outputs."""
         self._kept = dict(self.inputs), dict(self.outputs)
 
     def restore_state(self) -> None:
+        """Go back to what was kept."""
         inputs, outputs = self._kept
         self.inputs.update(inputs)
         self.outputs.update(outputs)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that reads."""
+
         def get(row: int) -> None:
             self._log.append(f"get {self.name}")
             block[row] = [self.outputs[name] for name in names]
@@ -51,6 +55,8 @@ class FakeSlave:
         return get
 
     def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that writes."""
+
         def put(row: int) -> None:
             self._log.append(f"set {self.name}")
             self.inputs.update(zip(names, block[row].tolist(), strict=True))
@@ -58,6 +64,7 @@ class FakeSlave:
         return put
 
     def step(self, time: float, step_size: float) -> None:
+        """Compute the outputs."""
         assert step_size == H or time + step_size <= self.stop
         self._log.append(f"step {self.name}")
         self.times.append(time)
@@ -99,6 +106,7 @@ def begun(master: Master) -> list[Array]:
 
 
 def run(master: Master, steps: int, external: Array | None = None, **options: Any) -> Array:
+    """Run, and return all rows."""
     rows: list[Array] = []
     inputs = references(steps) if external is None else external
     statistics = master.run(steps, inputs, lambda block: rows.append(block.copy()), **options)
@@ -434,10 +442,12 @@ class Clock:
         self.slept: list[float] = []
 
     def perf_counter(self) -> float:
+        """Read the clock."""
         self.now += self.look
         return self.now
 
     def sleep(self, seconds: float) -> None:
+        """Advance it."""
         self.slept.append(seconds)
         self.now += seconds
 

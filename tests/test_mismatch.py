@@ -120,6 +120,7 @@ def test_a_written_scenario_is_read_as_the_same(preset, tmp_path):
 
 
 def shortened(**keys: object) -> Scenario:
+    """The first fifth of a second of a run."""
     scenario = load_scenario("pick_and_place").changed({"duration": 0.2})
     return replace(scenario, mismatch=Mismatch(**keys))  # type: ignore[arg-type]
 
@@ -185,6 +186,8 @@ def test_a_law_knows_of_no_mass_unless_it_asks_for_the_truth_by_name():
 
 
 # Sensors between plant and controller: each error does what it says, and zero does nothing.
+
+
 ALL_ERRORS = SensorErrors(
     seed=3,
     joint_offset=(1e-3,) * 7,

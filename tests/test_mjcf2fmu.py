@@ -32,6 +32,7 @@ def box(tmp_path):
 
 
 def write(model: Path, out: Path, options: ModelOptions, fmi: int = 2) -> Path:
+    """Make an FMU, named after its file."""
     out.write_bytes(Target(fmi=fmi).make(model_fmu(model, options, out.stem)))
     return out
 

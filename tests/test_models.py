@@ -48,6 +48,7 @@ def loaded(path):
 
 
 def steps(it: Instance, model, data, count: int) -> None:
+    """Step both; positions and velocities have the same bits."""
     first = round(data.time / STEP)
     for i in range(first, first + count):
         mujoco.mj_step(model, data)

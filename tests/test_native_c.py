@@ -28,16 +28,19 @@ pytestmark = needs_compiler
 
 
 def compiled(folder: Path, *arguments: str | Path) -> None:
+    """Run the compiler in a folder."""
     places = [native.SOURCES, *(f"-isystem{include}" for include in native.includes())]
     command = [str(compiler()), "-std=c11", "-I", *places, *arguments]
     subprocess.run(command, cwd=folder, check=True, timeout=300)
 
 
 def sources(names: tuple[str, ...]) -> list[Path]:
+    """Paths of sources."""
     return [native.SOURCES / name for name in names]
 
 
 def compile_drive(folder: Path, *arguments: str | Path) -> Path:
+    """Link the drive with an FMU's code, beside MuJoCo's library."""
     compiled(folder, *arguments, "-o", "drive", "-lm", "-ldl")
     (folder / "libmujoco.so").symlink_to(mujoco_library())
     return folder / "drive"
@@ -45,6 +48,7 @@ def compile_drive(folder: Path, *arguments: str | Path) -> Path:
 
 @pytest.fixture(scope="module")
 def layer(tmp_path_factory):
+    """The FMI layer and the drive, compiled once for all."""
     if not sanitizes():
         pytest.skip("ziglang brings no sanitizers")
     folder = tmp_path_factory.mktemp("layer")
@@ -140,6 +144,8 @@ def test_valgrind_finds_nothing(tmp_path):
 
 
 # Hosts in C that make it hard for an FMU: they get the bits of an undisturbed run, or a reason.
+
+
 SOURCE = Path(__file__).parent / "c_host" / "stress.c"
 EASY = ("arithmetic", "comma", "two")  # without a number
 # Rounds, kilobytes, instances or allocations: in the suite (0: not), and in long runs.
@@ -166,6 +172,7 @@ def host(tmp_path_factory):
 
 
 def stress(host: Path, fmu: Unpacked, way: str, number: int = 0, **environment: str) -> str:
+    """Run it; returns what it says."""
     words = [fmu.token, fmu.location, fmu.reals("input"), fmu.reals("output"), way, str(number)]
     done = ran(
         [host, str(fmu.version), fmu.library, *words],
@@ -176,6 +183,7 @@ def stress(host: Path, fmu: Unpacked, way: str, number: int = 0, **environment: 
 
 
 def every_way(host: Path, fmu: Unpacked, kind: Kind, column: int) -> None:
+    """Take all ways."""
     for way in EASY:
         stress(host, fmu, way)
     for way, numbers in WAYS[kind].items():

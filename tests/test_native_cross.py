@@ -49,6 +49,7 @@ def runner(platform: str) -> list[str]:
 
 
 def foreign(platform: str, path: Path) -> str:
+    """A path as the platform's programs have it."""
     return f"Z:{path}".replace("/", "\\") if platform == "win64" else str(path)
 
 
@@ -97,6 +98,7 @@ def test_the_arm_sets_out_as_it_does_here(platform, fmi, prefix, tmp_path):
 
 
 def check_joints(there: Columns, here: Columns) -> None:
+    """Compare all positions, as far as there are any."""
     for name in (f"plant.qpos[{i}]" for i in range(1, 17)):
         same = here[name][: len(there[name])]
         np.testing.assert_allclose(there[name], same, rtol=0.0, atol=TOLERANCE)

@@ -49,6 +49,7 @@ def fmu(request):
 
 
 def as_fmi(value: Any) -> tuple[float, ...]:
+    """Elements of a parameter."""
     if isinstance(value, str):
         return (SCENES.index(value) + 1,)
     return value if isinstance(value, tuple) else (value,)
@@ -112,6 +113,8 @@ def test_a_damaged_model_is_refused(tmp_path):
 
 
 # Any model.
+
+
 def _package_files(name: str, pattern: str) -> list[Path]:
     spec = find_spec(name)
     return sorted(Path(spec.origin).parent.glob(pattern)) if spec and spec.origin else []
@@ -158,6 +161,8 @@ def test_any_model_steps_as_mj_step(path, tmp_path):
 
 
 # Where the block can start.
+
+
 def starts(plant: Unpacked, scene: str, x: float, y: float, yaw: float) -> list[Any]:
     """The block's pose, or why it is refused: of the native plant, and of Python's."""
     outcomes: list[Any] = []

@@ -37,6 +37,7 @@ VARIABLES: list[Variable] = [*CONTROL, *OUTPUTS]
 
 @pytest.fixture(autouse=True, scope="module")
 def cache(tmp_path_factory):
+    """A cache for these FMUs alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PANDA_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield

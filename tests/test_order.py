@@ -100,6 +100,7 @@ def reaches(feeds: set[tuple[str, str]], start: str, end: str) -> bool:
 
 
 # Systems that are run.
+
 LINES = ['a = "a.fmu"', 'plant = "b.fmu"', 'c = "c.fmu"']
 CONNECT = ['"a.u" = "plant.y"', '"plant.u" = "c.y"', '"c.u" = "a.y"']
 INPUTS = ['"a.u[1,1]" = 1.0', '"c.u[2,1]" = -2.0']

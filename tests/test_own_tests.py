@@ -68,6 +68,7 @@ def test_regress_judges_each_scenario_by_itself(mine, tmp_path):
     assert found["unmeasured"]["reason"].startswith("max_slip not measured")
     assert "did you mean 'plant.hand_xpos[3]'" in found["broken"]["reason"]
     assert found["good"]["criteria"][0]["margin"] > 0.0
+
     suite = ET.parse(report / "junit.xml").getroot()[0]
     cases = {str(case.get("name")): case for case in suite}
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("6", "2", "2")
@@ -88,6 +89,7 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(mine, tmp
     assert "the run cannot become a reference: missed: tracking_rms" in made.stderr
     assert "the run cannot become a reference: unexpected success" in made.stderr
     assert TEMPORARY not in made.stdout + made.stderr, "a folder that is gone"
+
     same = command(*asked, "good", "expected", cwd=tmp_path, code=0)
     assert "2 of 2 scenarios match their references" in same.stdout
 

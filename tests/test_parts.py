@@ -39,6 +39,7 @@ class Hold:
     def update(self, time, qpos, hand_xpos):
         return qpos
 """
+
 RAMP = """
 class Ramp:
     "Rises by one a second"

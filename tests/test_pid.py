@@ -18,12 +18,14 @@ ZERO, ONE = np.zeros(7), np.ones(7)
 
 
 def responses(gains: Gains, period: float, errors: Array) -> Array:
+    """Return the corrections to a row of errors (n, 7) -> (n, 7) [rad]."""
     pid = Pid(gains, period, Buffer(PID_STATE).views)
     pid.reset()
     return np.array([pid.update(error) for error in errors])
 
 
 def pid_gains(kp: Array, ki: Array, kd: Array, tf: float = 0.0, limit: float = NO_LIMIT) -> Gains:
+    """Return gains with these of the PIDs (7,)."""
     each = {name: tuple(g.tolist()) for name, g in (("kp", kp), ("ki", ki), ("kd", kd))}
     return Gains(**each, derivative_filter=tf, integral_limit=(limit,) * 7)
 
@@ -66,7 +68,10 @@ def test_a_start_with_an_error_gives_no_derivative_kick():
 
 
 @settings(max_examples=50, deadline=None)
-@given(limit=st.floats(0.001, 0.1), errors=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60))
+@given(
+    limit=st.floats(0.001, 0.1),
+    errors=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60),
+)
 def test_the_integral_never_winds_up(limit, errors):
     """It stays within its limit, and so turns as soon as the error does."""
     gains = pid_gains(ZERO, 50.0 * ONE, ZERO, limit=limit)

@@ -39,6 +39,7 @@ def press(plant: Plant) -> None:
 
 @pytest.fixture(params=SCENES)
 def plant(request):
+    """A plant of each scene."""
     return Plant(PlantParameters(scene=request.param))
 
 

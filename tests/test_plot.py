@@ -45,6 +45,7 @@ def made_up_run(rows: int = 1001) -> FakeRecording:
 
 
 def texts(run: FakeRecording) -> list[str]:
+    """Return all that is written on the page."""
     figure = draw_run(run)
     found = [text.get_text() for text in figure.texts]
     for axes in figure.axes:

@@ -25,6 +25,7 @@ from panda_cosim.task.rotations import Array
 from random_tasks import run_in_memory
 
 Quantity = tuple[Array, Any, Any]  # values (n, k), largest sizes, and what both are counted from
+
 DT = 1e-3  # [s]
 SAME = 1e-5  # relative: third differences lose digits
 # From Franka's documents, once more.
@@ -307,6 +308,8 @@ def test_each_condition_has_a_scenario_that_does_not_keep_it():
 
 
 # --- runs
+
+
 @pytest.fixture(scope="module")
 def fast(tmp_path_factory):
     """The Panda's fast cycle, as FR3 sees it; its observer is on, and no refusal allowed."""
@@ -458,6 +461,8 @@ def test_the_first_row_of_jacobi_coupling_has_no_command_yet(rows, rested):
 
 
 # --- what a user sees
+
+
 def test_view_and_sweeps_have_what_the_summary_has(fast):
     told = fast[0]["preflight"]
     lines = run.refusals_of(Summary.read(fast[0]))

@@ -55,24 +55,29 @@ class Unit:
         self.slave.exitInitializationMode()
 
     def get(self, names: Sequence[str]) -> list[float]:
+        """Values of Reals."""
         values: list[float] = self.slave.getReal([self.references[name] for name in names])
         return values
 
     def set(self, names: Sequence[str], values: Sequence[float]) -> None:
+        """Set Reals."""
         self.slave.setReal([self.references[name] for name in names], list(values))
 
     def steps(self, count: int, first: int = 0) -> "Unit":
+        """Take steps of 1 ms."""
         for tick in range(first, first + count):
             self.slave.doStep(tick * STEP, STEP)
         return self
 
 
 def outputs(unit: Unit) -> list[float]:
+    """All outputs of a plant."""
     return unit.get([n for v in INTERFACES["plant"].of("output") for n in v.names()])
 
 
 @cache
 def plant() -> Path:
+    """The packed plant."""
     return build(["plant"], target=PACKED)["plant"]
 
 
@@ -86,6 +91,8 @@ def with_step(step: bytes) -> Path:
 
 
 # The same bits.
+
+
 @pytest.mark.own_process
 @pytest.mark.parametrize("name", ["elastic", "sensor_noise", "jacobi"])
 def test_our_master_gives_the_same_bits_with_each_kind(name, tmp_path):
@@ -118,6 +125,7 @@ def test_the_description_is_ours_and_valid(name):
 
 
 # A script of a user's, which PythonFMU alone packs.
+
 SCRIPT = """from panda_cosim.fmus.inside.{name} import {base}
 
 
@@ -147,6 +155,8 @@ def test_pythonfmu_alone_makes_an_fmu_of_a_short_script(name, tmp_path):
 
 
 # The wrapper's traps.
+
+
 @pytest.mark.own_process
 def test_any_number_of_instances_live_in_one_process():
     expected = outputs(Unit(plant()).steps(3))
@@ -213,6 +223,8 @@ def test_a_state_is_restored_bit_for_bit_also_in_another_instance():
 
 
 # What it cannot do, and what does without it.
+
+
 @pytest.mark.own_process
 @pytest.mark.parametrize(
     "words", [("--fmi", "3"), ("--platform", ",".join([this_platform(), [*PLATFORMS][-1]]))]
@@ -227,6 +239,8 @@ def test_what_pythonfmu_cannot_make_is_refused(words, tmp_path):
 
 
 # Our own FMUs as parts.
+
+
 @pytest.mark.own_process
 @pytest.mark.parametrize("target", [Target("native"), PACKED], ids=lambda target: target.kind)
 def test_an_fmu_of_ours_gets_the_scenarios_start_values_from_any_file(target, tmp_path):
@@ -263,6 +277,8 @@ def test_an_unknown_kind_is_refused():
 
 
 # Without the package pythonfmu, what needs it says so in one line, and all else runs.
+
+
 WITHOUT = """
 import sys
 from importlib import metadata

@@ -39,6 +39,7 @@ def make_rows(count: int, first: int = 0) -> Array:
 
 
 def record(folder: Path, rows: Array, **end: object) -> Path:
+    """Make a recording of these rows."""
     recorder = Recorder(folder, COLUMNS, METADATA)
     recorder.append(rows)
     return recorder.close(**{"complete": True, **end})  # type: ignore[arg-type]
@@ -221,6 +222,8 @@ def test_the_rows_before_a_full_disk_are_kept(tmp_path):
 
 
 # --- Damaged files ---------------------------------------------------------------------------
+
+
 def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path):
     path = interrupted(tmp_path)
     content = path.read_bytes()

@@ -26,6 +26,7 @@ WIDER = {  # input by the output that feeds it
     "Float32_continuous": "Int16", "Float32_discrete": "UInt16", "Float64_continuous": "Int32",
     "Float64_discrete": "Float32_discrete",
 }  # fmt: skip
+
 pytestmark = needs_reference_fmus
 
 
@@ -71,6 +72,8 @@ def test_state_space_takes_matrices_as_in_fmpy(tmp_path):
 
 
 # Steps and couplings.
+
+
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_an_fmu_steps_in_multiples_of_the_system_s_step(tmp_path, isolate):
     recording = run(write(tmp_path, {"it": "fmi3/VanDerPol"}, "[steps]\nit = 5\n"), *isolate)
@@ -173,6 +176,8 @@ def _driven_in_fmpy(values: Mapping[str, list[float]], inputs: Sequence[float]) 
 
 
 # Feedthrough, whose outputs are its inputs, in all types.
+
+
 def inputs(fmi: str) -> dict[str, Sequence[Any]]:
     """A value of each input at each instant, in its type."""
     random, columns = np.random.default_rng(5), {}

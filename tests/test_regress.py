@@ -21,8 +21,12 @@ from panda_cosim.study.compare.regress import find_scenarios, start
 from panda_cosim.study.work import Workers
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
+
 LARGEST = 500_000  # bytes of a reference; noise compresses badly
+
 SETTINGS = "duration = 0.2\n[success]\ntracking_max = 0.005\n"
+
+
 DIES = """
 import os, signal
 
@@ -34,6 +38,7 @@ class Dies:
 
 @pytest.fixture(scope="module")
 def outcomes(forked_workers, tmp_path_factory):
+    """Run all shipped scenarios, two at a time."""
     build()  # once, not in each process
     folder = tmp_path_factory.mktemp("runs")
     longest_first = sorted(find_scenarios(), key=lambda scenario: -scenario.duration)
@@ -59,15 +64,18 @@ def test_a_reference_is_compact_and_says_what_made_it():
 
 @pytest.fixture
 def mine(tmp_path):
+    """Return a folder of scenarios with a short one in it."""
     return write_short(tmp_path / "mine" / "short").parent
 
 
 def write_short(folder: Path, y: float = 0.005) -> Path:
+    """Write a scenario in which the hand moves a little."""
     return write_files(folder, SETTINGS, "0,home,0,0,0,0.08", f"0.15,home,0,{y},0,0.06")
 
 
 @pytest.fixture(scope="module")
 def approved(tmp_path_factory):
+    """Return the short scenario with a reference, to be copied."""
     folder = write_short(tmp_path_factory.mktemp("approved") / "short")
     new = cli("regress", "--scenarios", folder, "--update", code=0)
     assert "short: is new" in new.stdout
@@ -82,6 +90,7 @@ sys.stdin = sys.__stdin__ = None
 from panda_cosim.cli import main
 main()
 """
+
 AT_A_TERMINAL = """
 import os, sys
 sys.stdin = open(sys.argv.pop(1))
@@ -116,6 +125,7 @@ def test_a_report_keeps_runs_that_differ_and_replaces_only_what_regress_made(app
     kept = tmp_path / "runs" / "short"
     assert (kept / "recording.parquet").is_file()
     (kept / "notes.txt").write_text("mine")
+
     same = cli(*arguments, "--exact", code=0)
     assert "1 of 1 scenarios match their references" in same.stdout
     assert "short" in same.stderr  # the progress

@@ -40,6 +40,7 @@ from regress_support import record
 
 HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
 EXACT = 1e-12  # of rounding alone
+
 needs_gl = pytest.mark.usefixtures("backend")
 needs_menagerie = pytest.mark.skipif(
     meshes.find_menagerie() is None, reason="MENAGERIE_ROOT names no folder with Menagerie's Panda"
@@ -48,6 +49,7 @@ needs_menagerie = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def backend():
+    """What draws here."""
     backend, detail = describe_gl()
     return backend or pytest.skip(f"no OpenGL: {detail}")
 
@@ -84,6 +86,8 @@ def ffmpeg_says(path: Path) -> str:
 
 
 # --- motion between the rows
+
+
 @given(st.floats(-6.0, 6.0), st.floats(-3.1, 3.1), st.floats(0.0, 1.0), st.booleans())
 def test_slerp_turns_at_constant_speed_the_shorter_way_round(start, turn, share, negated):
     ends = about_x(start)[None], about_x(start + turn)[None]
@@ -110,6 +114,8 @@ def test_a_video_of_the_task_has_390_frames_a_sixtieth_apart():
 
 
 # --- key moments of a run
+
+
 def test_the_key_moments_tell_the_story_in_order():
     run = made_up_run(6.5)
     moments = key_moments(run, 12)
@@ -132,6 +138,8 @@ def test_grasp_lift_and_release_are_at_the_instants_of_the_summary():
 
 
 # --- video and contact sheet
+
+
 @needs_gl
 def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path):
     seen: list[tuple[int, int]] = []
@@ -266,6 +274,7 @@ def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path):
 
 
 # --- OpenGL
+
 linux = pytest.mark.skipif(sys.platform != "linux", reason="the backends of Linux")
 
 
@@ -313,6 +322,8 @@ def test_what_needs_no_picture_needs_no_opengl(tmp_path):
 
 
 # --- meshes
+
+
 @needs_menagerie
 def test_dressed_in_meshes_the_scene_has_the_same_positions():
     mujoco = pytest.importorskip("mujoco")

@@ -160,11 +160,14 @@ def test_a_failing_scenario_is_found_and_zoomed(page, report):
 
 
 # A report_in_3d in 3D: the worst scenario opens by itself, at its worst tick, with its reference.
+
+
 SHIFT = "--set", "plant.block_pos[1]=0.46"  # a planted difference
 LARGEST = 2e6  # [B] of a report_in_3d of two scenarios
 
 
 def judged(run: Path, name: str) -> Outcome:
+    """Compare a run with the reference of pick_and_place."""
     scenario = load_scenario("pick_and_place")
     assert scenario.folder is not None
     path = scenario.folder / "reference.parquet"
@@ -191,6 +194,8 @@ def report_in_3d(outcomes_in_3d, tmp_path_factory):
 
 
 NOW = "PandaView.viewer.clock.time"
+
+
 SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
 
 

@@ -158,11 +158,14 @@ def test_a_torque_that_rest_takes_already_is_told_as_weight(slow, keep_times, sa
 
 
 # What the robot could not follow is named, and stretched until it can.
+
+
 STRETCHED = 0.95
 NOMINAL = load_scenario("pick_and_place")
 
 
 def scenario(*rows: tuple[float, str, tuple[float, float, float]]) -> Scenario:
+    """Return a scenario with these rows and nothing else to judge."""
     table = TrajectoryTable(tuple(TableRow(*row, 0.08) for row in rows))
     return replace(NOMINAL, name="mine", table=table, duration=rows[-1][0] + 0.2)
 

@@ -60,9 +60,12 @@ def test_the_same_input_gives_the_same_bytes(routed, tmp_path):
 
 OUT_OF_REACH = [
     ("plant.block_pos=0.66,0.38", "no posture of the arm grasps and lifts the block"),
-    pytest.param("success.block_position=-0.65,0.5,0.05",
-     "no posture of the arm sets the block down", marks=pytest.mark.long),
-]  # fmt: skip
+    pytest.param(
+        "success.block_position=-0.65,0.5,0.05",
+        "no posture of the arm sets the block down",
+        marks=pytest.mark.long,
+    ),
+]
 
 
 @pytest.mark.parametrize(("setting", "reason"), OUT_OF_REACH)

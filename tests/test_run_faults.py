@@ -99,6 +99,8 @@ def test_a_failing_fmu_ends_the_run_as_a_failure_with_its_rows_kept(
 
 
 # Signals.
+
+
 def stop_run(scenario: Path, out: Path, number: int, **options: object) -> SimpleNamespace:
     """Stop a run at the pace of the clock by a signal; see how much of the wall time is lost."""
     command = run_command(scenario, out, realtime=1.0, **options)
@@ -163,6 +165,8 @@ def test_a_step_that_hangs_can_be_left_by_asking_twice(tmp_path, faulty, lasting
 
 
 # What is left behind.
+
+
 def test_a_run_leaves_nothing_but_its_folder(tmp_path, scenario, faulty):
     """Nor does it read or print anything."""
     (tmp_path / "tmp").mkdir()
@@ -202,6 +206,8 @@ def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path, scenario):
 
 
 # FMUs in processes of their own.
+
+
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_isolated_fmus_give_the_same_bits(tmp_path, scenario, coupling):
     rows = []

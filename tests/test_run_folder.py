@@ -37,6 +37,7 @@ def short(tmp_path_factory):
 
 
 # --- The copy of what was run ----------------------------------------------------------------
+
 CHANGES: list[dict[str, Any]] = [
     {},
     {"coupling": "jacobi"},
@@ -120,6 +121,8 @@ def test_any_scenario_written_reads_back_bit_for_bit(tmp_path_factory, scenario)
 
 
 # --- Who gets which folder -------------------------------------------------------------------
+
+
 def test_runs_of_the_same_second_get_folders_of_their_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
@@ -136,6 +139,8 @@ def test_a_folder_that_nothing_was_written_to_goes_again(tmp_path, monkeypatch):
 
 
 # --- Runs that end early ---------------------------------------------------------------------
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -174,6 +179,8 @@ def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path):
 
 
 # Commands replace only files that they made, and nothing that is a recording.
+
+
 SLAVE = Path(__file__).parent / "slaves" / "decay.py"
 PAGES = Path(__file__).parent.parent / "src" / "panda_cosim"
 MODEL = '<mujoco><worldbody><body><joint/><geom size=".1" mass="1"/></body></worldbody></mujoco>'

@@ -66,6 +66,7 @@ def unprotected(command: list[object], folder: Path, **variables: str) -> None:
 
 
 def law_scenario(folder: Path) -> Path:
+    """Write a scenario whose controller starts a Python."""
     write_scenario(folder, 0.01, '[fmus]\ncontroller = "starts.py:Starts"\n')
     (folder / "starts.py").write_text(STARTING_LAW)
     return folder
@@ -133,6 +134,8 @@ def test_any_name_becomes_one_safe_file_name(name):
 
 
 # Other users of the machine: nothing of theirs is loaded, and a live run is not theirs.
+
+
 OTHER = 12345  # id of a user
 
 

@@ -40,20 +40,29 @@ BAD_SCENARIOS = {
     "parameter dotted": (GOOD + "[plant]\nblock.mass = 1\n", "[plant] block: is a section"),
     "parameter list empty": (GOOD + "[plant]\nblock_pos = []\n", "must hold at least one number"),
     "scene among parameters": (GOOD + '[plant]\nscene = "tutorial"\n', "must stand at the top"),
-    "place far away": (GOOD + "[success]\nblock_position = [600, 0, 0]\nposition_tolerance = 0.1\n",
-     "[success] block_position[1]: value 600; must be a number from -10 to 10 m"),
-    "place without tolerance": (GOOD + "[success]\nblock_position = [0.6, 0.35, 0.25]\n",
-     "one is missing; must be both or neither"),
+    "place far away": (
+        GOOD + "[success]\nblock_position = [600, 0, 0]\nposition_tolerance = 0.1\n",
+        "[success] block_position[1]: value 600; must be a number from -10 to 10 m",
+    ),
+    "place without tolerance": (
+        GOOD + "[success]\nblock_position = [0.6, 0.35, 0.25]\n",
+        "one is missing; must be both or neither",
+    ),
     "push no list": (GOOD + "push = 1\n", "key push: must be sections [[push]]"),
-    "order no list": (GOOD + 'order = "plant"\n',
-     'key order: must be a list of texts, ["...", ...]'),
+    "order no list": (
+        GOOD + 'order = "plant"\n',
+        'key order: must be a list of texts, ["...", ...]',
+    ),
     "push incomplete": (GOOD + "[[push]]\nstart = 1.0\nduration = 0.1\n", "force is missing"),
-    "push too strong": (GOOD + "[[push]]\nstart = 0\nduration = 1\nforce = [2000, 0, 0]\n",
-     "[[push]] 1: force[1]: value 2000"),
-}  # fmt: skip
+    "push too strong": (
+        GOOD + "[[push]]\nstart = 0\nduration = 1\nforce = [2000, 0, 0]\n",
+        "[[push]] 1: force[1]: value 2000",
+    ),
+}
 
 
 def write(folder: Path, toml: str | bytes = GOOD, table: str | None = TABLE) -> Path:
+    """Make a scenario's folder."""
     folder.mkdir(exist_ok=True)
     content = toml.encode() if isinstance(toml, str) else toml
     (folder / "scenario.toml").write_bytes(content)
@@ -186,6 +195,8 @@ def test_no_content_at_all_gives_anything_but_a_scenario_or_one_line(tmp_path, c
 
 
 # Every table is read right or refused in one line that says what would be valid.
+
+
 HEAD = "time,frame,x,y,z,qw,qx,qy,qz,grip\n"
 SHORT = "time,frame,x,y,z,grip\n"
 A = "0,home,0,0,0,,,,,0.08\n"
@@ -207,24 +218,32 @@ BAD_TABLES = {
     "no header": (A + B, "line 1: column '0' is unknown"),
     "semicolons": (GOOD_TABLE.replace(",", ";"), "must be separated by commas"),
     "column missing": (GOOD_TABLE.replace("z,", "height,", 1), "column 'height' is unknown"),
-    "no grip column": ("time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
-     "grip: missing; must have the columns time, frame, x, y, z, grip"),
-    "column repeated": (GOOD_TABLE.replace(",grip", ",qw,grip"),
-     "column 'qw' occurs 2 times; must occur once"),
-    "one quaternion column missing": ("time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
-     "qz: missing; must have the columns time, frame, x, y, z, qw, qx, qy, qz, grip"),
+    "no grip column": (
+        "time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
+        "grip: missing; must have the columns time, frame, x, y, z, grip",
+    ),
+    "column repeated": (
+        GOOD_TABLE.replace(",grip", ",qw,grip"),
+        "column 'qw' occurs 2 times; must occur once",
+    ),
+    "one quaternion column missing": (
+        "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
+        "qz: missing; must have the columns time, frame, x, y, z, qw, qx, qy, qz, grip",
+    ),
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
     "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
     "time repeats": (with_cell("time", "0"), "line 3: column time: value 0.0 repeats"),
-    "time goes back": (GOOD_TABLE + A.replace("0,", "0.5,", 1),
-     "line 4: column time: value 0.5 goes back"),
+    "time goes back": (
+        GOOD_TABLE + A.replace("0,", "0.5,", 1),
+        "line 4: column time: value 0.5 goes back",
+    ),
     "times too close": (with_cell("time", "1e-9"), "is too close; must be at least 1e-06 s after"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
     "quaternion of zero length": (with_cell("qx", "0"), "must be longer than 0, or blank"),
     "quaternion partly blank": (with_cell("qz", ""), "column qz is blank; qw to qz must be all"),
-}  # fmt: skip
+}
 
 
 def write_table(folder: Path, content: str | bytes) -> Path:

@@ -41,6 +41,7 @@ def bits(folder: Path, rows: int | None = None) -> bytes:
 
 
 def act(session: Session) -> None:
+    """Do everything that can be done."""
     session.set("controller.ik_gain", 12.0)
     session.step(100)
     session.set("controller.kp", 6)
@@ -268,7 +269,10 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path):
         (["[1]"], "line 1: '\\[1\\]'; must be a JSON object"),
         ([None, '{"tick": -1, "action": "end"}'], "line 2: tick -1; must be a whole number from 0"),
         ([None, '{"tick": 5}'], "action: value None; must be one of set"),
-        ([None, '{"tick": 5, "action": "set", "name": 7}'], "line 2: set: name: Input should be a"),
+        (
+            [None, '{"tick": 5, "action": "set", "name": 7}'],
+            "line 2: set: name: Input should be a",
+        ),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 4, "action": "set"}'], "line 3: tick 4"),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 5, "action": "set"}'], "after the end"),
     ],

@@ -112,12 +112,15 @@ def test_each_door_takes_the_same_keys_and_gives_the_same_scenario(door, keys):
 @pytest.mark.parametrize(
     ("key", "told"),
     [
-        ("controler.kp", "controler.kp: no instance 'controler'; valid: plant, controller, "),
+        (
+            "controler.kp",
+            "controler.kp: no instance 'controler'; valid: plant, controller, ",
+        ),
         ("block_mass", "block_mass: no such key; .* did you mean 'plant.block_mass'"),
         ("step", "step: value 0.3; must be 0.001 with a trajectory"),
         ("plant.block_mas", "plant.block_mas: no such parameter .* did you mean 'block_mass'"),
     ],
-)  # fmt: skip
+)
 def test_each_door_refuses_the_same_keys_in_the_same_words(door, key, told):
     with pytest.raises(InputError, match=told):
         start_values(DOORS[door](PUSHED, {key: 0.3}))
@@ -170,17 +173,22 @@ def gains(scenario: Scenario) -> list[object]:
         ({"duration": 0.0504}, r"^duration: value 0.0504; .* such as 0.05$"),
         ({"duration": 0.0001}, r"^duration: value 0.0001; "),
         ({"success.max_slip": 0.1, "table.rows[2].z": 99.0}, r"^table.rows\[2\].z: "),
-        ({"mismatch.joint_offset[8]": 0.0}, r"^mismatch.joint_offset\[8\]: there is no"),
+        (
+            {"mismatch.joint_offset[8]": 0.0},
+            r"^mismatch.joint_offset\[8\]: there is no",
+        ),
         ({"success.max_slop": 0.1}, r"^success.max_slop: key .* did you mean"),
         ({"push[9].start": 0.1, "gains": "tutorial"}, r"^push\[9\].start: there is no push 9"),
     ],
-)  # fmt: skip
+)
 def test_the_key_that_cannot_be_used_is_named(values, told):
     with pytest.raises(InputError, match=told):
         PUSHED.changed(values)
 
 
 # Parameters that a person gives become start values, or one clear line says why not.
+
+
 CONTROLLER = INTERFACES["controller"]
 
 

@@ -24,6 +24,7 @@ TIMES = STEP * np.arange(TICKS + 1)
 
 
 def described(fmu: Path, *changes: tuple[str, str]) -> Path:
+    """Change texts in an FMU's description."""
     content = members(fmu)
     text = content["modelDescription.xml"].decode()
     for old, new in changes:
@@ -188,6 +189,8 @@ def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
 
 
 # Units and types of the two ends of a connection, of FMUs in FMI 2.0 and 3.0.
+
+
 RELATIVE: float = 1e-9  # error of a conversion there and back
 NUMBERS = st.floats(1e-3, 1e3)
 DEFINED = st.builds(

@@ -192,6 +192,8 @@ def test_the_description_of_a_slave_claims_nothing_that_is_not_known(peculiar):
 
 
 # The state of a law's FMU restores every bit.
+
+
 LAW = '''
 import threading
 from collections import deque

@@ -189,6 +189,7 @@ def test_a_missed_criterion_decides_and_what_was_not_measured_is_no_verdict(reco
     assert summary.margin == -1.0
     told = "Failure, as expected" if expect == "failure" else "Success criteria missed: "
     assert next(outcome_lines(summary, recording, realtime=False))[0].startswith(told)
+
     open_ended = summarize(recording, replace(asked, success=Success(max_slip=0.001)))
     assert next(outcome_lines(open_ended, recording, realtime=False))[0].startswith("No verdict")
 
@@ -212,6 +213,8 @@ def test_tracking_of_a_law_without_orientation_is_measured(tmp_path):
 
 
 # What a run's summary tells of the robot's limits.
+
+
 ROWS = 20
 JERK = ("joint-reference jerk of joint 4", "200%")
 

@@ -35,23 +35,28 @@ def made(**keys: Any) -> Sweep:
     ("text", "message"),
     [
         ("samples = 8", "key scenario is missing"),
-        ('scenario = "push"\nsampels = 8', "'sampels' is unknown; .*did you mean 'samples'"),
+        (
+            'scenario = "push"\nsampels = 8',
+            "'sampels' is unknown; .*did you mean 'samples'",
+        ),
         ('scenario = "push"\nsamples = 8', "nothing is varied"),
         ('scenario = "push"\nsamples = 8.5', "samples: value 8.5; must be a whole number"),
         ('scenario = "push"\ndesign = "sobl"', "design: value 'sobl'; must be one of .*'sobol'"),
         ('scenario = "push"\nkeep = "best"', "keep: value 'best'; must be none, failures"),
         ('scenario = "push"\ndesign = "list"', "file: required with"),
         ('scenario = "push"\n[vary.plant.block_mass]\nuniform = [0, 1]', "needs quotes"),
-        ('scenario = "push"\n[vary."duration"]\nunifrom = [0, 1]', "'unifrom' is unknown"),
+        (
+            'scenario = "push"\n[vary."duration"]\nunifrom = [0, 1]',
+            "'unifrom' is unknown",
+        ),
         ('scenario = "push"\n[vary."duration"]\nuniform = [1, 0]', "low below high"),
-        ('scenario = "push"\n[vary."duration"]\nnormal = [1, 0]',
-         "deviation 0.0; must be above 0"),
+        ('scenario = "push"\n[vary."duration"]\nnormal = [1, 0]', "deviation 0.0; must be above 0"),
         ('scenario = "push"\n[vary."duration"]\nlog-uniform = [0, 1]', "0.0; must be above 0"),
         ('scenario = "push"\n[vary."duration"]\nvalues = []', "at least one value"),
         ('scenario = "push"\n[vary."duration"]\nlimits = [0, 1]', "must have exactly one of"),
         ("scenario = ", "must be TOML"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_in_a_definition_is_reported_in_one_line(text, message, tmp_path):
     path = tmp_path / "sweep.toml"
     path.write_text(text, encoding="utf-8")
@@ -187,12 +192,15 @@ def test_keys_that_set_the_same_value_are_refused_together(keys, named, tmp_path
     [
         (["mismatch.seed=1,2", "controller.kp=6,7"], ["mismatch.seed"]),
         (["mismatch.seed=1,2", "mismatch.preset=nominal,worn"], []),
-        (["table.rows[2].blend=0.0:0.1:3", "align=true,false"], ["align", "table.rows[2].blend"]),
+        (
+            ["table.rows[2].blend=0.0:0.1:3", "align=true,false"],
+            ["align", "table.rows[2].blend"],
+        ),
         (["success.tracking_max=0.1,0.2", "push[1].start=0.5,0.6"], []),
         (["plant.block_mass=0.2,0.3", "table.rows[2].x=0.0,0.01"], []),
         (["coupling=jacobi,gauss-seidel"], []),
     ],
-)  # fmt: skip
+)
 def test_keys_that_change_nothing_are_found(vary, idle):
     scenarios, design = check_sweep(sweep_of("push", vary))
     assert keys_without_effect(design, scenarios) == idle

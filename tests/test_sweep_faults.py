@@ -40,6 +40,7 @@ below = -1.0
 
 
 def law_sweep(folder: Path, key: str, values: list[float]) -> Sweep:
+    """Return a sweep of a scenario with a law of its own."""
     write_files(folder, SETTINGS)
     (folder / "hold.py").write_text(LAW)
     vary = {key: {"values": values}}
@@ -71,12 +72,16 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path):
 
 
 # A Dask cluster gives the same table as this machine's pool, also where workers are lost.
+
+
 distributed = pytest.importorskip("distributed")
+
 SAMPLES = 8
 
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
+    """A folder with the sweep on this machine's pool."""
     folder = tmp_path_factory.mktemp("dask")
     sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=1)
     return folder

@@ -65,12 +65,15 @@ CASES: dict[str, tuple[dict[str, Any], Outcome, range | tuple[()]]] = {
     "sobol": ({"design": "sobol", "vary": SMALL, "samples": 256}, heavy, ()),
     "words": ({"design": "sobol", "samples": 200} | WORDS, worn, ()),
     "no verdict": ({"design": "random", "vary": SMALL, "samples": 150}, partly, ()),
-    "two scenarios": ({"design": "random", "vary": SMALL, "samples": 80, "scenario": ("push",
-     "jacobi")}, second, ()),
+    "two scenarios": (
+        {"design": "random", "vary": SMALL, "samples": 80, "scenario": ("push", "jacobi")},
+        second,
+        (),
+    ),
     "expected failure": ({"design": "random", "vary": SMALL, "samples": 90}, contrary, ()),
     "search": ({"design": "search", "vary": SMALL, "samples": 60}, partly, ()),
     "few": ({"design": "random", "vary": SMALL, "samples": 5}, heavy, ()),
-}  # fmt: skip
+}
 
 
 class Report:
@@ -86,12 +89,15 @@ class Report:
         self.bad = self.column["status"] != "success"
 
     def tiles(self) -> str:
+        """Return the text of the tiles."""
         return " ".join(re.sub(r"<[^>]*>", " ", self.part("tiles")).split())
 
     def part(self, name: str) -> str:
+        """Return a section's source."""
         return self.text.partition(f'class="{name}"')[2].partition("</section>")[0]
 
     def names(self, key: str) -> NDArray[Any]:
+        """A column as the page writes it."""
         return np.array(
             [str(v).lower() if isinstance(v, np.bool_) else v for v in self.column[key]]
         )

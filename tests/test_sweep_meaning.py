@@ -20,6 +20,7 @@ pytestmark = pytest.mark.usefixtures("forked_workers")
 
 
 def edit(folder: Path, *changes: tuple[str, str]) -> None:
+    """Change the text of a scenario."""
     path = folder / "scenario.toml"
     text = path.read_text(encoding="utf-8")
     for old, new in changes:
@@ -29,6 +30,7 @@ def edit(folder: Path, *changes: tuple[str, str]) -> None:
 
 
 def over_mass(*scenarios: Path, **keys: Any) -> Sweep:
+    """Return a grid of two rows of each scenario."""
     vary: Any = {"plant.block_mass": {"values": [0.1, 0.2]}}
     names = tuple(map(str, scenarios))
     return Sweep(**{"scenario": names, "vary": vary, "design": "grid", **keys})

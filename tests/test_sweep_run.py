@@ -40,6 +40,7 @@ def fmus():
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
+    """A sweep that nothing disturbed."""
     folder = tmp_path_factory.mktemp("whole")
     sweep(short_sweep(folder, 40, keep="failures"), folder / "out", jobs=1)
     return folder
@@ -70,6 +71,7 @@ def test_a_table_has_a_row_for_each_sample(whole):
 
 
 def check_that_it_repeats(row: dict[str, Any], out: Path) -> None:
+    """Run a row's command, and compare the recording's bits."""
     program, *words = shlex.split(row["command"])
     assert program == "panda-cosim"
     code = command(*words, "--no-video", "--no-view", "--out", out).returncode

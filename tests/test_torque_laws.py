@@ -128,6 +128,8 @@ def test_a_law_that_cannot_be_imported_or_gives_no_numbers_is_named(laws, head, 
 
 
 # The impedance law: its formulas, its limits, pushes, and what the border refuses.
+
+
 TORQUES = {"scene": "motors", "gains": "impedance"}
 MOVING = load_scenario("pick_and_place").changed({**TORQUES, "duration": 4.0})
 TASKS = ("pick_and_place_impedance", "wipe", "peg_in_hole", "stack_impedance", "open_door")

@@ -20,10 +20,12 @@ DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
 HOME = (0.554499478, 0.0, 0.624502429)  # m
 TARGET = (0.4, -0.2, 0.1)  # m
 START = StartPose(HOME, DOWN, TARGET)
+
 POSITION_TOLERANCE = 1e-12  # m: rounding only
 UNIT_TOLERANCE = 1e-12  # of a quaternion's length
 RATE_TOLERANCE = 1e-5  # m/s and rad/s: what a difference over 2 us leaves of the third derivative
 STEP = 1e-6  # s, of that difference
+
 POSITION, QUATERNION, VELOCITY, OMEGA, GRIP = (
     slice(0, 3),
     slice(3, 7),
@@ -31,6 +33,7 @@ POSITION, QUATERNION, VELOCITY, OMEGA, GRIP = (
     slice(10, 13),
     13,
 )
+
 number = st.floats(-1.0, 1.0)
 quaternions = st.tuples(number, number, number, number).filter(lambda q: np.linalg.norm(q) > 0.1)
 
@@ -62,6 +65,7 @@ def inner_times(trajectory: Trajectory) -> Array:
 
 
 def angle_between(a: Array, b: Array) -> Array:
+    """Return the angle of the rotation from a to b [rad]."""
     return np.linalg.norm(rotations.log(rotations.multiply(b, rotations.conjugate(a))), axis=-1)
 
 
@@ -199,6 +203,8 @@ def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path):
 
 
 # What is given from outside is the same, made at once or a part at a time.
+
+
 INPUTS = prepare(load_scenario("pick_and_place")).inputs()
 
 

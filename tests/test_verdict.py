@@ -61,6 +61,7 @@ def expected_word(complete: bool, end: str, expect: str, outcomes: list[str]) ->
 
 
 def content(complete: bool, end: str, expect: str, outcomes: list[str]) -> dict[str, Any]:
+    """The content of a summary.json."""
     criteria = [
         {"name": f"c{i}", "value": VALUES[each], "bound": 1.0, "unit": "m", "ok": each == "ok"}
         for i, each in enumerate(outcomes)
@@ -87,6 +88,8 @@ SUMMARIES = {
         ("failed", "success", ["missed"]),
     ]
 }
+
+
 MODEL = {"nq": 1, "bodies": []}
 
 
@@ -94,6 +97,7 @@ class AtOnce:
     """Workers that work where they are asked."""
 
     def submit(self, judge: Callable[[Any], Any], scenario: Any, **_: Any) -> Future[Any]:
+        """Return what is done at once."""
         future: Future[Any] = Future()
         future.set_result(judge(scenario))
         return future
@@ -132,6 +136,7 @@ def test_every_door_says_the_same(word, tmp_path, capsys, monkeypatch):
     record(folder, columns(), reason=raw["reason"])
     (folder / SUMMARY_FILE).write_text(json.dumps(raw))
     run = Run(folder, summary, SIGTERM if word == "stopped" else 0)
+
     # The command line, with its JUnit file.
     junit = tmp_path / "junit.xml"
     output = door.Output(None, video=False, plot=False, view=False, junit=junit, json=True)
@@ -145,11 +150,13 @@ def test_every_door_says_the_same(word, tmp_path, capsys, monkeypatch):
     _, style = next(door.outcome_lines(summary, run.recording, realtime=False))
     assert style == {"good": "bold green", "plain": "bold", "bad": "bold red"}[level]
     assert fault_in(junit) == fault
+
     # The page and the notebook.
     shown = Shown("run", run.recording, MODEL, summary=Summary.of(run.recording))
     about = describe(shown, "model")["verdict"]
     assert (about["state"], about["words"].partition(":")[0]) == (level, word)
     assert f"</b>: {word}" in run._repr_html_()
+
     # `compare`, and a row of a sweep.
     compared = compare(folder, folder)
     assert compared.to_dict()["verdicts"] == [word, word]

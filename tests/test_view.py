@@ -119,6 +119,7 @@ def made_up(rows: int = 200, **metadata: Any) -> FakeRecording:
 
 
 def foreign(source: FakeRecording, name: str = "foreign", **summary: Any) -> Shown:
+    """That run with its model."""
     model = describe_model(mujoco.MjModel.from_xml_string(MODEL))
     return Shown(name, source, model, summary=Summary.read(summary))
 
@@ -184,12 +185,15 @@ def test_columns_of_different_units_are_not_in_one_plot():
 
 
 # The built page code is what its source says: rebuilt to the same code, and tested.
+
+
 VIEW = Path(__file__).parent.parent / "src" / "panda_cosim" / "show" / "view"
 BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
+    """A copy of the source with the locked libraries in it."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("no node and npm here")
     folder = tmp_path_factory.mktemp("build") / "source"
@@ -204,6 +208,7 @@ def source(tmp_path_factory):
 
 
 def node(folder: Path, *command: str) -> None:
+    """Run a command in the source's folder."""
     ran(command, cwd=folder)
 
 
@@ -252,16 +257,20 @@ def test_the_bundle_carries_its_licences_and_asks_nobody():
 
 
 # The command `panda-cosim view`.
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     return run_scenario_outside(tmp_path_factory.mktemp("runs") / "first")
 
 
 def view(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Call the command in a process of its own."""
     return command("view", *arguments)
 
 
 def shown(path: Path) -> str:
+    """What a page says that it shows first."""
     text = path.read_text(encoding="utf-8")
     found = re.search(r'data-view="&quot;show&quot;">(.*?)</script>', text)
     assert found is not None
@@ -301,7 +310,10 @@ def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(recorded, tmp_p
         ((tmp_path / "small",), "1 columns of plant.qpos"),
         ((recorded, "--against", tmp_path / "small"), "1 columns of plant.qpos"),
         ((tmp_path / "small", "--against", "reference"), "'small' is not one of the shipped ones"),
-        ((recorded, "--against", tmp_path / "reference.parquet"), "no such file; must be"),
+        (
+            (recorded, "--against", tmp_path / "reference.parquet"),
+            "no such file; must be",
+        ),
     ):
         done = view(*arguments, "--out", out)
         assert done.returncode == 2, arguments

@@ -30,6 +30,7 @@ VIEWER = "PandaView.viewer"
 STAGE = f"{VIEWER}.stage"
 READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
 NOW = f"{VIEWER}.clock.time"
+
 pytestmark = pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
 
 
@@ -40,11 +41,13 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(folder):
+    """The pick and place."""
     return run_scenario_outside(folder / "run")
 
 
 @pytest.fixture(scope="module")
 def view(run, folder):
+    """Its page."""
     return write_view([shown_run(run)], folder / "view.html")
 
 
@@ -56,6 +59,7 @@ def compared(run, folder):
 
 
 def show(page: Page, path: Path, **how: Any) -> None:
+    """Open a view and wait for its first picture."""
     page.open(path, **{"width": 820, "height": 560, **how})  # drawing is slow without a GPU
     page.wait(READY)
     page.value(f"{STAGE}.sun.castShadow = false")  # its light draws all once more
@@ -72,6 +76,7 @@ def look(page: Page, path: Path) -> None:
 
 
 def seek(page: Page, at: float) -> None:
+    """Go to an instant."""
     page.value(f"{VIEWER}.go({{at: {at!r}}})")
 
 
@@ -110,6 +115,7 @@ def poses_at(page: Page, times: Any, figure: int = 0) -> np.ndarray:
 
 
 def check_poses(page: Page, model: Any, run: Any, ticks: np.ndarray) -> None:
+    """Check the page's bodies against MuJoCo's at some ticks."""
     data, qpos = mujoco.MjData(model), run["plant.qpos"]
     for tick, shown in zip(ticks, poses_at(page, run.time[ticks]), strict=True):
         data.qpos[:] = qpos[tick]

@@ -37,6 +37,7 @@ def library(source: Path = SOURCE) -> bytes:
 
 
 def toy_fmu(path: Path, fmi: int, more: str = "") -> Path:
+    """Write the FMU, in FMI 3.0 with more variables if any; returns the path."""
     platform = fmpy.platform if fmi == 2 else fmpy.platform_tuple
     text = _fmi2() if fmi == 2 else _fmi3(more)
     binary = f"binaries/{platform}/toy.so"
