@@ -12,7 +12,11 @@ from fmpy import calloc, fmi2, fmi3, free
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2LastSuccessfulTime, fmi2Terminated
 from fmpy.fmi3 import FMU3Slave
-from fmpy.logging import addLoggerProxy
+
+try:
+    from fmpy import logging as proxies
+except OSError:  # on ARM
+    proxies = None
 
 from ..errors import SimulationError
 from ..interface.variables import Value
@@ -66,7 +70,8 @@ class Fmi2Slave(FmuSlave):
         callbacks.componentEnvironment = self.log.number
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-        addLoggerProxy(ctypes.byref(callbacks))
+        if proxies is not None:  # else messages keep their format, without the values
+            proxies.addLoggerProxy(ctypes.byref(callbacks))
         instance.instantiate(callbacks=callbacks, loggingOn=True)
 
     def _set_up(

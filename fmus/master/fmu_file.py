@@ -5,9 +5,11 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
 from copy import copy
 from dataclasses import replace
 from functools import cache, lru_cache
+from io import StringIO
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, cast
@@ -214,10 +216,16 @@ def _parsed(variable: Variable, text: str) -> Value:
     return int(text)
 
 
-def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
-    # It takes 0.2 s to import, wasted on a command that runs no FMU.
-    from fmpy.model_description import read_model_description  # noqa: PLC0415
+@cache
+def _fmpy() -> Any:
+    """Import FMPy, which takes 0.2 s, and says on ARM that it has no proxy for loggers there."""
+    with redirect_stdout(StringIO()):
+        import fmpy  # noqa: PLC0415 - see above
+    return fmpy
 
+
+def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
+    read_model_description = _fmpy().read_model_description
     label = f"{path}: modelDescription.xml"
     version = root.get("fmiVersion")
     if root.tag != "fmiModelDescription" or version not in VERSIONS:
@@ -244,8 +252,7 @@ def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
 
 def library_of(path: Path, folder: Path, description: Any) -> Path:
     """Return the FMU's library for this platform."""
-    import fmpy  # noqa: PLC0415 - see above
-
+    fmpy = _fmpy()
     platforms = [fmpy.platform_tuple]
     if description.fmiVersion == "2.0":  # whose names are those of x86; FMPy has no others
         platforms.insert(0 if platforms[0].startswith("x86") else 1, fmpy.platform)
