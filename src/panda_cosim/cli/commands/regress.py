@@ -20,6 +20,7 @@ from ...result.recording import Recording
 from ...run.folder import default_folder
 from ...study.compare.engines import engine_rows, variants
 from ...study.compare.junit import write_junit
+from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
 from ...study.compare.qualify import Finding, score, write_findings
 from ...study.compare.qualify import qualify as find
 from ...study.compare.regress import (
@@ -34,7 +35,7 @@ from ...study.compare.regress import (
     run_suite,
     with_values,
 )
-from ...study.compare.report import check_kept_runs, replace_kept_runs, write_report
+from ...study.compare.report import write_report
 from ...study.compare.wording import multiple
 from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores

@@ -1,22 +1,15 @@
-"""The report of a suite: its differences from the references on one page, the worst first.
-
-Beside it, in `runs`, are the runs that differ. `made-by-regress.json` lists their files: only these
-are replaced, as everything else there belongs to the user.
-"""
+"""The report of a suite: its differences from the references on one page, the worst first."""
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from ...fmus.atomic import write_whole
-from ...fmus.errors import InputError
 from ...result.judging.criterion import cells
 from ...result.recording import Recording
 from ...show.view.page import shown_run
@@ -44,7 +37,6 @@ SIGNALS: Final = (
     "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
 )  # fmt: skip
 REQUIREMENTS: Final = ("Requirement", "Criterion", "Scenario", "Verdict")
-MANIFEST_FILE: Final = "made-by-regress.json"
 
 
 def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> None:
@@ -122,14 +114,14 @@ def _deviation(d: Deviation) -> tuple[str | float, ...]:
 
 def _view(outcome: Outcome, shown: Sequence[Deviation], views: Views) -> Part:
     """Show the run in 3D at the instant of the worst deviation."""
-    columns = [deviation.name for deviation in shown]
 
     def runs() -> Iterator[Shown]:
-        yield limited(shown_run(outcome.run, name=outcome.name), columns)
-        ghost = shown_reference(outcome.reference_path, f"reference of {outcome.name}")
-        yield limited(ghost, columns)
+        yield shown_run(outcome.run, name=outcome.name)
+        yield shown_reference(outcome.reference_path, f"reference of {outcome.name}")
 
-    return views.add(runs(), columns, shown[0].time if shown else 0.0)
+    columns = [deviation.name for deviation in shown]
+    limits = (limited(run, columns) for run in runs())
+    return views.add(limits, columns, shown[0].time if shown else 0.0)
 
 
 def _figure(
@@ -163,37 +155,3 @@ def _changes(title: str, what: str, *origins: Mapping[str, object]) -> Part:
     same = Table(head, cells[count:], f"{len(cells) - count} unchanged")
     note = "" if count else "None changed."
     return Part(title, [Table(head, cells[:count]), same], note)
-
-
-def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
-    """Check that no run would replace something that `regress` did not put there."""
-    own = {Path(file).parts[0] for file in _kept_files(folder)}
-    for place in (folder / name for name in names):
-        is_free = not place.exists() or (place.is_dir() and not any(place.iterdir()))
-        if not (is_free or place.name in own):
-            raise InputError(
-                f"{place}: was not made by regress, so it stays; move it, or choose "
-                "another folder with --report"
-            )
-
-
-def replace_kept_runs(folder: Path, runs: Iterable[Path]) -> None:
-    """Remove the previous report's runs, and move those of this one, on the same disk, here."""
-    for name in (*_kept_files(folder), MANIFEST_FILE):
-        (folder / name).unlink(missing_ok=True)
-        with suppress(OSError):  # it holds something else
-            for parent in Path(name).parents:
-                (folder / parent).rmdir()
-    files = [(run, file) for run in runs for file in run.rglob("*") if file.is_file()]
-    moves = {file: Path(run.name, file.relative_to(run)) for run, file in files}
-    if moves:
-        listed = [place.as_posix() for place in moves.values()]
-        write_whole(folder / MANIFEST_FILE, json.dumps(listed, indent=1))
-    for file, place in moves.items():
-        (folder / place).parent.mkdir(parents=True, exist_ok=True)
-        file.replace(folder / place)
-
-
-def _kept_files(folder: Path) -> list[str]:
-    manifest = folder / MANIFEST_FILE
-    return json.loads(manifest.read_bytes()) if manifest.is_file() else []
