@@ -133,24 +133,24 @@ def command(  # noqa: PLR0913 - one for each option
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     check_rules({
         "--update: cannot be combined with --set, --exact or --json; references are made of "
-        "unchanged scenarios": update and (assignments or exact or json),
+        "unchanged scenarios": update and any((assignments, exact, json)),
         "--yes: needs --update": yes and not update,
         "--overwrite: needs --report": overwrite and report is None,
         "--mujoco: cannot be combined with --update, --exact or --kind": (
-            engines and (update or exact or kind != "auto")
+            engines and any((update, exact, kind != "auto"))
         ),
         "--qualify: cannot be combined with --update or --mujoco": (
-            qualify is not None and (update or engines)
+            qualify is not None and any((update, engines))
         ),
         "--min-score: needs --qualify": min_score and qualify is None,
     })  # fmt: skip
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
-    runs = with_values((run for each in given for run in variants(each, engines)), values)
-    suite = Suite(list(runs), exact, jobs or cores(), kind)
+    runs = list(with_values(variants(given, engines), values))
+    suite = Suite(runs, exact, jobs or cores(), kind)
     if qualify is not None:
         return _qualify(suite, qualify, min_score, report, json=json, overwrite=overwrite)
     # A reference, for instance, is made of a scenario alone.
-    is_whole = sweeps and not (update or engines or kind != "auto")
+    is_whole = sweeps and not any((update, engines, kind != "auto"))
     swept = _swept(given, values, folder) if is_whole else []
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
@@ -164,12 +164,8 @@ def command(  # noqa: PLR0913 - one for each option
         rows = engine_rows(given, len(engines), outcomes) if engines else []
         outcomes = [*chain.from_iterable(rows)] or outcomes
         if report is not None:
-            write_report(outcomes, report / REPORT_FILE, values)
-            write_junit(outcomes, report / JUNIT_FILE)
-            if not json:
-                show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
-            wrong = [outcome.run for outcome in outcomes if not outcome.ok]
-            stack.callback(replace_kept_runs, report / "runs", wrong)  # once references are made
+            _write_reports(outcomes, report, values, quiet=json)
+            stack.callback(replace_kept_runs, report / "runs", outcomes)  # once references are made
         if update:
             return _update(outcomes, yes=yes)
     if json:
@@ -178,6 +174,14 @@ def command(  # noqa: PLR0913 - one for each option
         _show_result(outcomes)
         _show_engines(engines, rows)
     raise typer.Exit(exit_code(outcomes))
+
+
+def _write_reports(outcomes: list[Outcome], report: Path, values: Values, *, quiet: bool) -> None:
+    """Write the page and the JUnit file, and name them unless `quiet`."""
+    write_report(outcomes, report / REPORT_FILE, values)
+    write_junit(outcomes, report / JUNIT_FILE)
+    if not quiet:
+        show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
 
 
 def _qualify(  # noqa: PLR0913 - of the command's options

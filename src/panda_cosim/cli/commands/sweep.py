@@ -91,11 +91,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim sweep random_box --min-success 0.99 --confidence 0.95
     ```
     """
-    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
-    engines = {"mujoco": Distribution("values", values=tuple(mujoco.split(",")))} if mujoco else {}
-    asked = {"min_success": min_success, "confidence": confidence}
-    given: Any = {name: value for name, value in asked.items() if value is not None}
-    definition = replace(definition, vary={**definition.vary, **engines}, **given)
+    definition = _definition(sweep, vary, mujoco, min_success=min_success, confidence=confidence)
     check_rules({
         "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers": (
             jobs is not None and dask not in (None, "local")
@@ -117,9 +113,7 @@ def command(  # noqa: PLR0913 - one for each option
                 progress=update,
             )  # fmt: skip
     except BaseException as error:  # also Ctrl-C and SIGTERM
-        if Store(folder).parts() and not isinstance(error, InputError):
-            more = "" if out else f" with --out {quote(str(folder))}"
-            tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
+        _tell_stopped(error, folder, "" if out else f" with --out {quote(str(folder))}")
         if isinstance(error, CosimError):
             write_case(junit, "sweep", name, time.perf_counter() - began, FAILED, str(error))
         raise
@@ -133,6 +127,19 @@ def command(  # noqa: PLR0913 - one for each option
         write_case(junit, "sweep", name, seconds, verdict, miss_text(done.gate))
         if verdict.exit_code:
             raise typer.Exit(verdict.exit_code)
+
+
+def _definition(sweep: str, vary: list[str] | None, mujoco: str, **asked: float | None) -> Sweep:
+    """Return what is to be run: a file or `--vary`, with what other options change in it."""
+    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    engines = {"mujoco": Distribution("values", values=tuple(mujoco.split(",")))} if mujoco else {}
+    given: Any = {name: value for name, value in asked.items() if value is not None}
+    return replace(definition, vary={**definition.vary, **engines}, **given)
+
+
+def _tell_stopped(error: BaseException, folder: Path, more: str) -> None:
+    if Store(folder).parts() and not isinstance(error, InputError):
+        tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
 
 
 def _show_counts(done: SweepResult, definition: Sweep) -> None:

@@ -24,6 +24,8 @@ from .differences import Extent, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
 from .wording import DASH, multiple, numbers, percent, precise
 
+Names = tuple[str, ...]
+
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
 VIEWED: Final = 3  # curves of the most different signals beside the 3D view
@@ -56,14 +58,9 @@ class RunComparison:
     ) -> None:
         self.names, self.recordings = tuple(names), tuple(runs)
         instants, own = differences.joint_instants(names, [run.time for run in runs])
-        every = dict.fromkeys(name for run in runs for name in run.types if name != "time")
-        common = [name for name in every if all(name in run.types for run in runs)]
-        # The unit of a number, None of a text.
-        compared = [name for name in common if len({run.units.get(name) for run in runs}) == 1]
+        compared, self.other_units, self.missing = _columns(runs)
         if not compared:
             raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
-        self.missing = tuple(name for name in every if name not in common)
-        self.other_units = tuple(name for name in common if name not in compared)
         self.extents = tuple(map(Extent.of, runs))
         self.verdicts = tuple(summary.verdict for summary in summaries)
         self.begin, self.end = float(instants[0]), float(instants[-1])
@@ -174,6 +171,16 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     short = [path.resolve().name for path in paths]
     names = short if len(set(short)) == len(short) else [str(path) for path in paths]
     return RunComparison(names, recordings, summaries)
+
+
+def _columns(runs: Sequence[Recording]) -> tuple[Names, Names, Names]:
+    """Return the columns that can be compared, those of other units, and those not in all runs."""
+    every = dict.fromkeys(name for run in runs for name in run.types if name != "time")
+    common = [name for name in every if all(name in run.types for run in runs)]
+    # The unit of a number, None of a text.
+    compared = tuple(n for n in common if len({run.units.get(n) for run in runs}) == 1)
+    other_units = tuple(name for name in common if name not in compared)
+    return compared, other_units, tuple(name for name in every if name not in common)
 
 
 def _opened(run: Run | str | Path) -> tuple[Path, Recording, Summary]:

@@ -7,7 +7,7 @@ signal where it is further off than `GROWTH` times what this noise has made of t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -24,13 +24,16 @@ GROWTH: Final = 1000.0
 FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
 
 
-def variants(scenario: Scenario | Unusable, engines: Sequence[str]) -> list[Scenario | Unusable]:
-    """Return a scenario as it is and, if there are engines, with noise and with each of them."""
-    if isinstance(scenario, Unusable) or not engines:
-        return [scenario]
-    name = scenario.name
-    noisy = replace(scenario, name=f"{name}-noise", input_scale=NOISE)
-    return [scenario, noisy, *(replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)]
+def variants(
+    scenarios: Iterable[Scenario | Unusable], engines: Sequence[str]
+) -> Iterator[Scenario | Unusable]:
+    """Yield each scenario as it is and, if there are engines, with noise and with each of them."""
+    for scenario in scenarios:
+        yield scenario
+        if engines and isinstance(scenario, Scenario):
+            name = scenario.name
+            yield replace(scenario, name=f"{name}-noise", input_scale=NOISE)
+            yield from (replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)
 
 
 def engine_rows(

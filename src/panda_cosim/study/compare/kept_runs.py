@@ -14,6 +14,7 @@ from typing import Final
 
 from ...fmus.atomic import write_whole
 from ...fmus.errors import InputError
+from .regress import Outcome
 
 MANIFEST_FILE: Final = "made-by-regress.json"
 
@@ -30,13 +31,14 @@ def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
             )
 
 
-def replace_kept_runs(folder: Path, runs: Iterable[Path]) -> None:
-    """Remove the previous report's runs, and move those of this one, on the same disk, here."""
+def replace_kept_runs(folder: Path, outcomes: Iterable[Outcome]) -> None:
+    """Remove the previous report's runs, and move those that differ now, on the same disk, here."""
     for name in (*_kept_files(folder), MANIFEST_FILE):
         (folder / name).unlink(missing_ok=True)
         with suppress(OSError):  # it holds something else
             for parent in Path(name).parents:
                 (folder / parent).rmdir()
+    runs = [outcome.run for outcome in outcomes if not outcome.ok]
     files = [(run, file) for run in runs for file in run.rglob("*") if file.is_file()]
     moves = {file: Path(run.name, file.relative_to(run)) for run, file in files}
     if moves:
