@@ -166,17 +166,15 @@ def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> b
 
 def _differ(one: Scenario, other: Scenario) -> bool:
     """Tell whether two scenarios differ in start values, inputs or criteria."""
-    runs = prepare(one), prepare(other)
-    if runs[0].values != runs[1].values:
-        return True
     own = ("ticks", "coupling", "success", "asked", "mujoco", "input_scale")
     if any(getattr(one, name) != getattr(other, name) for name in own):
         return True
+    runs = prepare(one), prepare(other)
     first, second = (run.inputs() for run in runs)
+    if runs[0].values != runs[1].values or first.shape != second.shape:
+        return True
     chunks = (slice(k, k + CHUNK) for k in range(0, first.shape[0], CHUNK))
-    return first.shape != second.shape or any(
-        not np.array_equal(first[chunk], second[chunk]) for chunk in chunks
-    )
+    return any(not np.array_equal(first[chunk], second[chunk]) for chunk in chunks)
 
 
 def _extremes(column: Array | Sequence[Any]) -> list[ParameterValue]:
@@ -199,10 +197,10 @@ class Search:
         self._axes = {key: _axis(optuna, each) for key, each in sweep.vary.items()}
         self._trials: dict[int, Any] = {}
         known = store.table().to_pylist() if store.parts() else []
-        self._next = max((row["index"] for row in known), default=-1) + 1
-        self._left = sweep.samples - len(known)
+        first = max((row["index"] for row in known), default=-1) + 1
+        self._indices = range(first, first + sweep.samples - len(known))
         sampler = optuna.samplers.TPESampler(
-            n_startup_trials=FIRST, seed=sweep.seed + self._next, constant_liar=True
+            n_startup_trials=FIRST, seed=sweep.seed + first, constant_liar=True
         )
         self._study = optuna.create_study(
             direction="minimize" if sweep.goal == "fail" else "maximize", sampler=sampler
@@ -217,7 +215,7 @@ class Search:
 
     def tasks(self) -> Iterator[Task]:
         """Yield Optuna's proposals until all samples are used."""
-        for index in range(self._next, self._next + self._left):
+        for index in self._indices:
             trial = self._trials[index] = self._study.ask(self._axes)
             yield Task(index, 0, {key: trial.params[key] for key in self._axes})
 
