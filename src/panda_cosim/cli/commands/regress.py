@@ -152,9 +152,7 @@ def command(  # noqa: PLR0913 - one for each option
     # A reference, for instance, is made of a scenario alone.
     is_whole = sweeps and not any((update, engines, kind != "auto"))
     swept = _swept(given, values, folder) if is_whole else []
-    if report is not None:
-        check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
-        check_kept_runs(report / "runs", (each.name for each in (*suite.scenarios, *swept)))
+    _check_report(report, (*suite.scenarios, *swept), overwrite=overwrite)
     announce_python(kind)
     with ExitStack() as stack:
         parent = report or cache_folder()  # on the same disk, so that runs can be moved
@@ -174,6 +172,15 @@ def command(  # noqa: PLR0913 - one for each option
         _show_result(outcomes)
         _show_engines(engines, rows)
     raise typer.Exit(exit_code(outcomes))
+
+
+def _check_report(
+    report: Path | None, parts: Iterable[Scenario | Unusable | SuiteSweep], *, overwrite: bool
+) -> None:
+    """Refuse a report that would replace what `regress` did not write."""
+    if report is not None:
+        check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
+        check_kept_runs(report / "runs", (each.name for each in parts))
 
 
 def _write_reports(outcomes: list[Outcome], report: Path, values: Values, *, quiet: bool) -> None:
