@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ..assets import TORQUE_DRIVEN
 from ..fmus.errors import InputError
 
-if TYPE_CHECKING:
-    from .scenario import Scenario
-
+Scenario = Any  # that of scenario.py, which imports this module
 # Keys that act on the project's plant and controller, or on FMUs that are made of models.
 OF_ARM: Final = (
     "scene", "robot", "gains", "interpolation", "timing", "timing_share", "align", "push",

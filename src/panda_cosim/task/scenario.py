@@ -325,7 +325,8 @@ class Scenario:
         Raises:
             InputError: A key or a value cannot be used; the key is named.
         """
-        return changed(self, values)
+        new: Scenario = changed(self, values)
+        return new
 
 
 # Keys of scenario.toml; the other fields come from the folder.

@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue
@@ -24,9 +24,7 @@ from .input_table import InputTable
 from .mismatch import Mismatch, default_of
 from .table import QUATERNION_COLUMNS
 
-if TYPE_CHECKING:
-    from .scenario import Scenario
-
+Scenario = Any  # that of scenario.py, which imports this module
 Values = Mapping[str, ParameterValue]
 # Texts and numbers of a scenario that have no key: they say what it is, not how it is.
 _FIXED: Final = ("name", "purpose", "system", "expect", "expect_reason")
@@ -83,7 +81,7 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
     if "inputs.file" in values:
         file = (scenario.folder or Path()) / str(values["inputs.file"])
         changes["input_table",] = InputTable.read(file)
-    return _changed(scenario, changes)  # type: ignore[no-any-return]  # a scenario, as given
+    return _changed(scenario, changes)
 
 
 def _top(scenario: Scenario) -> list[str]:

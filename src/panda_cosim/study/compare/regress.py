@@ -9,7 +9,7 @@ from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from ...fmus.errors import CosimError, InputError, located, refuse
 from ...result.judging.criterion import Criterion
@@ -31,7 +31,6 @@ from .reference import Reference, how_to_make, kept_metadata, reference_path
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
     from ...task.values import Values
-    from ..sweep.suite import SuiteSweep
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 
@@ -70,6 +69,18 @@ class Unusable:
     duration: float = 0.0
 
 
+class Judged(Protocol):
+    """What else a suite judges: its sweeps."""
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+
+    @property
+    def purpose(self) -> str:
+        """What it shows, in a line."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The outcome of one scenario, or of a sweep, which has no reference.
@@ -82,7 +93,7 @@ class Outcome:
     or the reference is damaged.
     """
 
-    scenario: Scenario | Unusable | SuiteSweep
+    scenario: Scenario | Unusable | Judged
     verdict: Verdict
     run: Path  # folder of the run
     seconds: float  # wall time of the run [s]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,13 @@ from ...task.tolerances import (
     signal_of,
 )
 
-if TYPE_CHECKING:
-    from .reference import Reference  # which is rounded by widths
-
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 TIME_SLACK: Final = 1e-6  # of a step: rounding of k * dt
 
 
-def widths(run: Recording | Reference, tolerances: Tolerances) -> dict[str, float]:
+def widths(run: Recording, tolerances: Tolerances) -> dict[str, float]:
     """Return the half-width of the tube around each column of a reference, in its unit."""
     extents = _extents(run)
     ours = of_ours(run.units)
@@ -49,7 +46,7 @@ def widths(run: Recording | Reference, tolerances: Tolerances) -> dict[str, floa
     return found
 
 
-def _extents(run: Recording | Reference) -> dict[tuple[str, str], Any]:
+def _extents(run: Recording) -> dict[tuple[str, str], Any]:
     """Return the largest range and size among each signal's elements of one unit."""
     extents = defaultdict[tuple[str, str], Any](lambda: np.array([0.0, LEAST_SIZE]))
     for name in filter(run.is_real, run.columns):

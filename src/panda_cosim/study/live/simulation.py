@@ -12,7 +12,7 @@ import zipfile
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, RootModel, ValidationError
@@ -24,10 +24,6 @@ from ...run.folder import SCENARIO_FOLDER
 from ...run.journal import JOURNAL_FILE, Release, Set, first_problem
 from ...run.session import Session
 from .page import offset_of, plan
-
-if TYPE_CHECKING:
-    from .server import LiveServer
-
 
 ROW: Final = 0.01  # [s] least wall time between two rows
 REST: Final = 0.05  # [s] between two checks for commands while paused
@@ -108,6 +104,19 @@ def _row(session: Session) -> Array:
     return np.array(list(session.numbers().values()))
 
 
+class Viewers(Protocol):
+    """Who sees a simulation: the clients of `LiveServer`."""
+
+    def rows(self, rows: Array) -> None:
+        """Show rows (n, k) of the page's columns."""
+
+    def status(self, status: dict[str, object]) -> None:
+        """Show the simulation's status."""
+
+    def plan(self, plan: dict[str, object]) -> None:
+        """Show a new commanded path."""
+
+
 class Simulation:
     """A session in real time. One thread calls `run`; `ask` may be called from others."""
 
@@ -127,15 +136,15 @@ class Simulation:
         except queue.Full:
             refuse("too many commands at once")
 
-    def run(self, server: LiveServer) -> None:
+    def run(self, viewers: Viewers) -> None:
         """Step and carry out commands until interrupted."""
         while True:
-            changed = self._obey(server)
+            changed = self._obey(viewers)
             if self._playing:
-                self._advance(server)
+                self._advance(viewers)
             if changed or time.monotonic() - self._told > STATUS:
                 self._told = time.monotonic()
-                server.status(self.status())
+                viewers.status(self.status())
 
     def status(self) -> dict[str, object]:
         """The simulation's status, in the page's form."""
@@ -172,7 +181,7 @@ class Simulation:
         self._wall, self._tick = time.monotonic(), self._session.tick
         self._behind = 0.0
 
-    def _advance(self, server: LiveServer) -> None:
+    def _advance(self, viewers: Viewers) -> None:
         """Take the steps up to the next row once they are due."""
         size = max(1, round(ROW * self._speed * self._rate))
         due = self._wall + (self._session.tick + size - self._tick) / (self._rate * self._speed)
@@ -181,29 +190,29 @@ class Simulation:
             time.sleep(min(wait, REST))
             if wait > REST:
                 return  # to look for commands
-        self._step(size, server)
+        self._step(size, viewers)
         late = max(0.0, time.monotonic() - due)
         if late > LAG:
             self._anchor()
         self._behind = late
 
-    def _step(self, size: int, server: LiveServer) -> None:
+    def _step(self, size: int, viewers: Viewers) -> None:
         try:
             self._session.step(size)
         except SimulationError as error:
             self._playing, self._message = False, str(error)
             return
-        self._show(server)
+        self._show(viewers)
         if self._session.is_over:
             outcome = self._session.close().summary.brief  # nothing is journalled from now on
             self._playing, self._message = False, f"the scenario is over: {outcome}"
 
-    def _show(self, server: LiveServer) -> None:
+    def _show(self, viewers: Viewers) -> None:
         row = _row(self._session)
         self.history.append(row)
-        server.rows(row[np.newaxis])
+        viewers.rows(row[np.newaxis])
 
-    def _obey(self, server: LiveServer) -> bool:
+    def _obey(self, viewers: Viewers) -> bool:
         """Carry out queued commands; while paused, wait a little for one."""
         done = False
         for _ in range(TURN):  # a flood of them must not hold up the simulation
@@ -214,7 +223,7 @@ class Simulation:
                 return done
             done = True
             try:
-                self._do(command, server)
+                self._do(command, viewers)
             except CosimError as error:
                 is_over = self._session.is_over
                 if not (self._session.is_open or is_over):  # after a restart that failed
@@ -222,14 +231,14 @@ class Simulation:
                 refuse(OVER if is_over and not isinstance(command, Keep) else str(error))
         return done
 
-    def _do(self, command: Command, server: LiveServer) -> None:
+    def _do(self, command: Command, viewers: Viewers) -> None:
         session = self._session
         match command:
             case Act():
-                self._act(command.do, server)
+                self._act(command.do, viewers)
             case Step():
                 self._playing = False
-                self._step(command.ticks, server)
+                self._step(command.ticks, viewers)
             case Speed():
                 self._speed = command.factor
             case Set() | Release():
@@ -239,7 +248,7 @@ class Simulation:
                 if row > last:
                     raise InputError(f"waypoint: row {row}; must be from 0 to {last}")
                 session.move_waypoint(row, position=offset_of(session, row, command.position))
-                server.plan(self.plan())
+                viewers.plan(self.plan())
             case Keep():  # in the working directory
                 session.keep(command.name)
                 self._message = f"kept as a scenario: panda-cosim run ./{command.name}"
@@ -248,15 +257,15 @@ class Simulation:
         if isinstance(command, Act | Step | Speed):
             self._anchor()
 
-    def _act(self, do: str, server: LiveServer) -> None:
+    def _act(self, do: str, viewers: Viewers) -> None:
         session = self._session
         if do == "restart":
             before = session.folder
             session.restart()
             self._run, self._message = self._run + 1, f"the run before is in {before}"
             self.history.clear()
-            server.plan(self.plan())
-            self._show(server)
+            viewers.plan(self.plan())
+            self._show(viewers)
         elif do == "let_go":
             for name in dict.fromkeys(held.partition("[")[0] for held in session.held):
                 if name.endswith("_force"):
