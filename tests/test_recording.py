@@ -209,7 +209,8 @@ def test_the_rows_before_a_full_disk_are_kept(tmp_path):
     recorder, old = Recorder(tmp_path, COLUMNS, METADATA), resource.getrlimit(resource.RLIMIT_FSIZE)
     recorder.append(make_rows(10))
     recorder.flush()
-    resource.setrlimit(resource.RLIMIT_FSIZE, (recorder._size + 100, old[1]))
+    size = (tmp_path / "recording.arrows").stat().st_size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, old[1]))
     try:
         recorder.append(make_rows(10, 10))
         with pytest.raises(SimulationError, match="after 10 rows, which are kept: File too large"):
