@@ -26,6 +26,7 @@ from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
 from panda_cosim.fmus import processes
 from panda_cosim.study import work
 
+QUIET = ("--no-video", "--no-view", "--no-plot")  # of `run`
 _context = get_context("forkserver")
 _context.set_forkserver_preload([
     "pytest", "numpy", "mujoco", "pyarrow.parquet", "fmpy", "scipy.optimize", "scipy.stats",

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forked import command
+from forked import QUIET, command
 from odd_fmu import odd_fmu
 from panda_cosim import compare
 from panda_cosim.result.recording import Column, Recorder, Recording
@@ -149,10 +149,10 @@ def test_check_names_an_event_for_which_nothing_is_recorded(tmp_path):
 
 def test_a_run_says_that_a_push_comes_too_late(tmp_path):
     assert command("new", tmp_path / "late", "--from", "push").returncode == 0
-    quiet = ("--no-video", "--no-view", "--no-plot", "--out", tmp_path / "run")
     path = tmp_path / "late" / "scenario.toml"
     path.write_text(path.read_text().replace("start = 1.6", "start = 9.6"))
-    assert "[[push]] at 9.6 s begins after the end" in command("run", path.parent, *quiet).stderr
+    done = command("run", path.parent, *QUIET, "--out", tmp_path / "run")
+    assert "[[push]] at 9.6 s begins after the end" in done.stderr
 
 
 @pytest.mark.parametrize(

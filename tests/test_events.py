@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fmu_support import needs_compiler, pack
-from forked import command
+from forked import QUIET, command
 from panda_cosim import Recording
 from toy_fmu import library, toy_fmu
 
@@ -15,7 +15,6 @@ pytestmark = needs_compiler
 SOURCE = Path(__file__).parent / "c_fmu" / "events.c"
 STEP, TICKS = 0.1, 10  # s
 WAYS = [(), ("--master", "fmpy"), ("--isolate",)]
-QUIET = ("--no-video", "--no-view", "--no-plot")
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="events" instantiationToken="events">
 <CoSimulation modelIdentifier="events" canHandleVariableCommunicationStepSize="true" {events}/>

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from libfranka import speed
 from panda_cosim import InputError, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.assets import ASSETS
 from panda_cosim.assets.franka import HOME_Q
@@ -24,18 +25,6 @@ BEYOND = {
     "peg_in_hole": "nor do its springs, with the friction that `calibrated` adds",
     "wipe": "it presses for 0.4 s with more than the most, with that friction",
 }
-# libfranka 0.21, rate_limiting.h: highest speed, offset, factor, ends.
-ENVELOPE = np.array(
-    [
-        (2.62, 0.30, 12.0, -2.7501, 2.7501),
-        (2.62, 0.20, 5.17, -1.7918, 1.7918),
-        (2.62, 0.20, 7.0, -2.9065, 2.9065),
-        (2.62, 0.30, 8.0, -3.0481, -0.1458),
-        (5.26, 0.35, 34.0, -2.8101, 2.8101),
-        (4.18, 0.35, 11.0, 0.54092, 4.5205),
-        (5.26, 0.35, 34.0, -3.0196, 3.0196),
-    ]
-).T
 
 
 def with_fr3(name: str) -> Scenario:
@@ -43,9 +32,7 @@ def with_fr3(name: str) -> Scenario:
 
 
 def velocity_shares(q: Array, qd: Array) -> Array:
-    most, offset, factor, low, high = ENVELOPE
-    room = np.where(qd < 0.0, q - low, high - q)
-    return np.abs(qd) / np.clip(np.sqrt(factor * np.maximum(room, 0.0)) - offset, 1e-3, most)
+    return np.abs(qd) / np.maximum(speed("fr3", q, qd), 1e-3)
 
 
 def about(axis: str, angle: float) -> Array:

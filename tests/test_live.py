@@ -15,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from browser import Page
-from forked import command
+from forked import QUIET, command
 from live_support import READY, asked, live, told, viewer, wait_to_act
 from panda_cosim import Recording, Session, Trajectory, TrajectoryTable, load_scenario
 from panda_cosim.study.live.page import offset_of
@@ -112,8 +112,7 @@ def move_the_slider(page: Page, name: str) -> float:
 
 def replayed(folder: Path, out: Path) -> Recording:
     """Run a session again on the command line."""
-    quiet = ("--no-video", "--no-view", "--no-plot")
-    done = command("replay", folder, "--out", out, *quiet)
+    done = command("replay", folder, "--out", out, *QUIET)
     assert done.returncode in (0, 3), done.stderr
     return Recording.open(out)
 

@@ -17,6 +17,7 @@ import pytest
 
 from bounded import limited, ran
 from fault_support import write_scenario
+from forked import QUIET
 from panda_cosim import InputError, Recording, load_scenario
 from panda_cosim.cli.app import report
 from panda_cosim.cli.commands import doctor
@@ -27,7 +28,6 @@ from panda_cosim.fmus.extras import needing
 from panda_cosim.fmus.sources.targets import Target
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]
-QUIET = ("--no-video", "--no-view", "--no-plot")
 
 
 def test_a_poor_machine_is_enough_for_a_run(tmp_path):

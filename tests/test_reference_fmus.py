@@ -14,13 +14,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from fmu_support import REFERENCE_FMUS, in_process, needs_reference_fmus
-from forked import command
+from forked import QUIET, command
 from panda_cosim import Recording, Scenario, Session
 
 FMUS = ["BouncingBall", "Dahlquist", "Feedthrough", "Resource", "Stair", "VanDerPol"]
 STEP, TICKS = 0.1, 10  # s
 TIMES = STEP * np.arange(TICKS + 1)
-QUIET = ("--no-video", "--no-view", "--no-plot")
 WIDER = {  # input by the output that feeds it
     "Int16": "Int8", "Int32": "UInt16", "UInt32": "UInt8", "Int64": "UInt32",
     "Float32_continuous": "Int16", "Float32_discrete": "UInt16", "Float64_continuous": "Int32",

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmu_support import members, needs_compiler, pack
-from forked import command
+from forked import QUIET, command
 from odd_fmu import odd_fmu, odd_ssp
 from panda_cosim import Recording, load_scenario
 from panda_cosim.fmus.interface.types import is_lossless
@@ -44,8 +44,7 @@ def measuring(fmu: Path, version: int, unit: str, base: str = "") -> Path:
 def run(folder: Path, text: str, *arguments: str) -> Recording:
     (folder / "scenario.toml").write_text(f"duration = {STEP * TICKS}\nstep = {STEP}\n{text}")
     out = folder / "run"
-    quiet = ("--no-video", "--no-view", "--no-plot")
-    command("run", folder, "--out", out, *quiet, *arguments, code=0)
+    command("run", folder, "--out", out, *QUIET, *arguments, code=0)
     return Recording.open(out)
 
 

@@ -6,7 +6,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from forked import command
+from forked import QUIET, command
 from panda_cosim import InputError, Recording, Scenario, Session, run_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.cli.outcome import outcome_lines
@@ -138,8 +138,7 @@ def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path):
         session.move_waypoint(4, frame="world", position=(0.5, 0.35, 0.45))
         session.finish()
     again = tmp_path / "again"
-    quiet = ("--no-video", "--no-view", "--no-plot")
-    assert command("replay", tmp_path / "session", "--out", again, *quiet).returncode == 0
+    assert command("replay", tmp_path / "session", "--out", again, *QUIET).returncode == 0
     for folder in (tmp_path / "session", again):
         other = Recording.open(folder)
         assert other.metadata["row_ends"] == run.recording.metadata["row_ends"]
