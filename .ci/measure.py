@@ -46,6 +46,7 @@ WORN = (
     "mismatch.preset=worn", "mismatch.seed=1:100:100", "controller.kp=0.5", "controller.ik_gain=5",
     "controller.error_filter=0.02",
 )  # fmt: skip
+QUALIFIED = ("pick_and_place", "push", "tutorial")
 HARD = 40.0  # [N] what presses on the table with more is a collision, as in `collision`
 OBSERVED = '\n[vary."controller.observer"]\nvalues = [true]\n'
 NOISE, DELAY = "mismatch.joint_noise=1e-5", "mismatch.delay=0.001"
@@ -375,6 +376,20 @@ def engines(_: Path | None) -> str:
     )
 
 
+def noticed(_: Path | None) -> str:
+    """What three scenarios notice if each parameter is 5 % larger, and what notices it first."""
+    said = json.loads(_said([*RUN, "regress", *QUALIFIED, "--qualify", "0.05", "--json"]))
+    rows = [
+        (f"`{each['key']}`", each["change"], each["state"],
+         "; ".join(f"{scenario}: {by}" for scenario, by in each["noticed"]))
+        for each in said["changes"] if each["state"] != "no effect"
+    ]  # fmt: skip
+    nothing = [f"`{each['key']}`" for each in said["changes"] if each["state"] == "no effect"]
+    score = f"{said['score']:.0%} of the changes with an effect are noticed."
+    head = ("parameter", "change", "state", "by what first")
+    return f"{_table(head, rows)}\n\n{score} Without effect: {', '.join(nothing)}."
+
+
 def _on_engine(outcome: dict[str, Any]) -> str:
     if outcome["verdict"] == "same":
         return str(outcome["difference"])
@@ -470,7 +485,7 @@ SECTIONS: dict[str, Callable[[Path | None], str]] = {
     "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
     "worn": worn, "contact": contact, "touch": touch, "step": time_step,
     "moves": moves, "routes": routes, "mink": mink, "cost": cost, "install": install,
-    "video": video, "engines": engines,
+    "video": video, "engines": engines, "noticed": noticed,
 }  # fmt: skip
 
 
