@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from subprocess import DEVNULL, PIPE
 from typing import Final
@@ -28,7 +28,6 @@ from ..fmus.errors import CosimError
 from ..fmus.interface.controller import COMMANDS
 from ..fmus.interface.tables import CONNECTIONS, INTERFACES
 from ..fmus.master.fmu_file import Fmu
-from ..fmus.master.step import Stepper
 from ..fmus.master.system import OpenSystem
 from ..fmus.master.wiring import Array, Name
 from ..fmus.sources.targets import Kind
@@ -75,29 +74,10 @@ OF_PROGRAM: Final = (
 Way = tuple[Callable[[int, int], object], Callable[[], Array]]
 
 
-@dataclass(frozen=True)
-class _Workload:
-    """What all ways do: a scenario, and the servo targets that its run gives (steps, 8)."""
-
-    prepared: Prepared
-    targets: Array
-
-    @classmethod
-    def of(cls, prepared: Prepared) -> _Workload:
-        """Run the scenario once, for the servo targets."""
-        with Execution(prepared, writes=False) as execution:
-            execution.advance()
-            recording = execution.close().recording
-        return cls(prepared, recording["controller.ctrl"][: prepared.scenario.ticks])
-
-    def opened(self, stepper: Stepper) -> AbstractContextManager[OpenSystem]:
-        return replace(self.prepared, options=Options(master=stepper)).open([])
-
-
-def _physics(workload: _Workload, *, drawn: bool) -> Way:
-    """(a) Bare `mj_step` with the servo targets of the whole loop."""
-    scene = PlantParameters(scene=workload.prepared.scenario.scene)
-    model, targets, step = load_scene(scene, drawn=drawn), workload.targets, mujoco.mj_step
+def _physics(prepared: Prepared, targets: Array, *, drawn: bool) -> Way:
+    """(a) Bare `mj_step` with the servo targets of the whole loop (steps, 8)."""
+    scene = PlantParameters(scene=prepared.scenario.scene)
+    model, step = load_scene(scene, drawn=drawn), mujoco.mj_step
     data = mujoco.MjData(model)
     data.qpos[:], data.ctrl[:] = Plant(scene).data.qpos, targets[0]
     mujoco.mj_forward(model, data)
@@ -111,9 +91,9 @@ def _physics(workload: _Workload, *, drawn: bool) -> Way:
     return advance, lambda: np.array(data.qpos)
 
 
-def _own_master(workload: _Workload, system: OpenSystem) -> Way:
+def _own_master(prepared: Prepared, system: OpenSystem) -> Way:
     """(c) This project's master over the FMUs."""
-    master, commands = system.master, workload.prepared.inputs()
+    master, commands = system.master, prepared.inputs()
     where = [1 + master.columns.index(("plant", name)) for name in _names("plant", "qpos")]
     master.begin(lambda _rows: None)
 
@@ -124,10 +104,9 @@ def _own_master(workload: _Workload, system: OpenSystem) -> Way:
 
 
 @contextmanager
-def _plain_loop(workload: _Workload) -> Iterator[Way]:
+def _plain_loop(prepared: Prepared) -> Iterator[Way]:
     """(b) A plain loop over FMPy's `FMU2Slave` as its documentation shows it, with lists."""
-    prepared, slaves = workload.prepared, {}
-    references: dict[Name, int] = {}
+    slaves, references = {}, dict[Name, int]()
     for name, path in prepared.assembly.system.fmus.items():
         fmu = Fmu(path)
         slaves[name] = slave = instantiate_fmu(str(fmu.folder), fmu.description)
@@ -219,8 +198,11 @@ def bench(
     kind: Kind = "native",
 ) -> BenchResult:
     """Measure steps and whole commands."""
-    workload = _Workload.of(prepare(load_scenario(scenario), Options(kind=kind)))
-    passes = [_one_pass(workload, chunk) for _ in range(repeats)]
+    prepared = prepare(load_scenario(scenario), Options(kind=kind))
+    with Execution(prepared, writes=False) as execution:
+        execution.advance()
+        targets = execution.close().recording["controller.ctrl"]
+    passes = [_one_pass(prepared, targets, chunk) for _ in range(repeats)]
     costs = {way: np.array([taken[way] for taken in passes]) for way in LABELS}
     steps = {way: Spread.of(values) for way, values in costs.items()}
     run = f"panda-cosim run {scenario} --no-video"
@@ -241,22 +223,19 @@ def bench(
     )
 
 
-def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
+def _one_pass(prepared: Prepared, targets: Array, chunk: int) -> dict[str, float]:
     """Cost of a step by way over a whole pass, as contacts make some steps dearer [us]."""
-    with (
-        _plain_loop(workload) as plain,
-        workload.opened("kernel") as ours,
-        workload.opened("fmpy") as other,
-    ):
+    by_fmpy = replace(prepared, options=Options(master="fmpy"))
+    with _plain_loop(prepared) as plain, prepared.open([]) as ours, by_fmpy.open([]) as other:
         ways: dict[str, Way] = {
-            "physics": _physics(workload, drawn=True),
-            "bare": _physics(workload, drawn=False),
+            "physics": _physics(prepared, targets, drawn=True),
+            "bare": _physics(prepared, targets, drawn=False),
             "lists": plain,
-            "master": _own_master(workload, ours),
-            "fmpy": _own_master(workload, other),
+            "master": _own_master(prepared, ours),
+            "fmpy": _own_master(prepared, other),
         }
         taken = dict.fromkeys(ways, 0.0)
-        done = range(0, workload.prepared.scenario.ticks - chunk + 1, chunk)
+        done = range(0, prepared.scenario.ticks - chunk + 1, chunk)
         for first in done:
             for name, (advance, _) in ways.items():
                 # The processor's time, as all that is measured computes and never waits: what

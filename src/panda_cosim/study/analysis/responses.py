@@ -145,16 +145,14 @@ class _Measurement:
         system, loops = self._system, self._find_loops()
         places = [system.columns.index(place) for place in self._positions(loops)]
         columns = [*(system.fed_by[i] for i in loops), *places]
-        self._choose_size(loops, columns)
-        return Responses(
-            tuple(".".join(self._targets[i]) for i in loops),
-            tuple(".".join(system.columns[place]) for place in places),
-            at,
-            self._at.step * self._step,
-            self._pulses / self._scale[loops],
-            self._linearity,
-            self._changed,
-        )
+        inputs = tuple(".".join(self._targets[i]) for i in loops)
+        positions = tuple(".".join(system.columns[place]) for place in places)
+        about, tried = (inputs, positions, at, self._at.step * self._step), []
+        for self._size in SIZES:  # the largest to which answers are linear, or the most linear one
+            tried.append(Responses(*about, *self._measured(loops, columns)))
+            if tried[-1].linearity <= LINEAR:
+                break
+        return min(tried, key=lambda each: each.linearity)
 
     def _find_loops(self) -> list[int]:
         """Inputs that have an effect, and whose feeding output answers; sets the period."""
@@ -182,36 +180,25 @@ class _Measurement:
         places = [(fmu, POSITIONS + name.removeprefix(_whole(name))) for fmu, name in targets]
         return places if set(places) <= set(self._system.columns) else []
 
-    def _choose_size(self, loops: Sequence[int], columns: Sequence[int]) -> None:
-        """Choose the largest pulse to which answers are linear, else that with the most linear."""
-        linearity: dict[float, float] = {}
-        for self._size in SIZES:
-            self._choose_window(loops, columns)
-            linearity[self._size] = self._linearity
-            if self._linearity <= LINEAR:
-                return
-        self._size = min(linearity, key=linearity.__getitem__)
-        self._choose_window(loops, columns)
-
-    def _choose_window(self, loops: Sequence[int], columns: Sequence[int]) -> None:
+    def _measured(self, loops: Sequence[int], columns: Sequence[int]) -> tuple[Array, float, bool]:
         """Lengthen the window until answers to each pulse decay, change or are not linear."""
-        enough = False
+        returning, pulses, linearity, enough = columns[: len(loops)], np.empty(0), 0.0, False
         for window in WINDOWS:
             self._resize(window)
-            pulses = np.stack([self._answers([i], columns) for i in loops], axis=-1)
-            answers = self._answers(loops, columns[: len(loops)])
-            end = self._first_change(answers, loops, columns[: len(loops)])
-            self._changed = end < len(pulses)
-            if self._changed and enough:  # the window before was long enough
+            longer = np.stack([self._answers([i], columns) for i in loops], axis=-1)
+            answers = self._answers(loops, returning)
+            end = self._first_change(answers, loops, returning)
+            changed = end < len(longer)
+            if changed and enough:  # the window before was long enough
                 break
-            self._pulses = pulses[:end]
-            twice = self._answers(loops, columns[: len(loops)], 2.0)
-            self._linearity = _difference(answers, twice)
-            remaining, growth = _course(self._pulses[:, : len(loops)])
+            pulses, twice = longer[:end], self._answers(loops, returning, 2.0)
+            linearity = _difference(answers, twice)
+            remaining, growth = _course(pulses[:, : len(loops)])
             enough = remaining <= ENOUGH
-            decayed = len(pulses) > LEAST and (remaining <= DECAYED or growth > EXPLOSION)
-            if decayed or self._changed or self._linearity > CHAOS:
+            decayed = len(longer) > LEAST and (remaining <= DECAYED or growth > EXPLOSION)
+            if decayed or changed or linearity > CHAOS:
                 break
+        return pulses / self._scale[loops], linearity, changed
 
     def _first_change(self, answers: Array, loops: Sequence[int], columns: Sequence[int]) -> int:
         """Row at which answers first differ from those to a later pulse, or their number.
