@@ -156,4 +156,4 @@ def test_outputs_on_request_are_recorded_where_a_criterion_is_about_them():
     recorded = {column.name for column in assemble(scenario).recorded()}
     assert "plant.unwanted_contact_force" in recorded
     assert not {"plant.table_force", "plant.mass_matrix[1,1]"} & recorded
-    check_criteria(scenario)
+    check_criteria(scenario, assemble(scenario))

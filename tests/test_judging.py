@@ -22,6 +22,7 @@ from panda_cosim.result.judging.criterion import (
 from panda_cosim.result.judging.signals import REDUCE, check_signals, judge_signals
 from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.start import check_criteria
+from panda_cosim.run.system.assembly import assemble
 from panda_cosim.task.criteria import REDUCTIONS
 from panda_cosim.task.writer import write_scenario
 from refusals import refused
@@ -254,8 +255,11 @@ def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data):
 
 @pytest.mark.parametrize(("right", "wrong", "told"), WRONG)
 def test_bad_input_is_reported_in_one_line(tmp_path, right, wrong, told):
-    folder = written(tmp_path, SIGNAL.replace(right, wrong))
-    said = refused(lambda: check_criteria(Scenario.read(folder)))
+    def read() -> None:
+        scenario = Scenario.read(written(tmp_path, SIGNAL.replace(right, wrong)))
+        check_criteria(scenario, assemble(scenario))
+
+    said = refused(read)
     assert told in said
     assert "[success" in said
 

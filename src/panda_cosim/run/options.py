@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
-from ..fmus.errors import InputError
+from ..fmus.errors import InputError, refuse
 from ..fmus.master.step import Coupling, Stepper
 from ..fmus.sources.targets import Kind
 from ..task.fields import Quantity, check_choice
@@ -54,13 +54,11 @@ class Options:
     def __post_init__(self) -> None:
         """Check values that may come from a command line."""
         if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
-            raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
+            refuse("realtime", self.realtime, "must be a number of at least 0")
         check_choice("kind", self.kind, get_args(Kind))
         check_choice("master", self.master, get_args(Stepper))
         if not (self.step_timeout is None or 0.0 < self.step_timeout < math.inf):
-            raise InputError(
-                f"--step-timeout: value {self.step_timeout!r}; must be a number above 0 s"
-            )
+            refuse("--step-timeout", self.step_timeout, "must be a number above 0 s")
         if self.step_timeout is not None and not self.isolate:
             raise InputError("--step-timeout: needs --isolate, which alone can end a step")
         if self.time_limit is not None:

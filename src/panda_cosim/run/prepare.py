@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from ..fmus.errors import InputError, printable, refuse
+from ..fmus.errors import InputError, printable
 from ..fmus.master.calls import without_traceback
 from ..fmus.master.system import OpenSystem, open_system
 from ..fmus.master.wiring import Array
 from ..fmus.twins import IN_RUNS, notice
 from ..plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters
 from ..task import rotations
+from ..task.fields import check_choice
 from ..task.scenario import Scenario
 from .folder import model_in
 from .inputs import Inputs
@@ -141,10 +142,8 @@ def prepare(
     if prepared.scenario.route:
         prepared = connected(_routed(prepared))
     prepared.inputs()  # refuses a table that cannot be resolved
-    names = list(prepared.assembly.interfaces)
     for name in options.log:
-        if name not in names:
-            refuse("--log", name, f"must be one of {', '.join(names)}", names)
+        check_choice("--log", name, prepared.assembly.interfaces)
     return prepared
 
 

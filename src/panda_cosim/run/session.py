@@ -106,13 +106,11 @@ def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
         changes = np.flatnonzero(np.diff(force, axis=0).any(axis=1)) + 1
         for first, last in itertools.pairwise([0, *changes.tolist(), len(force)]):
             if force[first].any():
-                start, duration = first * STEP_SIZE, (last - first) * STEP_SIZE
-                yield Push(
-                    start=round(start, _DIGITS),
-                    duration=round(duration, _DIGITS),
-                    force=tuple(force[first].tolist()),
-                    on=body,
+                start, duration = (
+                    round(ticks * STEP_SIZE, _DIGITS) for ticks in (first, last - first)
                 )
+                newton = tuple(force[first].tolist())
+                yield Push(start=start, duration=duration, force=newton, on=body)
 
 
 def _time(prepared: Prepared, tick: int) -> str:

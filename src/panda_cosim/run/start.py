@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +14,7 @@ from ..assets import ELASTIC
 from ..assets.franka import HOME_XPOS, HOME_XQUAT
 from ..controller.gains import Gains
 from ..controller.presets import DEFAULT, OF_IMPEDANCE, OF_SERVOS, PRESETS, preset
-from ..fmus.errors import InputError
+from ..fmus.errors import InputError, refuse
 from ..fmus.interface.controller import CONTROLLER
 from ..fmus.interface.parameters import grouped
 from ..fmus.interface.variables import Value
@@ -40,23 +40,20 @@ def start_values(scenario: Scenario, assembly: Assembly | None = None) -> StartV
         if assembly.is_ours("plant"):
             own["plant"] = {"scene": scenario.scene, "robot": scenario.robot}
         if assembly.is_ours("controller"):
-            gains = replace(
-                PRESETS[scenario.gains],
-                reading_delay=scenario.mismatch.known_delay,
-                follow_posture=scenario.has_posture,
-                observer=not TOUCH.isdisjoint(scenario.asked),
-                robot=scenario.robot,
-            )
-            own["controller"] = asdict(gains)
+            own["controller"] = asdict(PRESETS[scenario.gains]) | {
+                "reading_delay": scenario.mismatch.known_delay,
+                "follow_posture": scenario.has_posture,
+                "observer": not TOUCH.isdisjoint(scenario.asked),
+                "robot": scenario.robot,
+            }
         if scenario.mismatch.has_sensors:
             own["sensors"] = {"robot": scenario.robot}
     return assembly.start_values([own, scenario.mismatch.start_values(), scenario.sections])
 
 
-def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:
+def check_criteria(scenario: Scenario, assembly: Assembly) -> None:
     """Check that the signals of the scenario's criteria will be recorded, as long as they need."""
     if scenario.success.signal or scenario.success.body:
-        assembly = assembly or assemble(scenario)
         columns = assembly.recorded(scenario.coupling)
         units = {column.name: column.unit for column in columns if column.type not in TEXTS}
         start = assembly.start_time
@@ -69,10 +66,10 @@ def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None
             raise InputError(f"{place}{error}") from None
 
 
-def check_tolerances(scenario: Scenario, assembly: Assembly | None = None) -> None:
+def check_tolerances(scenario: Scenario, assembly: Assembly) -> None:
     """Check that the signals of the scenario's tolerances will be recorded."""
     if scenario.regression.values:
-        columns = (assembly or assemble(scenario)).recorded(scenario.coupling)
+        columns = assembly.recorded(scenario.coupling)
         scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
 
 
@@ -129,10 +126,8 @@ def played_rows(scenario: Scenario, values: StartValues) -> tuple[list[float], l
 
 def _check_duration(scenario: Scenario, cycle: float) -> None:
     if cycle > scenario.duration + TIME_TOLERANCE:
-        raise InputError(
-            f"duration: value {scenario.duration!r}; must be at least {cycle:.3f} s, which "
-            f"the cycle takes within {scenario.timing_share:.0%} of the limits"
-        )
+        takes = f"which the cycle takes within {scenario.timing_share:.0%} of the limits"
+        refuse("duration", scenario.duration, f"must be at least {cycle:.3f} s, {takes}")
 
 
 @lru_cache(maxsize=1)  # a run resolves its table several times

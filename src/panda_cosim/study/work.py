@@ -122,7 +122,8 @@ class Workers(AbstractContextManager["Workers"]):
                 process.leave()
         finally:  # Ctrl-C may come while they leave
             for process in processes:
-                process.kill()
+                if process.ended(0.0) is None:
+                    process.kill()
             self._threads.shutdown(cancel_futures=True)
             for process in processes:
                 process.end()
@@ -152,7 +153,8 @@ class _Process(Child):
     def leave(self) -> None:
         """Let it end by itself; idle, it only waits for a call."""
         self.connection.close()
-        self.ended(LEAVING)
+        if self.ended(LEAVING) is None:
+            self.kill()
 
 
 def main(socket: int, parent: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import cast
 
@@ -315,7 +315,7 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     system, parts = coupled.system, []
     for name, file in system.fmus.items():
         fmu = read_fmu(file).restructured(coupled.start_values.get(name, {}))
-        parts.append(Part(name, file, described_interface(fmu), partial(Path, file)))
+        parts.append(Part(name, file, described_interface(fmu), built=file))
     interfaces = {part.name: part.interface for part in parts}
     connector, driven = Connector([]), driven_inputs(scenario, interfaces)
     connector.drive([connection.target for connection in system.connections])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,7 +12,8 @@ import numpy as np
 
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
 from ...fmus.build.engines import has_engine
-from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...fmus.build.native import NativeFmu
+from ...fmus.errors import InputError, did_you_mean, excerpt, refuse
 from ...fmus.interface.sensors import MEASURED, SENSORS
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Interface, Variable
@@ -45,7 +46,18 @@ class Part:
     name: str  # of the instance
     file: Path | None  # where it comes from; None: the project's own
     interface: Interface
-    make: Callable[..., Path]  # builds the FMU, if need be, for a Target if given; returns its path
+    source: NativeFmu | None = None  # what it is built from; None: ours, or an .fmu
+    target: Target = field(
+        default_factory=Target
+    )  # what it is built for, unless another is asked for
+    built: Path | None = None  # an .fmu, which is used as it is
+
+    def make(self, target: Target | None = None) -> Path:
+        """Build the FMU, if need be, for this platform or a target; return its path."""
+        chosen = replace(target, mujoco=self.target.mujoco) if target else self.target
+        if self.source is not None:
+            return build_fmu(self.source, target=chosen)
+        return self.built or build([self.name], target=chosen)[self.name]
 
     @property
     def is_model(self) -> bool:
@@ -103,17 +115,13 @@ def _check_engine(scenario: Scenario, kind: Kind, parts: Mapping[str, Part]) -> 
     ours = [name for name in OURS if name in parts and parts[name].file is None]
     in_python = any(Target(kind).kind_of(name) != "native" for name in ours)
     has_model = any(part.is_model for part in parts.values())
-    check_rules({
-        "mujoco: FMUs in Python use the installed version; must be left out": (
-            scenario.mujoco and in_python
-        ),
-        "mujoco: no FMU here is made from a MuJoCo model; must be left out": (
-            scenario.mujoco and not has_model
-        ),
-        "input_scale: there is no FMU named plant; must be left out": (
-            scenario.input_scale != 1.0 and "plant" not in parts
-        ),
-    })  # fmt: skip
+    is_scaled = scenario.input_scale != 1.0
+    rules = {
+        "mujoco: FMUs in Python use the installed version": scenario.mujoco and in_python,
+        "mujoco: no FMU here is made from a MuJoCo model": scenario.mujoco and not has_model,
+        "input_scale: there is no FMU named plant": is_scaled and "plant" not in parts,
+    }
+    check_rules({f"{rule}; must be left out": broken for rule, broken in rules.items()})
 
 
 def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
@@ -122,25 +130,18 @@ def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
         from ...fmus.sources.python_fmu import require_pythonfmu  # noqa: PLC0415 - few need it
 
         require_pythonfmu()
-
-    def make(target: Target | None = None) -> Path:
-        chosen = replace(target, mujoco=own.mujoco) if target else own
-        return files[name] if name in files else build([name], target=chosen)[name]
-
-    return Part(name, None, interface, make)
+    return Part(name, None, interface, target=own, built=files.get(name))
 
 
 def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | LawFile:
     path, class_name = part_path(scenario, text)
     if path.suffix not in (".py", ".fmu", *MODELS):
-        raise InputError(f"[fmus] {name}: value {excerpt(text)}; must be {FORMS}")
+        refuse(f"[fmus] {name}", text, f"must be {FORMS}")
     if not path.is_file():
         raise InputError(f"[fmus] {name}: {path}: no such file; must be {FORMS}")
     if path.suffix == ".py":
         if not class_name:
-            raise InputError(
-                f"[fmus] {name}: value {excerpt(text)}; must name a class: FILE.py:CLASS"
-            )
+            refuse(f"[fmus] {name}", text, "must name a class: FILE.py:CLASS")
         from ...fmus.sources.law import read_law  # noqa: PLC0415 - few scenarios need it
 
         law = read_law(path, class_name)
@@ -155,18 +156,14 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         slave = slave_fmu(path, class_name)
         path = build_fmu(slave)
         interface = described_interface(read_fmu(path))
-        return Part(name, path, interface, lambda target=None: build_fmu(slave, target=target))
+        return Part(name, path, interface, slave)
     if path.suffix != ".fmu":
         from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - see above
 
         model = model_part(path, scenario.robot)
-
-        def make(target: Target | None = None) -> Path:
-            return build_fmu(model, target=replace(target or Target(), mujoco=scenario.mujoco))
-
-        return Part(name, path, model.interface, make)
+        return Part(name, path, model.interface, model, Target(mujoco=scenario.mujoco))
     fmu = read_fmu(path).restructured(scenario.sections.get(name, {}))
-    return Part(name, path, described_interface(fmu), lambda _target=None: path)
+    return Part(name, path, described_interface(fmu), built=path)
 
 
 class UnreadSlaveError(InputError):
@@ -195,11 +192,7 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     interface = law_interface(law, signal, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
     first = _first_ctrl(scenario) if name == "controller" and not scenario.is_system else None
-
-    def make(target: Target | None = None) -> Path:
-        return build_fmu(law_fmu(law, interface, start, first), target=target)
-
-    return Part(name, law.path, interface, make)
+    return Part(name, law.path, interface, law_fmu(law, interface, start, first))
 
 
 def _first_ctrl(scenario: Scenario) -> dict[str, Any] | None:

@@ -19,6 +19,7 @@ from ...result.recording import Recording
 from ...run.execution import run_scenario
 from ...run.options import Options
 from ...run.start import check_criteria, check_tolerances, start_values
+from ...run.system.assembly import assemble
 from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ...task.tolerances import Tolerances
@@ -323,9 +324,10 @@ def read_scenario(folder: Path, name: str = "") -> Scenario | Unusable:
     try:
         scenario = replace(Scenario.read(folder), name=name)
         with located(folder / SCENARIO_FILE):
-            check_criteria(scenario)
-            start_values(scenario)
-            check_tolerances(scenario)
+            assembly = assemble(scenario)
+            check_criteria(scenario, assembly)
+            start_values(scenario, assembly)
+            check_tolerances(scenario, assembly)
     except InputError as error:
         return Unusable(name, folder, str(error))
     return scenario

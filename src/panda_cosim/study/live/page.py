@@ -98,13 +98,9 @@ def _pushes(session: Session, model: Any) -> Iterator[dict[str, object]]:
             yield {**HAND, "signal": signal, "bodies": [name]}
         elif name and f"{signal}[3]" in given:
             mass = float(model.body_subtreemass[body])
-            yield {
-                "signal": signal,
-                "bodies": [name],
-                "stiffness": mass * SWING**2,
-                "damping": mass * SWING,
-                "limit": min(LOAD * mass, FORCE_MAX),
-            }
+            spring = {"stiffness": mass * SWING**2, "damping": mass * SWING}
+            limit = min(LOAD * mass, FORCE_MAX)
+            yield {"signal": signal, "bodies": [name], **spring, "limit": limit}
 
 
 def _model(session: Session) -> Any:
