@@ -70,8 +70,9 @@ class Child:
 
     def end(self) -> int:
         """Kill it, and return how it ended, as `ended` does; may be called again."""
-        self.kill()
-        self.connection.close()
+        if not self.connection.closed:  # else its number may be another process's by now
+            self.kill()
+            self.connection.close()
         return self._process.wait()
 
 

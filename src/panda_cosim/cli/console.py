@@ -28,6 +28,7 @@ FOLDED = 12  # characters to which a column that may wrap is narrowed at most
 COLUMN_GAP = 3  # characters between two columns
 LINE_INTERVAL = 5.0  # [s] between two lines of progress in a file
 LONGEST = 4000  # characters of an error
+DRAW_INTERVAL = 0.1  # [s] between two updates of a progress bar
 
 
 class QuietConsole(Console):
@@ -184,10 +185,11 @@ class Update:
 
 
 class _Bar(Update):
-    """Draws a bar."""
+    """Draws a bar, at most ten times a second."""
 
     def __init__(self, bar: Any, label: str) -> None:
         self._bar, self._task = bar, bar.add_task(label, total=None)
+        self._due = 0.0  # when it is drawn again [s]
 
     def say(self, text: str, style: str | None = "dim") -> None:
         """Print a line above the bar."""
@@ -195,7 +197,10 @@ class _Bar(Update):
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` is done."""
-        self._bar.update(self._task, completed=done, total=total, refresh=True)
+        is_due = done >= total or time.monotonic() >= self._due
+        self._bar.update(self._task, completed=done, total=total, refresh=is_due)
+        if is_due:
+            self._due = time.monotonic() + DRAW_INTERVAL
 
 
 @contextmanager
