@@ -19,6 +19,7 @@ class FakeRecording:
     metadata: dict[str, Any] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     descriptions: dict[str, str] = field(default_factory=dict)
+    addresses: dict[str, str] = field(default_factory=dict)
     complete: bool = True
     reason: None = None
 

@@ -8,6 +8,7 @@ import pytest
 
 from fault_support import write_files
 from panda_cosim import InputError, Recording, Scenario, SignalCriterion, Success, load_scenario
+from panda_cosim.fmus.interface.engine import COUNTED
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.model_fmu import model_part
 from panda_cosim.result.judging.signals import check_bodies, judge_bodies, judge_signals
@@ -120,7 +121,8 @@ def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path):
     (tmp_path / "cup.toml").write_text('name = "Cup"\nextends = "PandaPlant"\nkeyframe = "home"\n')
     found = {v.name: v for v in model_part(tmp_path / "cup.xml").interface.variables}
     ours = {v.name for v in PLANT.variables} - {"scene", "robot"}
-    assert found.keys() == ours | {"cup_xpos", "cup_xquat", "obj_xpos", "obj_xquat"}
+    poses = {"cup_xpos", "cup_xquat", "obj_xpos", "obj_xquat"}
+    assert found.keys() == ours | poses | {COUNTED.name}
     assert (found["qpos"].shape, found["qvel"].shape) == ((23,), (21,))
     assert found["qpos"].unit[16:20] == ("m", "m", "m", "1")
     (tmp_path / "cup.toml").write_text('extends = "PandaPlnt"\n')

@@ -278,10 +278,10 @@ def test_fmi_3_has_a_terminal_with_all_signals(box, tmp_path):
 def test_elements_are_named_after_joints_and_actuators(box, tmp_path):
     file = write(box, tmp_path / "box.fmu", ModelOptions(step=0.0005))
     variables = {v.name: v for v in Fmu(file).description.modelVariables}
-    assert variables["qpos[3]"].description == "Position z of joint free"
-    assert variables["qpos[8]"].description == "Angle of joint turn"
-    assert variables["qvel[4]"].description == "Velocity about x of joint free"
-    assert variables["ctrl"].description == "Control of actuator turn"
+    assert variables["qpos[3]"].description == "Position z of joint free (box.z)"
+    assert variables["qpos[8]"].description == "Angle of joint turn (turn.pos)"
+    assert variables["qvel[4]"].description == "Velocity about x of joint free (box.wx)"
+    assert variables["ctrl"].description == "Control of actuator turn (turn.ctrl)"
     assert variables["ctrl"].unit == variables["actuator_force"].unit == "N.m"
     experiment = Fmu(file).description.defaultExperiment
     assert (float(experiment.stepSize), float(experiment.stopTime)) == (0.0005, 0.5)

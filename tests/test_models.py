@@ -14,6 +14,7 @@ from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.variables import by_array
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu
+from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.check.diagnosis import check_folder
@@ -308,7 +309,6 @@ BOXES = '<geom type="plane" size="5 5 1"/>' + "".join(
 )
 
 
-@own_process
 @pytest.mark.parametrize("memory", ["10K", "30K", "1M"])
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)])
 def test_warnings_of_the_engine_are_counted_and_fail_a_run(tmp_path, memory, isolate):
@@ -338,3 +338,47 @@ def test_a_step_that_the_models_does_not_divide_is_told(tmp_path):
         (tmp_path / "scenario.toml").write_text(text)
         told = "\n".join(each.text for each in check_folder(tmp_path))
         assert ("plant: steps itself by 0.002 s" in told) == is_told, told
+
+
+ADDRESSED = """purpose = "Names"
+duration = 0.02
+step = 0.002
+[fmus]
+plant = "{file}"
+law = "law.py:Law"
+[connect]
+"law.height" = "plant.lift.pos"
+"plant.motor.ctrl" = "law.ctrl"
+[inputs]
+"plant.push.ctrl" = 0.25
+[[success.signal]]
+name = "high"
+signal = "plant.ball.z"
+reduce = "max"
+below = 9.0
+"""
+LIFTED = (
+    '<body name="ball" pos="0 0 2"><freejoint/><geom size=".1" mass="1"/></body><body pos="0 1 0">'
+    '<joint name="lift" type="slide" axis="0 0 1"/><geom size=".1" mass="1"/></body>'
+)
+
+
+@pytest.mark.parametrize("file", ["model.xml", "model.fmu"])
+def test_signals_can_be_named_by_joint_body_or_actuator(tmp_path, file):
+    motors = '<motor name="motor" joint="lift"/><motor name="push" joint="lift"/>'
+    path = saved(tmp_path, LIFTED, f"<actuator>{motors}</actuator>")
+    (tmp_path / "model.fmu").write_bytes(Target().make(model_fmu(path, ModelOptions())))
+    law = "class Law:\n    def update(self, time, height):\n        return 10.0 - height\n"
+    (tmp_path / "law.py").write_text(law)
+    (tmp_path / "scenario.toml").write_text(ADDRESSED.format(file=file))
+    out = tmp_path / "run"
+    done = command("run", tmp_path, "--no-video", "--no-view", "--out", out)
+    assert done.returncode == 0, done.stderr
+    run = Recording.open(out)
+    assert (run["plant.lift.pos"] == run["plant.qpos[8]"]).all()
+    assert (run["plant.ball.vz"] == run["plant.qvel[3]"]).all()
+    assert run.descriptions["plant.qpos[3]"] == "Position z of joint 1 (ball.z)"
+    assert run["plant.ball.z"][-1] < run["plant.ball.z"][0]
+    forces = 10.0 - run["plant.lift.pos"][:-1] + 0.25
+    assert run["plant.motor.force"][1:] + run["plant.push.force"][1:] == pytest.approx(forces)
+    assert not [d.text for d in check_folder(tmp_path) if d.level == "wrong"]

@@ -48,7 +48,7 @@ def targets(
     causality: Causality,
 ) -> list[Scalar]:
     """Scalars that a name stands for: an element, or all of a vector."""
-    one = scalars.get(name)
+    one = scalars.get(name) or interface.element(name)
     named = [one] if one else [s for s in scalars.values() if s.variable.name == name]
     candidates = [v for v in interface.variables if _is(v, causality)]
     valid = ", ".join([v.name for v in candidates][:40]) or "none"

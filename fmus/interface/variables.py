@@ -36,6 +36,15 @@ INTEGERS: Final = {
 }
 
 
+_ADDRESS: Final = re.compile(r".* of .* \((\S+\.\w+)\)")
+
+
+def address(description: str) -> str:
+    """The short name in the description of a joint's or an actuator's element; "" if none is."""
+    found = _ADDRESS.fullmatch(description)
+    return found[1] if found else ""
+
+
 @dataclass(frozen=True, slots=True)
 class Scalar:
     """One scalar of a variable: what FMI sets and gets by a value reference.
@@ -125,13 +134,17 @@ class Scalar:
                 return int(value)
         return int(value) if self.variable.fmi_type in INTEGERS else float(value)
 
+    @property
+    def description(self) -> str:
+        """What it is, on one line."""
+        details = self.variable.details
+        return details[self.element] if details else self.variable.description
+
     def alone(self) -> Variable:
         """Return this scalar as a variable of its own."""
-        details = self.variable.details
         return replace(
             self.variable, name=self.name, shape=(), parts=(), unit=self.unit, start=self.start,
-            minimum=self.minimum, maximum=self.maximum, details=(),
-            description=details[self.element] if details else self.variable.description,
+            minimum=self.minimum, maximum=self.maximum, details=(), description=self.description,
         )  # fmt: skip
 
     def start_value(self) -> Any:
@@ -296,10 +309,14 @@ class Interface:
     def end(self, name: str, causality: str) -> Variable | None:
         """Return a variable, or an element of one as a scalar variable; None: there is none."""
         whole = self._by_causality.get(causality, {}).get(name)
-        scalar = None if whole else self._elements.get(name)
+        scalar = None if whole else self.element(name)
         if scalar is None or scalar.variable.causality != causality:
             return whole
         return scalar.alone()
+
+    def element(self, name: str) -> Scalar | None:
+        """Return an element of an array, or what an address names."""
+        return self._elements.get(name)
 
     @cached_property
     def _by_name(self) -> dict[str, Variable]:
@@ -314,7 +331,9 @@ class Interface:
 
     @cached_property
     def _elements(self) -> dict[str, Scalar]:
-        return {scalar.name: scalar for scalar in self._scalars if scalar.variable.shape}
+        # By their addresses, too, such as `lift.pos`; these may be of variables without a shape.
+        addressed = {address(s.description): s for s in self._scalars if s.variable.details}
+        return addressed | {s.name: s for s in self._scalars if s.variable.shape}
 
 
 def check_elements(place: str, count: int) -> None:

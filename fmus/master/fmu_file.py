@@ -27,6 +27,7 @@ from ..interface.variables import (
     Value,
     Variability,
     Variable,
+    address,
     check_elements,
 )
 from ..reading import finite_number, read_xml, unpack
@@ -427,6 +428,7 @@ def _table_row(name: str, shape: tuple[int, ...], scalars: Sequence[Scalar]) -> 
         name=name,
         shape=shape,
         description="; ".join(texts[:_FEW]) + "; ..." * (len(texts) > _FEW),
+        details=tuple(s.variable.description for s in scalars) if any(map(address, texts)) else (),
         unit=units[0] if len(set(units)) == 1 else units,
         variability=cast("Variability", kinds.get(first.causality, "continuous")),
         start=_each(s.start for s in scalars) if len(scalars) > 1 else scalars[0].start,

@@ -9,14 +9,15 @@ from typing import Any, Final, NamedTuple
 import mujoco
 
 FREE, BALL, SLIDE, HINGE = range(4)  # mjtJoint
-_POSE: Final = (*((f"position {axis}", "m") for axis in "xyz"),
-                *((f"quaternion {part}", "1") for part in "wxyz"))  # fmt: skip
-_LINEAR: Final = tuple((f"along {axis}", "m") for axis in "xyz")
-_TURNS: Final = tuple((f"about {axis}", "rad") for axis in "xyz")
-# Parts of a joint's position and of its motion, with their units, by its kind.
-_POSITIONS: Final = {HINGE: (("angle", "rad"),), SLIDE: (("position", "m"),),
+_POSE: Final = (*((f"position {axis}", "m", axis) for axis in "xyz"),
+                *((f"quaternion {part}", "1", f"q{part}") for part in "wxyz"))  # fmt: skip
+_LINEAR: Final = tuple((f"along {axis}", "m", f"v{axis}") for axis in "xyz")
+_TURNS: Final = tuple((f"about {axis}", "rad", f"w{axis}") for axis in "xyz")
+# Parts of a joint's position and of its motion, by its kind: words, unit, and the short name of the
+# position or velocity.
+_POSITIONS: Final = {HINGE: (("angle", "rad", "pos"),), SLIDE: (("position", "m", "pos"),),
                      BALL: _POSE[3:], FREE: _POSE}  # fmt: skip
-_MOTIONS: Final = {HINGE: (("", "rad"),), SLIDE: (("", "m"),), BALL: _TURNS,
+_MOTIONS: Final = {HINGE: (("", "rad", "vel"),), SLIDE: (("", "m", "vel"),), BALL: _TURNS,
                    FREE: (*_LINEAR, *_TURNS)}  # fmt: skip
 _FORCES: Final = {"rad": "N.m", "m": "N"}
 # Units of what is derived from a length or an angle; that of an unknown unit is unknown.
@@ -86,7 +87,11 @@ def elements(model: Any, field: str, size: int) -> Sequence[Element]:
     if field in _OF_TENDONS:
         what, derived = _OF_TENDONS[field]
         units = [_DERIVED[derived](_tendon_unit(model, i)) for i in range(size)]
-        return [_element(unit, what, model.tendon(i), "tendon") for i, unit in enumerate(units)]
+        views = [model.tendon(i) for i in range(size)]
+        return [
+            _element(unit, what, view, "tendon", address=f"{view.name}.{what}")
+            for unit, view in zip(units, views, strict=True)
+        ]
     if field == "sensordata":
         return [Element(unit) for i in range(model.nsensor) for unit in _of_sensor(model, i)]
     pattern = _UNITS.get(field, ("",))
@@ -95,7 +100,7 @@ def elements(model: Any, field: str, size: int) -> Sequence[Element]:
 
 def dof_units(model: Any) -> list[str]:
     """Unit of the motion of each degree of freedom."""
-    return [unit for kind in model.jnt_type for _, unit in _MOTIONS[int(kind)]]
+    return [unit for kind in model.jnt_type for _, unit, _ in _MOTIONS[int(kind)]]
 
 
 def called(view: Any, kind: str) -> str:
@@ -103,10 +108,11 @@ def called(view: Any, kind: str) -> str:
     return f"{kind} {view.name or view.id + 1}"
 
 
-def _element(  # noqa: PLR0913 - what a text and a name are made of
-    unit: str, what: str, view: Any, kind: str, more: str = "", group: str = ""
+def _element(  # noqa: PLR0913 - what a text and names are made of
+    unit: str, what: str, view: Any, kind: str, more: str = "", group: str = "", address: str = ""
 ) -> Element:
     text = f"{what.strip()} of {called(view, kind)}{more}"
+    text += f" ({address})" if address[:1] not in ("", ".") else ""
     words = filter(None, (view.name or called(view, kind), group))
     return Element(unit, f"{text[0].upper()}{text[1:]}", "_".join(words))
 
@@ -114,10 +120,13 @@ def _element(  # noqa: PLR0913 - what a text and a name are made of
 def _of_joints(model: Any, field: str) -> Iterator[Element]:
     word, derived = _OF_MOTIONS.get(field, ("", "pos"))
     for joint, kind in enumerate(map(int, model.jnt_type)):
-        for part, unit in (_MOTIONS if word else _POSITIONS)[kind]:
+        view = model.joint(joint)
+        name = model.body(int(view.bodyid[0])).name if kind == FREE else view.name
+        for part, unit, short in (_MOTIONS if word else _POSITIONS)[kind]:
             known = _DERIVED[derived](unit) if word else unit
             group = {"quaternion": "quat", "about": "rot"}.get(part.split(" ")[0], "")
-            yield _element(known, f"{word} {part}", model.joint(joint), "joint", group=group)
+            address = f"{name}.{short}" if field in ("qpos", "qvel") else ""
+            yield _element(known, f"{word} {part}", view, "joint", "", group, address)
 
 
 def _of_actuators(model: Any, field: str) -> Iterator[Element]:
@@ -130,11 +139,15 @@ def _of_actuators(model: Any, field: str) -> Iterator[Element]:
         if transmission in _ON_JOINTS and not view.name:
             more = f" on {called(model.joint(int(model.actuator_trnid[i, 0])), 'joint')}"
         parts = [("", _DERIVED[derived](length) if derived else "")] * int(counts[i])
-        for part, unit in _controls(model, i, length) if field == "ctrl" else parts:
-            yield _element(unit, f"{part} {word}", view, "actuator", more, part.split(" ")[0])
+        for part, unit, *_ in _controls(model, i, length) if field == "ctrl" else parts:
+            group = part.split(" ")[0]
+            address = (
+                f"{view.name}.{'_'.join(filter(None, (field.rsplit('_', maxsplit=1)[-1], group)))}"
+            )
+            yield _element(unit, f"{part} {word}", view, "actuator", more, group, address)
 
 
-def _controls(model: Any, actuator: int, length: str) -> Sequence[tuple[str, str]]:
+def _controls(model: Any, actuator: int, length: str) -> Sequence[tuple[str, ...]]:
     """What the controls of an actuator are, and their units; most have one."""
     gain = int(model.actuator_gaintype[actuator])
     if gain in _SERVOS:  # each kind of control is a bit: mjtCtrlInput

@@ -20,7 +20,7 @@ from ..fmus.interface.parameters import grouped
 from ..fmus.interface.variables import Value
 from ..plant.parameters import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
 from ..result.judging.signals import check_bodies, check_signals
-from ..result.recording.storage import TEXTS
+from ..result.recording.storage import TEXTS, addresses
 from ..task.scenario import SCENARIO_FILE, TOUCH, Scenario
 from ..task.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from .system.assembly import Assembly, assemble
@@ -56,6 +56,7 @@ def check_criteria(scenario: Scenario, assembly: Assembly) -> None:
     if scenario.success.signal or scenario.success.body:
         columns = assembly.recorded(scenario.coupling)
         units = {column.name: column.unit for column in columns if column.type not in TEXTS}
+        units |= {short: units[name] for short, name in addresses(columns).items()}
         start = assembly.start_time
         try:
             scenario.success.check_windows(start, start + scenario.duration)

@@ -42,11 +42,12 @@ def judge_signals(
     criteria: Iterable[SignalCriterion], recording: Recording, events: Events
 ) -> Iterator[Criterion]:
     """Judge a run by each criterion; a criterion with two bounds gives two results."""
+    units = recording.units | {a: recording.units[n] for a, n in recording.addresses.items()}
     for criterion in criteria:
         unit, reason, length = "", None, 0.0
         values: list[float] = []
         try:
-            unit = unit_of(criterion, shapes_of(recording.columns), recording.units)
+            unit = unit_of(criterion, shapes_of(recording.columns), units)
             unit = "s" if criterion.reduce in TIMES else unit
             values, length = _measure(criterion, recording, events)
         except ValueError as error:

@@ -23,6 +23,7 @@ from .storage import (
     STREAM_FILE,
     TEXTS,
     Source,
+    addresses,
     open_parquet,
     open_stream,
     read_type,
@@ -49,6 +50,7 @@ class Recording:
         types: Type of each column, as Arrow names it.
         nominals: Nominal value of each column that declares one, in its unit.
         descriptions: Description of each column.
+        addresses: Columns by the short names of models' elements, such as `plant.lift.pos`.
         metadata: Scenario, versions, parameters and so on.
     """
 
@@ -63,6 +65,7 @@ class Recording:
         self._types = {name: read_type(kind) for name, kind in self.types.items()}
         self.units = {column.name: column.unit for column in numbers}
         self.descriptions = {column.name: column.description for column in source.columns}
+        self.addresses = addresses(source.columns)
         self._source = source
         self._check()
         self._shapes = shapes_of(self.columns) | shapes_of(self.texts)
@@ -137,7 +140,7 @@ class Recording:
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a signal or element of that name."""
-        return name in self._shapes or name in self._types
+        return name in self._shapes or name in self._types or name in self.addresses
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names of the signals."""
@@ -246,6 +249,7 @@ class Recording:
 
     def _elements(self, name: str) -> list[str]:
         """Return the columns of a signal, or the one column of that name."""
+        name = self.addresses.get(name, name)
         shape = self._shapes.get(name)
         if shape is None and name not in self._types:
             hint = did_you_mean(name, (*self.signals, *self.columns))

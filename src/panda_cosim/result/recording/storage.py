@@ -8,7 +8,7 @@ module and `reference` use pyarrow; functions import it, since it takes 0.1 s th
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
@@ -20,6 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
+from ...fmus.interface.variables import address
 from ...fmus.reading import finite_number
 from ...task.files import read_integer
 
@@ -53,6 +54,13 @@ class Column:
     description: str = ""
     type: str = "double"  # Arrow's name of one of `TYPES`
     nominal: float | None = None  # size of usual values, in the unit; None: not declared
+
+
+def addresses(columns: Iterable[Column]) -> dict[str, str]:
+    """Names of columns by the addresses in their descriptions, such as `plant.lift.pos`."""
+    numbers = (c for c in columns if c.type not in TEXTS)
+    found = {(c.name.rpartition(".")[0], address(c.description)): c.name for c in numbers}
+    return {".".join(place): name for place, name in found.items() if place[1]}
 
 
 @dataclass(frozen=True)

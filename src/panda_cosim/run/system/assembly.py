@@ -113,7 +113,7 @@ class Assembly:
                     f"be column {column} of the recording; rename one of the FMUs"
                 )
             variable, kind = scalar.variable, column_type(scalar.variable)
-            about = (scalar.unit, variable.description, kind, variable.nominal)
+            about = (scalar.unit, scalar.description, kind, variable.nominal)
             columns.append(Column(column, *about))
         return columns
 
