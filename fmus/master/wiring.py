@@ -16,6 +16,7 @@ from ..interface.units import PLAIN
 Array = NDArray[np.float64]
 Exchange = Callable[[int], None]  # of one row, by its index
 Name = tuple[str, str]  # instance and scalar variable
+Feed = tuple[int, tuple[float, float]]  # column of a value; factor and offset on its way
 ROUNDING: Final = 1e-9  # relative, of a time
 
 
@@ -44,21 +45,16 @@ class Slave(Protocol):
 class BoundSlave:
     """A slave, bound to the rows (n, columns) that it reads and writes.
 
-    `inputs` and `outputs` are columns by variable; those of outputs are consecutive. `conversions`
-    are factor and offset of the inputs that are not fed as they are. If there are some, `linear`
-    has those of all inputs, as arrays that may be changed.
+    `fed` has, by input, the column that feeds it, with factor and offset; `outputs` are columns by
+    variable, which are consecutive. If an input is not fed as it is, `linear` has factor and offset
+    of all, as arrays that may be changed.
     """
 
     def __init__(
-        self,
-        slave: Slave,
-        inputs: Mapping[str, int],
-        outputs: Mapping[str, int],
-        rows: Array,
-        conversions: Mapping[str, tuple[float, float]],
+        self, slave: Slave, fed: Mapping[str, Feed], outputs: Mapping[str, int], rows: Array
     ) -> None:
         self.slave = slave
-        self.inputs, self.outputs = set(inputs.values()), list(outputs.values())
+        self.inputs, self.outputs = {column for column, _ in fed.values()}, list(outputs.values())
         self.names = list(outputs)
         self.step = slave.step
         self.set_inputs: Exchange = nothing
@@ -67,10 +63,10 @@ class BoundSlave:
         if outputs:
             block = rows[:, self.outputs[0] : self.outputs[-1] + 1]
             self.get_outputs = slave.bind_get(list(outputs), block)
-        if inputs:
-            self.set_inputs = _bind_inputs(slave, inputs, rows, conversions)
+        if fed:
+            self.set_inputs = _bind_inputs(slave, fed, rows)
             if isinstance(self.set_inputs, Moved) and self.set_inputs.linear is not None:
-                self.linear = dict(zip(inputs, self.set_inputs.linear, strict=True))
+                self.linear = dict(zip(fed, self.set_inputs.linear, strict=True))
 
     def feeds(self, other: BoundSlave) -> bool:
         """Whether an output of this slave is an input of another."""
@@ -140,45 +136,33 @@ def bind(
 ) -> list[BoundSlave]:
     """Bind slaves to the rows of a recording."""
     index = {name: i for i, name in enumerate(columns, start=1)}
-    # Column that feeds each input, in the order of the connections.
-    sources: dict[str, dict[str, int]] = defaultdict(dict)
-    for name in external:
-        sources[name[0]][name[1]] = index[name]
-    conversions: dict[str, dict[str, tuple[float, float]]] = defaultdict(dict)
-    for connection in connections:
-        instance, variable = connection.target
-        sources[instance][variable] = index[connection.source]
-        if (linear := (connection.factor, connection.offset)) != PLAIN:
-            conversions[instance][variable] = linear
+    fed: dict[str, dict[str, Feed]] = defaultdict(dict)  # inputs, in the order of the connections
+    for instance, variable in external:
+        fed[instance][variable] = index[instance, variable], PLAIN
+    for each in connections:
+        instance, variable = each.target
+        fed[instance][variable] = index[each.source], (each.factor, each.offset)
     outputs: dict[str, dict[str, int]] = defaultdict(dict)
     for instance, variable in columns[len(external) :]:
-        outputs[instance][variable] = index[(instance, variable)]
-    return [
-        BoundSlave(s, sources[s.name], outputs[s.name], rows, conversions[s.name]) for s in slaves
-    ]
+        outputs[instance][variable] = index[instance, variable]
+    return [BoundSlave(slave, fed[slave.name], outputs[slave.name], rows) for slave in slaves]
 
 
 def nothing(_row: int, /) -> None:
     """Do nothing: a slave without inputs, or without outputs."""
 
 
-def _bind_inputs(
-    slave: Slave,
-    inputs: Mapping[str, int],
-    rows: Array,
-    conversions: Mapping[str, tuple[float, float]],
-) -> Exchange:
+def _bind_inputs(slave: Slave, fed: Mapping[str, Feed], rows: Array) -> Exchange:
     """Make a function that sets inputs from a row; without a copy if they are consecutive there."""
-    names = sorted(inputs, key=inputs.__getitem__)
-    columns = [inputs[name] for name in names]
-    first, last = columns[0], columns[-1]
-    if columns == list(range(first, last + 1)) and not conversions:
+    columns, linear = zip(*fed.values(), strict=True)
+    first, last, converts = min(columns), max(columns), {*linear} != {PLAIN}
+    if sorted(columns) == list(range(first, last + 1)) and not converts:
+        names = sorted(fed, key=lambda name: fed[name][0])
         return slave.bind_set(names, rows[:, first : last + 1])
     # In the order of the connections, which is probably that of the inputs in the slave.
-    values = np.zeros((1, len(inputs)), rows.dtype)
-    put = slave.bind_set(list(inputs), values)
-    linear = [conversions.get(name, PLAIN) for name in inputs] if conversions else None
-    return Moved(put, values, range(len(inputs)), rows, list(inputs.values()), linear=linear)
+    values = np.zeros((1, len(fed)), rows.dtype)
+    put = slave.bind_set(list(fed), values)
+    return Moved(put, values, range(len(fed)), rows, columns, linear=linear if converts else None)
 
 
 class Moved:
