@@ -131,7 +131,7 @@ def _shown(fmus: Mapping[str, Fmu], end: Name) -> str:
     return f"{'.'.join(end).partition('[')[0]} [{fmus[end[0]].variable(end[1]).unit}]"
 
 
-def _doubts(fmus: Mapping[str, Fmu], system: System) -> Iterator[tuple[str, str, str]]:
+def _doubts(fmus: Mapping[str, Fmu], system: System) -> Iterator[tuple[str, str]]:
     """Yield warnings about connections whose units or names of values may not be meant so."""
     found: dict[tuple[str, str], dict[str, None]] = {}
     for each in system.connections:
@@ -146,7 +146,7 @@ def _doubts(fmus: Mapping[str, Fmu], system: System) -> Iterator[tuple[str, str,
             found.setdefault((each.target[0], reason), {})[text] = None
     for (instance, reason), texts in found.items():
         some = ", ".join([*texts][:SHOWN]) + ", ..." * (len(texts) > SHOWN)
-        yield instance, "Warning", f"{reason}, so values are taken as they are: {some}"
+        yield instance, f"{reason}, so values are taken as they are: {some}"
 
 
 def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
@@ -197,10 +197,8 @@ def multiples_of(fmus: Mapping[str, Fmu], system: System, step_size: float) -> d
     return multiples
 
 
-def notes(
-    fmus: Mapping[str, Fmu], system: System, step_size: float
-) -> Iterator[tuple[str, str, str]]:
-    """Yield warnings about steps [s] of a size that an FMU does not name, and algebraic loops."""
+def notes(fmus: Mapping[str, Fmu], system: System, step_size: float) -> Iterator[tuple[str, str]]:
+    """Yield warnings, by FMU: of units, steps [s] that it does not name, and algebraic loops."""
     multiples = multiples_of(fmus, system, step_size)
     yield from _doubts(fmus, system)
     for instance, fmu in fmus.items():
@@ -208,24 +206,25 @@ def notes(
         named = interface.fixedInternalStepSize or (experiment and experiment.stepSize)
         own, size = float(named or 0.0), multiples.get(instance, 1) * step_size
         if fmu.clocked:
-            text = f"clocks are not supported; left out: {', '.join(fmu.clocked)}"
-            yield instance, "Warning", text
+            yield instance, f"clocks are not supported; left out: {', '.join(fmu.clocked)}"
+        single = f"supports a single step size, {own:g} s"
         if instance in multiples and instance not in system.steps:
-            text = f"supports a single step size, {own:g} s: {multiples[instance]} system steps"
-            yield instance, "Warning", text
-        divides = interface.canHandleVariableCommunicationStepSize and not fmu.is_model
-        if divides or not (0.0 < own < math.inf):
-            continue
-        if abs(size - round(size / own) * own) > 1e-9 * size:
-            text = f"supports a single step size, {own:g} s; steps of {size:g} s may be refused"
-            if fmu.is_model:
-                text = f"steps itself by {own:g} s, so that after steps of {size:g} s its outputs "
-                text += "may be older than their row; must be a whole multiple"
-            yield instance, "Warning", text
+            yield instance, f"{single}: {multiples[instance]} system steps"
+        is_whole = not 0.0 < own < math.inf or abs(size - round(size / own) * own) <= 1e-9 * size
+        if not is_whole and fmu.is_model:
+            yield (
+                instance,
+                (
+                    f"steps itself by {own:g} s, so that after steps of {size:g} s its outputs may be "
+                    "older than their row; must be a whole multiple"
+                ),
+            )
+        elif not (is_whole or interface.canHandleVariableCommunicationStepSize):
+            yield instance, f"{single}; steps of {size:g} s may be refused"
     loop = _loop(tuple(fmus.items()), tuple(system.connections))
     if loop:
         text = f"algebraic loop {' -> '.join(map('.'.join, loop))}: each step uses values of the "
-        yield loop[0][0], "Warning", text + 'step before, unless coupling = "iterated"'
+        yield loop[0][0], text + 'step before, unless coupling = "iterated"'
 
 
 @lru_cache(maxsize=4)  # rows of a sweep have the same system
@@ -267,8 +266,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     """Open the FMUs, instantiate and initialize them; free them at the end."""
     fmus = read_fmus(system, start_values, coupling, isolate=isolate)
     if on_message is not None:
-        for note in notes(fmus, system, step_size):
-            on_message(*note)
+        for instance, text in notes(fmus, system, step_size):
+            on_message(instance, "Warning", text)
     multiples = multiples_of(fmus, system, step_size)
     types = {end: type_of(fmus[end[0]].variable(end[1]).variable)
              for end in (*system.external, *system.read)}  # fmt: skip

@@ -115,7 +115,7 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     """Describe a scenario of other FMUs, whose code is not run; no robot's conditions are seen."""
     scenario, assembly = prepared.scenario, prepared.assembly
     fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
-    seen = (f"{name}: {text}" for name, _, text in notes(fmus, assembly.system, scenario.step))
+    seen = (f"{name}: {text}" for name, text in notes(fmus, assembly.system, scenario.step))
     hints = _diagnostics("hint", [*assembly.notes, *suggestions(assembly), *seen])
     hints += _diagnostics("good", conversions(fmus, assembly.system))
     hints += _order(prepared)
