@@ -326,10 +326,13 @@ def test_inputs_that_are_set_keep_their_last_digit(tmp_path):
     ("csv_text", "message"),
     [
         ("time,it.Int8_input\n0,200\n", "it.Int8_input: row 1: value 200; must be a who"),
-        ("time,it.Int8_input\n1,1\n0,2\n", "row 2: time '0'; must be a number, and not before"),
+        (
+            "time,it.Int8_input\n1,1\n0,2\n",
+            "line 3: time: value '0'; must be a number, and not",
+        ),
         ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
         ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no such FMU; valid: it"),
-        ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time and inputs"),
+        ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time, and inputs"),
         ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
     ],
 )

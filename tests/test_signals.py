@@ -100,7 +100,7 @@ def test_structural_parameters_give_arrays_their_sizes(tmp_path, isolate):
     wanted = np.arange(1, 6) ** 2 + TIMES[:, np.newaxis]
     np.testing.assert_allclose(recording["it.y"], wanted, rtol=1e-15)
     done = command("check", tmp_path, "--set", "it.n=2.5")
-    assert "it.fmu: n: 2.5; must be a whole multiple of 1" in done.stdout
+    assert "it.fmu: n: value 2.5; must be a whole multiple of 1" in done.stdout
     done = command("run", tmp_path, "--set", "it.n=4", code=2)
     assert "it.u: a list of 5; must be one number for all, or 4 values" in done.stderr
 

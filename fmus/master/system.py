@@ -212,13 +212,8 @@ def notes(fmus: Mapping[str, Fmu], system: System, step_size: float) -> Iterator
             yield instance, f"{single}: {multiples[instance]} system steps"
         is_whole = not 0.0 < own < math.inf or abs(size - round(size / own) * own) <= 1e-9 * size
         if not is_whole and fmu.is_model:
-            yield (
-                instance,
-                (
-                    f"steps itself by {own:g} s, so that after steps of {size:g} s its outputs may be "
-                    "older than their row; must be a whole multiple"
-                ),
-            )
+            text = f"steps itself by {own:g} s, so that after steps of {size:g} s its outputs may "
+            yield instance, text + "be older than their row; must be a whole multiple"
         elif not (is_whole or interface.canHandleVariableCommunicationStepSize):
             yield instance, f"{single}; steps of {size:g} s may be refused"
     loop = _loop(tuple(fmus.items()), tuple(system.connections))
