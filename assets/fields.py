@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 
 
-def bounded(
-    default: Any, unit: str | tuple[str, ...], low: float, high: float, part: float | None = None
-) -> Any:
+def bounded(default: Any, unit: str, low: float, high: float, part: float | None = None) -> Any:
     """Return the field of a number, or of several, between two; `part`: it is a multiple of it."""
     about = {"unit": unit, "range": (low, high), "multiple_of": part}
     return field(default=default, metadata=about)

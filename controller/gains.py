@@ -32,9 +32,7 @@ POSTURE_GAIN: Final = (0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0)
 
 # Of the hand: the most that libfranka documents for `setCartesianImpedance`.
 STIFFNESS: Final = (3000.0, 3000.0, 3000.0, 300.0, 300.0, 300.0)
-STIFFNESS_UNITS: Final = (*["N/m"] * 3, *["N.m/rad"] * 3)
 OFFSET_LIMIT: Final = (20.0, 20.0, 20.0, 5.0, 5.0, 5.0)
-WRENCH_UNITS: Final = (*["N"] * 3, *["N.m"] * 3)
 
 # External torques at which a contact and a collision begin. 1 in 100 calibrated robots sets the
 # block down so low, with 48 N or more, that joint 2 counts as collided.
@@ -99,12 +97,12 @@ class Gains:
     robot: str = switch(DEFAULT_ROBOT, ROBOTS)
     # Cartesian impedance.
     impedance: bool = switch(False)
-    stiffness: Six = bounded(STIFFNESS, STIFFNESS_UNITS, 1.0, 1e5)
+    stiffness: Six = bounded(STIFFNESS, "N/m, N.m/rad", 1.0, 1e5)
     spring_force: float = bounded(60.0, "N", 0.0, 1e4)
     spring_torque: float = bounded(10.0, "N.m", 0.0, 1e4)
     damping_ratio: float = bounded(1.0, "1", 0.0, 10.0)
     offset_rate: float = bounded(4.0, "1/s", 0.0, 100.0)
-    offset_limit: Six = bounded(OFFSET_LIMIT, WRENCH_UNITS, 0.0, 1e3)
+    offset_limit: Six = bounded(OFFSET_LIMIT, "N, N.m", 0.0, 1e3)
     posture_stiffness: float = bounded(20.0, "N.m/rad", 0.0, 1e4)
     posture_damping: float = bounded(4.0, "N.m.s/rad", 0.0, 1e3)
 

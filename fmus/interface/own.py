@@ -11,15 +11,13 @@ import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Final, Literal, TypedDict, cast
+from typing import Any, Literal, TypedDict, cast
 
 import numpy as np
 
 from .variables import Kind, Numbers, Variability, Variable
 
 Values = tuple[Numbers | None, Numbers | None, Numbers | None]  # start, minimum, maximum
-INPUT: Final[Values] = (0.0, None, None)
-OUTPUT: Final[Values] = (None, None, None)
 
 
 class Row(TypedDict, total=False):
@@ -56,13 +54,10 @@ def signals(
     variability: Variability = "continuous",
 ) -> Iterator[Variable]:
     """Yield the variables of a layout; `values` are of those that are not 0 without bounds."""
-    usual = {"input": INPUT, "output": OUTPUT}[causality]
+    usual: Values = (0.0 if causality == "input" else None, None, None)
     for name in layout.names or ():
         row, shape = rows[name], layout[name].shape
-        width = math.prod(shape[1:])
-        units = [unit for _, n, unit, _ in row.get("parts", ()) for _ in range(n * width)]
-        unit = tuple(units) or row.get("unit", "1")
-        start, low, high = (values or {}).get(name, usual)
+        unit, (start, low, high) = row.get("unit", "1"), (values or {}).get(name, usual)
         variable = Variable(name, shape, unit, causality, variability, "", start, low, high)
         yield _described(variable, row)
 
@@ -93,11 +88,14 @@ def _parameter(
 
 
 def _described(variable: Variable, row: Row) -> Variable:
-    """Add what is not a number."""
+    """Add what the file says; where there are parts, their units are those of the elements."""
+    parts, width = row.get("parts", ()), math.prod(variable.shape[1:])
+    units = tuple(unit for _, n, unit, _ in parts for _ in range(n * width))
     return replace(
         variable,
         description=row["text"],
-        parts=tuple((name, n, text) for name, n, _, text in row.get("parts", ())),
+        unit=units or variable.unit,
+        parts=tuple((name, n, text) for name, n, _, text in parts),
         source=row.get("source", ""),
         on_request=row.get("on_request", False),
     )

@@ -258,12 +258,11 @@ def library_of(path: Path, folder: Path, description: Any) -> Path:
     if description.fmiVersion == "2.0":  # whose names are those of x86; FMPy has no others
         platforms.insert(0 if platforms[0].startswith("x86") else 1, fmpy.platform)
     name = f"{description.coSimulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
-    libraries: list[Path] = [folder / "binaries" / platform / name for platform in platforms]
-    for library in libraries:
-        if library.is_file():
-            return library
-    missing = libraries[0].relative_to(folder)
-    raise InputError(f"{path}: no binary for this platform; {missing} is missing")
+    places = [Path("binaries", platform, name) for platform in platforms]
+    there = [folder / place for place in places if (folder / place).is_file()]
+    if not there:
+        raise InputError(f"{path}: no binary for this platform; {places[0]} is missing")
+    return there[0]
 
 
 @cache
