@@ -68,7 +68,7 @@ def python(changed: Path, *arguments: object, code: int = 0) -> str:
     }
     command = [sys.executable, "-P", *map(str, arguments)]
     done = ran(command, env=environment, code=code)
-    return done.stdout
+    return done.stderr + done.stdout
 
 
 BUILD = """
@@ -133,12 +133,6 @@ print(json.dumps({
     "notes": [*done["run"].warnings, notice(["trajectory"])],
 }))
 """
-TOLD = """
-import sys
-from panda_cosim.cli import main
-sys.stderr = sys.stdout
-main()
-"""
 # What is edited; what of the run, or of what `build` wrote, is Python then.
 EDITS = {
     "controller/pid.py": ("self._kp * error", "2.0 * self._kp * error", "controller"),
@@ -184,7 +178,7 @@ def test_a_changed_line_of_python_acts_and_is_named(tmp_path):
         (root / file).write_text(text, encoding="utf-8")
     broken = text.replace("leader.set_inputs(row)", "raise KeyError(row)", 1)  # of the step
     (root / file).write_text(broken, encoding="utf-8")
-    told = python(root, "-c", TOLD, "run", scenario, "--out", tmp_path / "broken", code=1)
+    told = python(root, "-m", "panda_cosim", "run", scenario, "--out", tmp_path / "broken", code=1)
     assert "unexpected KeyError: 0; " in told
     assert f"{file}: changed" in told
 
