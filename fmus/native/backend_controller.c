@@ -1,4 +1,4 @@
-/* PandaController: the control law in C. README.md describes the table. */
+/* PandaController: the control law in C. ../README.md describes the table. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

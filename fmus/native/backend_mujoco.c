@@ -1,4 +1,4 @@
-/* Any MuJoCo model. README.md describes the table. */
+/* Any MuJoCo model. ../README.md describes the table. */
 #include <stdlib.h>
 #include <string.h>
 

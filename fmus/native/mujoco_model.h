@@ -4,7 +4,7 @@
 
 #include "mujoco_library.h"
 
-/* The first word of a variable's source; README.md describes them. */
+/* The first word of a variable's source; ../README.md describes them. */
 typedef enum {
     SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
     SOURCE_CONTACT_BODIES, SOURCE_UNWANTED_CONTACTS, SOURCE_SUPPORT_CONTACTS, SOURCE_WARNINGS, SOURCE_MOTORS, SOURCE_EQ_ACTIVE, SOURCE_MODEL,

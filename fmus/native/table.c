@@ -1,4 +1,4 @@
-/* The table of variables and options; README.md describes the file. */
+/* The table of variables and options; ../README.md describes the file. */
 #include "table.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* The table of variables and options, resources/variables.txt. README.md describes the file. */
+/* The table of variables and options, resources/variables.txt. ../README.md describes the file. */
 #ifndef FMU_TABLE_H
 #define FMU_TABLE_H
 
