@@ -285,7 +285,7 @@ def test_elements_are_named_after_joints_and_actuators(box, tmp_path):
     assert variables["ctrl"].unit == variables["actuator_force"].unit == "N.m"
     experiment = Fmu(file).description.defaultExperiment
     assert (float(experiment.stepSize), float(experiment.stopTime)) == (0.0005, 0.5)
-    with pytest.raises(InputError, match=r"--step 2 s; must be above 0, and at most 1"):
+    with pytest.raises(InputError, match=r"--step: value 2\.0; must be above 0 s, and at most 1 s"):
         model_fmu(box, ModelOptions(step=2.0))
 
 

@@ -20,6 +20,7 @@ from panda_cosim.result.recording import Recording
 from panda_cosim.study.check.diagnosis import check_folder
 
 own_process = pytest.mark.own_process
+needs_pid = pytest.mark.skipif(not hasattr(mujoco.mjtGain, "mjGAIN_PID"), reason="older MuJoCo")
 HINGE = """<body><joint name="h" axis="0 1 0" damping="1"/>
 <geom size=".1" mass="1" pos=".3 0 0"/>{}</body>"""
 SLIDE = (
@@ -98,7 +99,7 @@ ACTUATORS = {
 
 
 @own_process
-@pytest.mark.skipif(mujoco.mj_version() < 3_011_000, reason="MuJoCo has them since 3.11")
+@needs_pid
 @pytest.mark.parametrize("xml", ACTUATORS)
 def test_actuators_may_have_several_controls_or_none(tmp_path, xml):
     path = saved(tmp_path, HINGE.format("") + SLIDE + BALL, f"<actuator>{xml}</actuator>")
@@ -116,7 +117,7 @@ def test_actuators_may_have_several_controls_or_none(tmp_path, xml):
 
 
 @own_process
-@pytest.mark.skipif(mujoco.mj_version() < 3_011_000, reason="MuJoCo has them since 3.11")
+@needs_pid
 def test_the_controls_of_an_actuator_are_found_by_its_name(tmp_path):
     (xml,) = (xml for xml in ACTUATORS if 'input="none"' in xml)
     path = saved(tmp_path, HINGE.format("") + SLIDE, f"<actuator>{xml}</actuator>")
@@ -152,6 +153,7 @@ def test_no_sensor_is_lost_and_all_names_differ(tmp_path_factory, names):
     sensors = [v for v in interface.variables if v.source.startswith("data sensordata")]
     assert sorted(int(v.source.split()[2]) for v in sensors) == list(range(len(names)))
     assert [v.unit[0] for v in sensors] == ["rad/s" if i % 2 else "rad" for i in range(len(names))]
+    assert all(v.description.endswith(" of joint h") for v in sensors)
     every = [v.name for v in interface.variables]
     assert len(set(every)) == len(every)
     assert all(name.isidentifier() and name.isascii() for name in every)

@@ -201,8 +201,20 @@ def _actuator_unit(model: Any, actuator: int) -> str:
 _MOVED: Final = {"joint": _joint_unit, "tendon": _tendon_unit, "actuator": _actuator_unit}
 
 
+def _kind_of(model: Any, sensor: int) -> str:
+    return str(mujoco.mjtSensor(int(model.sensor_type[sensor])).name[7:].lower())
+
+
+def sensor_text(model: Any, sensor: int) -> str:
+    """What a sensor is, and of what: `sensor gyro: gyro of site hand`."""
+    kind, i = int(model.sensor_objtype[sensor]), int(model.sensor_objid[sensor])
+    name = mujoco.mj_id2name(model, kind, i) if i >= 0 else ""
+    of = f" of {mujoco.mju_type2Str(kind)} {name or i + 1}" if i >= 0 else ""
+    return f"{called(model.sensor(sensor), 'sensor')}: {_kind_of(model, sensor)}{of}"
+
+
 def _of_sensor(model: Any, sensor: int) -> list[str]:
-    kind: str = mujoco.mjtSensor(int(model.sensor_type[sensor])).name[7:].lower()
+    kind = _kind_of(model, sensor)
     size, unit = int(model.sensor_dim[sensor]), _SENSORS.get(kind, "")
     if moved := _OF_MOVED.fullmatch(kind):
         length = _MOVED[moved[1]](model, int(model.sensor_objid[sensor]))

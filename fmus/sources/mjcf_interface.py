@@ -126,10 +126,11 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
     lines = [
         "# One line per variable; `source` names it in the model. unit, description, start, min",
         "# and max are optional; parameters with `tunable = true` may change between steps.",
-        f"name = {json.dumps(description.name)}",
-        f"description = {json.dumps(description.description)}",
-        f"author = {json.dumps(description.author)}",
-        f"keyframe = {json.dumps(description.keyframe)}  # empty: start at qpos0",
+        *(
+            f"{key} = {json.dumps(getattr(description, key))}"
+            for key in HEAD
+            if key not in SECTIONS
+        ),
     ]
     for section, rows in whole.sections.items():
         lines += ["", f"[{section}]"]

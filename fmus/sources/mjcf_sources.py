@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, count, groupby
 from typing import Any, Final
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, did_you_mean, refuse
 from ..interface.engine import COUNTED
 from ..interface.variables import Causality, Part, Variable
-from .mjcf_elements import FREE, Element, called, dof_units, elements
+from .mjcf_elements import FREE, Element, called, dof_units, elements, sensor_text
 
 Array = NDArray[np.float64]
 # Kinds of objects, and the model's field that has a number for each of them.
@@ -47,15 +46,9 @@ OPTIONS: Final = ("gravity", "wind", "magnetic", "density", "viscosity")
 RAW: Final[Mapping[Causality, Sequence[str]]] = {
     "input": ("data",), "output": ("data", "held", "model"), "parameter": ("model", "added"),
 }  # fmt: skip
-# Properties of objects that are no plain elements of a field.
-SPECIAL: Final = {
-    ("input", "body"): ("force", "torque", "mocap_pos", "mocap_quat"),
-    ("input", "actuator"): ("ctrl",), ("input", "equality"): ("active",),
-    ("output", "body"): ("jacobian",), ("output", "site"): ("jacobian",),
-    ("output", "geom"): ("jacobian",),
-    ("parameter", "body"): ("mass", "added_mass", "free_xy", "free_yaw"),
-    ("parameter", "joint"): ("qpos", "qvel"),
-}  # fmt: skip
+# Properties of objects that MuJoCo's Python does not name so.
+SPECIAL: Final = ("force", "torque", "mocap_pos", "mocap_quat", "active", "jacobian", "mass",
+                  "added_mass", "free_xy", "free_yaw", "gain", "bias")  # fmt: skip
 # Sums of contact forces, and scales of properties, with their kind of object.
 CONTACTS: Final = {"contact_sensors": "sensor", "contact_bodies": "body",
                    "unwanted_contacts": "body", "support_contacts": "body"}  # fmt: skip
@@ -96,10 +89,11 @@ class Sources:
         if row is None:
             refuse("source", source, self._hint(causality, words))
         text = _TEXTS.get(source, source)
-        if words[0] in OBJECTS:
-            called_so = called(getattr(self.model, words[0])(self.find_id(*words[:2])), words[0])
-            text = _POSES.get(words[2] if words[2:] else "", " ".join(["{}", *words[2:]]))
-            text = text.format(called_so)
+        if words[0] == "sensor":
+            text = sensor_text(self.model, self.find_id(*words))
+        elif words[0] in OBJECTS:
+            owner = called(getattr(self.model, words[0])(self.find_id(*words[:2])), words[0])
+            text = _POSES.get(words[2], f"{{}} {' '.join(words[2:])}").format(owner)
         row = replace(row, causality=causality, description=text)
         if causality in ("output", "local"):
             return replace(row, start=None, minimum=None, maximum=None)
@@ -115,22 +109,28 @@ class Sources:
                 return self._of_model(causality, name, *rest)
         return None
 
+    def _is_valid(self, causality: Causality, words: Sequence[str]) -> bool:
+        try:
+            return self._found(causality, words) is not None
+        except InputError:
+            return False
+
     def _hint(self, causality: Causality, words: Sequence[str]) -> str:
         """What is valid instead of a source that does not exist."""
-        for other in filter(causality.__ne__, RAW):
-            with suppress(InputError):
-                if self._found(other, words):
-                    return f"must be an {causality}; it is an {other}"
-        if words and words[0] in OBJECTS:
-            properties = [*SPECIAL.get((causality, words[0]), ())]
-            if causality == "parameter":
-                properties += CHANGEABLE.get(words[0], ())
-            elif causality == "output" and hasattr(self.data, words[0]):
-                view = getattr(self.data, words[0])(0)
-                properties += [n for n in dir(view) if isinstance(getattr(view, n), np.ndarray)]
-            near = did_you_mean(words[2], properties) if words[2:] else ""
-            what = f"{causality} {words[0]} NAME {' | '.join(sorted(properties)) or '...'}"
-            return f"valid: {what}{near}"
+        for other in RAW:
+            if self._is_valid(other, words):
+                return f"must be an {causality}; it is an {other}"
+        match words:
+            case [kind, name, *rest] if kind in OBJECTS:
+                views = [
+                    getattr(holder, kind)(self.find_id(kind, name))
+                    for holder in (self.model, self.data)
+                    if hasattr(holder, kind)
+                ]
+                known = {*SPECIAL, *(attribute for view in views for attribute in dir(view))}
+                valid = [n for n in sorted(known) if self._is_valid(causality, [kind, name, n])]
+                near = did_you_mean(" ".join(rest[:1]), valid)
+                return f"valid: {causality} {kind} NAME {' | '.join(valid) or '...'}{near}"
         return f"no such {causality} of a MuJoCo model; {_LISTED}"
 
     def _of_model(self, causality: Causality, name: str, *names: str) -> Variable | None:

@@ -21,7 +21,7 @@ from ..build.description import NOTHING
 from ..build.engines import sparse_fault
 from ..build.identity import digest
 from ..build.native import NativeFmu
-from ..errors import InputError, one_line
+from ..errors import InputError, one_line, refuse
 from ..interface.variables import Interface, Variable
 from ..processes import run
 from .mjcf_interface import (
@@ -67,9 +67,7 @@ def model_fmu(
 ) -> NativeFmu:
     """Describe the FMU of a model."""
     if not 0.0 <= options.step <= LONGEST_STEP:
-        raise InputError(
-            f"--step {options.step:g} s; must be above 0, and at most {LONGEST_STEP:g}"
-        )
+        refuse("--step", options.step, f"must be above 0 s, and at most {LONGEST_STEP:g} s")
     model = load(path, warn)
     model.opt.timestep = options.step or model.opt.timestep
     fmu = _fmu(path, model, options, name or path.stem)
