@@ -11,6 +11,7 @@ import re
 import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from itertools import chain, count, groupby
 from typing import Any, Final
 
@@ -77,6 +78,7 @@ class Sources:
 
     def __init__(self, model: Any, keyframe: str = "") -> None:
         self.model, self.data = model, mujoco.MjData(model)
+        self._elements_of = cache(partial(elements, model))
         self.key = -1  # index of the keyframe
         if keyframe:
             self.key = self.find_id("key", keyframe)
@@ -217,7 +219,7 @@ class Sources:
         if not values.size:
             raise InputError(f"source {field!r}: this model has no {field}")
         part = slice(first, None if count is None else first + count)
-        whole = elements(self.model, field, values.size)[part]
+        whole = self._elements_of(field, values.size)[part]  # all at once, each time the same
         texts = tuple(element.text for element in whole)
         row = _values(f"{kind} {field} {first}", values[part], tuple(e.unit for e in whole))
         return replace(row, details=texts if any(texts) else (), parts=_parts(whole))
@@ -312,14 +314,14 @@ class Sources:
         """Return the id of an object by its name, or as `#2` by its number."""
         number = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
         i = int(mujoco.mj_name2id(self.model, number, name))
+        if i >= 0:
+            return i
         numbers = [f"#{n + 1}" for n in range(len(getattr(self.model, OBJECTS[kind])))]
-        if i < 0 and name in numbers:
-            i = numbers.index(name)
-        if i < 0:
+        if name not in numbers:
             valid = self.names(kind)
             listed = ", ".join(valid[:_SHOWN]) or "none"
             refuse("keyframe" if kind == "key" else kind, name, f"the model has {listed}", valid)
-        return i
+        return numbers.index(name)
 
     def free_bodies(self) -> list[str]:
         """Names of the bodies with a free joint that have one."""
