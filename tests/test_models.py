@@ -17,6 +17,7 @@ from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu
 from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.result.recording import Recording
+from panda_cosim.run.session import Session
 from panda_cosim.study.check.diagnosis import check_folder
 
 own_process = pytest.mark.own_process
@@ -83,6 +84,22 @@ def test_a_keyframe_brings_controls_activations_and_mocap_poses(tmp_path, versio
         it.set_references([it.fmu.rows["ctrl"].reference], [0.125])
         it.start({"keyframe": [key + 2]})
         assert it.get("ctrl") == [0.125, *data.ctrl[1:]]
+
+
+@own_process
+def test_a_session_begins_with_the_controls_of_the_keyframe(tmp_path):
+    text = f'purpose = "Keys"\nduration = 0.02\nstep = {STEP}\n[fmus]\nplant = "{KEYED}"\n'
+    (tmp_path / "scenario.toml").write_text(f'{text}[plant]\nkeyframe = "up"\n')
+    model, data = loaded(KEYED)
+    mujoco.mj_resetDataKeyframe(model, data, 1)
+    data.ctrl[1] = 1.0  # its range
+    with Session(tmp_path, tmp_path / "run") as session:
+        for _ in range(10):
+            session.step()
+            mujoco.mj_step(model, data)
+        row = dict(zip(session.signals, session.row(), strict=True))
+    assert [row[f"plant.ctrl[{i}]"] for i in (1, 2, 3)] == data.ctrl.tolist()
+    assert [row[f"plant.qpos[{i + 1}]"] for i in range(model.nq)] == data.qpos.tolist()
 
 
 PID = '<pid name="p" joint="{}" kp="50" kv="2" input="pos vel"/>'

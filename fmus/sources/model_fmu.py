@@ -74,16 +74,19 @@ def model_fmu(
     return replace(fmu, again=partial(model_fmu, path, options, name))
 
 
-def model_part(path: Path, robot: str = DEFAULT_ROBOT) -> NativeFmu:
+def model_part(path: Path, robot: str = DEFAULT_ROBOT, asked: object = "") -> NativeFmu:
     """Describe the FMU of a scenario's model, by the TOML file of the same name beside it."""
     # Without one, it has the default interface and starts at the keyframe `home`, if there is one.
-    # The arm of `assets` in it is the robot's.
+    # Start values are those of the keyframe that the scenario asks for, if it is one of the
+    # model's. The arm of `assets` in it is the robot's.
     model = load(path, robot=robot)
     keys = [model.key(i).name for i in range(model.nkey)]
-    options = ModelOptions("home" if "home" in keys else "")
+    key = str(asked) if asked in filter(None, keys) else ""
+    options = ModelOptions(key or ("home" if "home" in keys else ""))
     if (beside := path.with_suffix(".toml")).is_file():
-        options = ModelOptions(interface=beside)
-    return replace(_fmu(path, model, options, path.stem), again=partial(model_part, path, robot))
+        options = ModelOptions(key, interface=beside)
+    again = partial(model_part, path, robot, asked)
+    return replace(_fmu(path, model, options, path.stem), again=again)
 
 
 def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str:

@@ -160,7 +160,8 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
     if path.suffix != ".fmu":
         from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - see above
 
-        model = model_part(path, scenario.robot)
+        keyframe = scenario.sections.get(name, {}).get("keyframe", "")
+        model = model_part(path, scenario.robot, keyframe)
         return Part(name, path, model.interface, model, Target(mujoco=scenario.mujoco))
     fmu = read_fmu(path).restructured(scenario.sections.get(name, {}))
     return Part(name, path, described_interface(fmu), built=path)
