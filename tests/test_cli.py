@@ -68,7 +68,7 @@ BAD_USE = [
     (["run", "--session", "a", "--coupling", "jacobi"], "no such option: --coupling"),
     (["run", "--session", "nosuch"], "must be the journal of a run of `live` or Session"),
     (["render", "nosuch"], "must be a recording or its folder"),
-    (["export", "nosuch"], "Missing argument 'FILE.csv'"),
+    (["export", "nosuch"], "Missing argument 'FILE'"),
     (["info", "plnt"], "did you mean 'plant'"),
     (["build", "--slave", "a.py", "--scenario", "push"], "--scenario: cannot be combined with"),
     (["build", "--platform", "linux46"], "did you mean 'linux64'"),
