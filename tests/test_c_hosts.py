@@ -172,7 +172,7 @@ def test_a_host_lives_on_after_what_is_missing(host, tmp_path):
 )  # fmt: skip
 def test_a_host_is_told_where_python_was_sought(host, tmp_path, library, reason):
     fmu = unpacked("python", "controller", 3).copy(
-        tmp_path / "fmu", lambda text: re.sub(r"option\tpython\t.*\n", library, text)
+        tmp_path / "fmu", lambda text: library + re.sub(r"option\tpython\t.*\n", "", text)
     )
     lines, log = run(host, plan_of(tmp_path, 3, f"try {source(fmu)}"))
     assert lines == ["refused"]
