@@ -377,17 +377,22 @@ def engines(_: Path | None) -> str:
 
 
 def noticed(_: Path | None) -> str:
-    """What three scenarios notice if each parameter is 5 % larger, and what notices it first."""
+    """What three scenarios notice if each parameter is 5 % larger; those that only one notices."""
     said = json.loads(_said([*RUN, "regress", *QUALIFIED, "--qualify", "0.05", "--json"]))
+    changes = said["changes"]
     rows = [
-        (f"`{each['key']}`", each["change"], each["state"],
-         "; ".join(f"{scenario}: {by}" for scenario, by in each["noticed"]))
-        for each in said["changes"] if each["state"] != "no effect"
+        (f"`{each['key']}`", each["change"], *each["noticed"][0])
+        for each in changes if len(each["noticed"]) == 1
     ]  # fmt: skip
-    nothing = [f"`{each['key']}`" for each in said["changes"] if each["state"] == "no effect"]
-    score = f"{said['score']:.0%} of the changes with an effect are noticed."
-    head = ("parameter", "change", "state", "by what first")
-    return f"{_table(head, rows)}\n\n{score} Without effect: {', '.join(nothing)}."
+    words = {
+        "noticed by several": [it for it in changes if len(it["noticed"]) > 1],
+        "not noticed": [it for it in changes if it["state"] == "not noticed"],
+        "without effect": [it for it in changes if it["state"] == "no effect"],
+    }
+    lists = [f"{word}: " + ", ".join(f"`{it['key']}`" for it in its) for word, its in words.items()]
+    score = f"{said['score']:.0%} of the changes with an effect are noticed"
+    head = ("parameter", "change", "noticed by", "what first")
+    return f"{_table(head, rows)}\n\n{score}; {'; '.join(lists)}."
 
 
 def _on_engine(outcome: dict[str, Any]) -> str:
