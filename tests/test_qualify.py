@@ -106,3 +106,18 @@ def test_a_suite_that_does_not_pass_is_not_qualified(suite):
     )
     assert (code, out) == (2, "")
     assert "short: differs: must pass before it is qualified" in said
+
+
+def test_a_suite_in_which_no_change_has_an_effect_is_not_green(tmp_path):
+    (tmp_path / "fall").mkdir()
+    (tmp_path / "fall" / "fall.xml").write_text(
+        '<mujoco><option gravity="0 0 0"/><worldbody><body name="ball"><freejoint/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    (tmp_path / "fall" / "scenario.toml").write_text(
+        'purpose = "falls"\nduration = 0.02\nstep = 0.002\n[fmus]\nball = "fall.xml"\n'
+    )
+    assert regress(tmp_path, "--update", "--yes")[0] == 0
+    code, out, said = regress(tmp_path, "--qualify", "0.05")
+    assert (code, out) == (2, "")
+    assert "has an effect" in said

@@ -63,6 +63,13 @@ def test_worse_is_what_the_interval_says():
     assert not few.is_worse(0.2)
 
 
+@pytest.mark.parametrize("number", [1, 5, 200])
+def test_without_flips_it_says_what_so_few_pairs_leave_open(number):
+    """The share at which so many pairs without a flip have a probability of 2.5 %."""
+    share = paired([(True, True)] * number).unseen
+    assert (1.0 - share) ** number == pytest.approx(0.025)
+
+
 @pytest.fixture(scope="module")
 def sweeps(tmp_path_factory):
     """The same pushes, with the law's gains and with lower ones."""

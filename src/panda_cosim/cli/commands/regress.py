@@ -21,7 +21,7 @@ from ...run.folder import default_folder
 from ...study.compare.engines import engine_rows, variants
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
-from ...study.compare.qualify import Finding, score, write_findings
+from ...study.compare.qualify import NO_EFFECT, Finding, score, write_findings
 from ...study.compare.qualify import qualify as find
 from ...study.compare.regress import (
     Outcome,
@@ -207,6 +207,8 @@ def _qualify(  # noqa: PLR0913 - of the command's options
     with temporary_folder(cache_folder()) as place, progress("Changing parameters") as advance:
         done = itertools.count(1)
         findings = find(suite, place, share, lambda _, total: advance(next(done), total))
+    if all(each.state == NO_EFFECT for each in findings):
+        raise InputError(f"--qualify {share:g}: none of {len(findings)} changes has an effect")
     found = score(findings)
     if file is not None:
         write_findings(findings, file)

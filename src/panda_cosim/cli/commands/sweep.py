@@ -274,6 +274,8 @@ def _show_pairs(found: Paired) -> None:
         f"{len(found.pairs)} pairs: success {before:.1%} -> {after:.1%}, {change.mean:+.1%} "
         f"({change.low:+.1%} to {change.high:+.1%}), McNemar's p = {found.p_value:.3g}"
     )
+    if change.low == change.high == 0.0:  # resamples of zeros are zeros, however few
+        warn(f"no pair flips; up to {found.unseen:.1%} of flips either way remain possible")
     if any(found.unpaired):
         warn("{} and {} rows have no partner".format(*found.unpaired))
     rows = [(as_cell(name or "smallest"), f"{it.mean:+.3g}", f"{it.low:+.3g} to {it.high:+.3g}")

@@ -55,7 +55,7 @@ def details(outcome: Outcome) -> str:
         for d in compared.deviations
         if not d.ok
     ]
-    causes = named(compared.causes, len(compared.causes)).split(", ")
+    causes = [f"changed: {named(compared.causes, len(compared.causes))}"] if compared.causes else []
     return "\n".join([*causes, *criteria, *compared.problems, *deviations])
 
 

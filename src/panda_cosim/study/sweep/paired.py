@@ -88,6 +88,11 @@ class Paired:
             [(b["status"] == SUCCESS) - float(a["status"] == SUCCESS) for a, b in self.pairs]
         )
 
+    @property
+    def unseen(self) -> float:
+        """Share of flips that no flip among the pairs leaves possible, at 97.5 %; exact."""
+        return 1.0 - float((0.5 - CONFIDENCE / 2.0) ** (1.0 / len(self.pairs)))
+
     @cached_property
     def margins(self) -> dict[str, Difference]:
         """Change of each margin that both sweeps measured, by criterion; "": the smallest."""
