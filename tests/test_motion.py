@@ -97,6 +97,13 @@ def test_a_motion_beyond_a_joints_range_names_the_row_and_the_joint(tmp_path):
     assert "joint 1" in refused
 
 
+def test_a_motion_from_rest_to_rest_has_no_step_at_its_first_tick(tmp_path):
+    motion = Motion.read(moved(tmp_path / "m.csv", 1.0))
+    _, joints = motion.sent()
+    assert np.abs(np.diff(joints[:2], axis=0)).max() < 1e-6  # rad: 1 mrad/s
+    assert np.abs(np.diff(joints[-2:], axis=0)).max() < 1e-6
+
+
 GOOD = "time," + ",".join(NAMES)
 ROW = "0,0,0,-1.5,0,1.5,0"
 

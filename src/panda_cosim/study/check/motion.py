@@ -2,8 +2,8 @@
 
 The file has the columns `time` [s] and `q1` to `q7` [rad], and may have `qd1` to `qd7` [rad/s], as
 planners and JointTrajectory messages give them. Between its rows the joints follow cubic splines:
-through all rows at once, or with the speeds that it gives. The arm is taken to follow exactly, so
-that torques are those of the rigid body.
+through all rows, at rest at both ends, or with the speeds that it gives. The arm is taken to follow
+exactly, so that torques are those of the rigid body.
 """
 
 from __future__ import annotations
@@ -76,8 +76,7 @@ class Motion:
         ticks = np.ceil((self.times[-1] - self.times[0]) / STEP_SIZE - 1e-6)
         times = self.times[0] + STEP_SIZE * np.arange(int(ticks) + 1)
         if self.speeds is None:
-            still = "not-a-knot" if len(self.times) > 3 else "natural"
-            spline = scipy.interpolate.CubicSpline(self.times, self.joints, bc_type=still)
+            spline = scipy.interpolate.CubicSpline(self.times, self.joints, bc_type="clamped")
         else:
             spline = scipy.interpolate.CubicHermiteSpline(self.times, self.joints, self.speeds)
         return times, np.asarray(spline(np.minimum(times, self.times[-1])))
