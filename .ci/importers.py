@@ -172,14 +172,14 @@ def _tested(*tests: str) -> None:
 
 def libcosim(_: dict[str, Path]) -> tuple[str, ...]:
     """The whole system, as the test compares it."""
-    _tested("tests/test_fmu_importers.py::test_libcosim_agrees")
+    _tested("tests/fmus/test_fmu_importers.py::test_libcosim_agrees")
     how = "`CosimExecution.from_ssp_file(ssp_path=FOLDER)` on the unpacked Panda.ssp"
     return "libcosim", f"libcosimpy {version('libcosimpy')}", how, "Jacobi, 300 steps: within 1e-12"
 
 
 def ecos(_: dict[str, Path]) -> tuple[str, ...]:
     """The whole system, as the test compares it."""
-    _tested("tests/test_fmu_importers.py::test_ecos_agrees")
+    _tested("tests/fmus/test_fmu_importers.py::test_ecos_agrees")
     versions = ", ".join(f"{name} {version(name)}" for name in ("ecospy", "tbb"))
     how = '`EcosSimulation(ssp_path="Panda.ssp", step_size=0.001)`'
     return "Ecos", versions, how, "Jacobi, 300 steps: within 1e-12"
@@ -187,7 +187,7 @@ def ecos(_: dict[str, Path]) -> tuple[str, ...]:
 
 def pythonfmu(_: dict[str, Path]) -> tuple[str, ...]:
     """FMUs that PythonFMU packs, coupled in FMPy alone."""
-    _tested("tests/test_pythonfmu.py::test_plain_fmpy_gives_the_bits_of_native_fmus")
+    _tested("tests/fmus/test_pythonfmu.py::test_plain_fmpy_gives_the_bits_of_native_fmus")
     how = "`build --kind pythonfmu`; `FMU2Slave`, plant and controller"
     agreement = "Gauss-Seidel, pick_and_place, tutorial and push: qpos and ctrl bit for bit"
     versions = f"{version('fmpy')}, {version('pythonfmu')}"
@@ -196,7 +196,7 @@ def pythonfmu(_: dict[str, Path]) -> tuple[str, ...]:
 
 def c_host(_: dict[str, Path]) -> tuple[str, ...]:
     """A program that is not Python, in a folder with only the FMUs and the C library."""
-    _tested("tests/test_c_hosts.py::test_a_host_without_python_records_what_the_master_does")
+    _tested("tests/fmus/test_c_hosts.py::test_a_host_without_python_records_what_the_master_does")
     gcc = re.search(r"[\d.]+$", subprocess.check_output(["cc", "-dumpversion"], text=True).strip())
     place = "in a chroot with only the host, the FMUs and the C library"
     how = f"`tests/c_host/host.c` {place}; FMI 2.0 and 3.0"

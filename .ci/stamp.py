@@ -24,25 +24,25 @@ ROOT = Path(__file__).parents[1]
 MASTER = ROOT / "fmus" / "master"
 COMPARED = {  # by these tests, in `tests`
     "plant": (
-        "test_native_mujoco.py::test_all_outputs_have_the_bits_of_the_plant_in_python",
-        "test_twins.py::test_fmus_of_either_kind_have_the_same_bits[plant]",
+        "fmus/test_native_mujoco.py::test_all_outputs_have_the_bits_of_the_plant_in_python",
+        "fmus/test_twins.py::test_fmus_of_either_kind_have_the_same_bits[plant]",
     ),
     "controller": (
-        "test_controller_in_c.py",
-        "test_twins.py::test_fmus_of_either_kind_have_the_same_bits[controller]",
-        "test_twins.py::test_fmus_of_either_kind_have_the_same_bits[slow controller]",
+        "robot/test_controller_in_c.py",
+        "fmus/test_twins.py::test_fmus_of_either_kind_have_the_same_bits[controller]",
+        "fmus/test_twins.py::test_fmus_of_either_kind_have_the_same_bits[slow controller]",
     ),
     "trajectory": (
-        "test_fmu_trajectory.py",
-        "test_twins.py::test_fmus_of_either_kind_have_the_same_bits[trajectory]",
+        "fmus/test_fmu_trajectory.py",
+        "fmus/test_twins.py::test_fmus_of_either_kind_have_the_same_bits[trajectory]",
     ),
     "kernel": (
-        "test_kernel.py::test_both_give_the_same_bits",
-        "test_kernel.py::test_both_end_alike",
-        "test_kernel.py::test_both_end_at_a_value_that_is_not_finite",
-        "test_kernel.py::test_both_allow_the_same_values_that_are_not_finite",
+        "fmus/test_kernel.py::test_both_give_the_same_bits",
+        "fmus/test_kernel.py::test_both_end_alike",
+        "fmus/test_kernel.py::test_both_end_at_a_value_that_is_not_finite",
+        "fmus/test_kernel.py::test_both_allow_the_same_values_that_are_not_finite",
         # A quarter of the scenarios; the suite has the others.
-        "test_kernel.py::test_both_give_the_same_bits_over_all_shipped_scenarios[0]",
+        "fmus/test_kernel.py::test_both_give_the_same_bits_over_all_shipped_scenarios[0]",
     ),
 }
 

@@ -1,7 +1,7 @@
 """What each number of a run means: the rows of definitions.toml, and those of checks.toml.
 
-Help, tooltips and the site's tables are made of these rows; `tests/test_definitions.py` computes
-the numbers again from them alone.
+Help, tooltips and the site's tables are made of these rows; `tests/result/test_definitions.py`
+computes the numbers again from them alone.
 """
 
 from __future__ import annotations

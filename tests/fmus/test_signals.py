@@ -86,7 +86,7 @@ def sizes_fmu(path: Path) -> None:
         '</ModelVariables><ModelStructure><Output valueReference="2"/></ModelStructure>'
         "</fmiModelDescription>"
     )
-    source = Path(__file__).parent / "c_fmu" / "sizes.c"
+    source = Path(__file__).parents[1] / "c_fmu" / "sizes.c"
     binary = f"binaries/{fmpy.platform_tuple}/sizes.so"
     pack(path, {"modelDescription.xml": text, binary: library(source)})
 

@@ -20,7 +20,7 @@ from panda_cosim.fmus.sources.python_fmu import python_library, slave_fmu
 SCENARIO = "pick_and_place"
 FIRST_INSTANCE = 0.050  # [s] from opening the library to the end of its initialization
 PLANT = list(TABLES).index("plant")
-DECAY = Path(__file__).parent / "slaves" / "decay.py"
+DECAY = Path(__file__).parents[1] / "slaves" / "decay.py"
 RACES = ("-g", "-fsanitize=thread")
 pytestmark = [
     needs_compiler,

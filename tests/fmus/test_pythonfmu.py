@@ -310,7 +310,7 @@ main()
     ],
 )
 def test_without_the_package_only_what_needs_it_fails_in_one_line(words, code, tmp_path):
-    places = {"OUT": tmp_path / "new", "SLAVE": Path(__file__).parent / "slaves" / "decay.py"}
+    places = {"OUT": tmp_path / "new", "SLAVE": Path(__file__).parents[1] / "slaves" / "decay.py"}
     places["GUST"] = make_scenario(tmp_path / "gust", ["slave"])[0].parent
     done = script(WITHOUT, *(str(places.get(word, word)) for word in words.split()))
     assert done.returncode == code, done.stderr

@@ -165,7 +165,7 @@ def test_an_fmu_is_small_and_holds_libraries_papers_and_no_local_path(path, targ
     assert f"{folder}/{TABLES[name].model}{platform.suffix}" in members
     assert (f"{folder}/{platform.mujoco}" in members) == (is_native and name != "trajectory")
     assert b"Apache License" in members["documentation/licenses/license.txt"]
-    places = (str(Path(__file__).parents[1]).encode(), b"site-packages")
+    places = (str(Path(__file__).parents[2]).encode(), b"site-packages")
     recorded = {n for n, content in members.items() if any(place in content for place in places)}
     assert recorded == (set() if is_native else {"resources/variables.txt"})
     assert any(n.endswith(".py") for n in members) == (not is_native)

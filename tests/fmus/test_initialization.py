@@ -23,7 +23,7 @@ pytestmark = [
     pytest.mark.own_process,
     needs_compiler,
 ]
-SOURCE = Path(__file__).parent / "c_fmu" / "start.c"
+SOURCE = Path(__file__).parents[1] / "c_fmu" / "start.c"
 NAMES = ("u", "y", "x0", "g", "c", "tolerance")
 CAUSALITIES = {"u": "input", "g": "parameter", "c": "parameter"}
 SETTLED = 1e-9  # relative error of a loop's values

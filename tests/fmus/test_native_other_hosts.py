@@ -12,7 +12,7 @@ from bounded import ran
 from panda_cosim.fmus.build.platforms import this_platform
 from panda_cosim.fmus.sources.targets import Kind, Target, build
 
-HOST = Path(__file__).with_name("bare_host.py")
+HOST = Path(__file__).parents[1] / "bare_host.py"
 REASONS = ("or newer is needed", "cannot be imported", "is too old")
 KINDS: tuple[Kind, ...] = ("native", "python")
 

@@ -95,7 +95,7 @@ def test_what_does_not_settle_is_missed_by_at_least_the_rest_of_its_window(recor
 
 def test_every_reduction_is_there():
     assert tuple(REDUCE) == tuple(REDUCTIONS)
-    page = Path(__file__).parent.parent / "docs" / "reference" / "scenario.md"
+    page = Path(__file__).parents[2] / "docs" / "reference" / "scenario.md"
     reference = page.read_text(encoding="utf-8")
     for name, what in REDUCTIONS.items():
         assert f"| `{name}` | {what} |" in reference

@@ -110,7 +110,7 @@ def test_nor_does_it_where_a_users_script_starts_processes(tmp_path):
     """`PYTHONSAFEPATH` is set for the project's own children then, and for theirs."""
     spoil(tmp_path / "here", {"json", "numpy", "pythonfmu", "importlib", "socket"})
     write_sweep(tmp_path, 2)
-    slave = Path(__file__).parent / "slaves" / "decay.py"
+    slave = Path(__file__).parents[1] / "slaves" / "decay.py"
     command = [sys.executable, "-P", "-c", STARTS, tmp_path, slave, tmp_path]
     unprotected(command, tmp_path / "here")
 

@@ -17,7 +17,7 @@ from fmu_support import copy_libraries, needs_compiler
 from panda_cosim import Recording
 from panda_cosim.fmus.master.fmu_file import Fmu
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 SCENARIO = ("duration = 0.05\n", "0,home,0,0,0,0.08", "0.05,home,0,0,0.01,0.08")
 

@@ -181,8 +181,8 @@ def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path):
 # Commands replace only files that they made, and nothing that is a recording.
 
 
-SLAVE = Path(__file__).parent / "slaves" / "decay.py"
-PAGES = Path(__file__).parent.parent / "src" / "panda_cosim"
+SLAVE = Path(__file__).parents[1] / "slaves" / "decay.py"
+PAGES = Path(__file__).parents[2] / "src" / "panda_cosim"
 MODEL = '<mujoco><worldbody><body><joint/><geom size=".1" mass="1"/></body></worldbody></mujoco>'
 
 

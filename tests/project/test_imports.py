@@ -11,7 +11,7 @@ import pytest
 
 from bounded import ran
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
 HEAVY = {
     *("numpy", "mujoco", "matplotlib", "pyarrow", "mediapy", "control", "scipy", "fmpy"),
@@ -93,7 +93,7 @@ def test_the_packages_themselves_cost_nothing():
 # No test waits without an end: one process that hangs would hold up all tests.
 
 
-FILES = sorted(Path(__file__).parent.glob("*.py"))
+FILES = sorted(Path(__file__).parents[1].rglob("*.py"))
 RUNS = ("subprocess.run", "subprocess.check_output", "subprocess.check_call")
 WAITS = ("wait", "communicate", "join")  # without arguments: without an end
 FORKS = "fmu_support.py"  # and ends with its test

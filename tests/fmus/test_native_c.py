@@ -17,7 +17,7 @@ from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu
 from panda_cosim.fmus.sources.python_fmu import python_library
 from panda_cosim.fmus.sources.targets import Kind
 
-DRIVE = Path(__file__).parent / "c_host" / "drive.c"
+DRIVE = Path(__file__).parents[1] / "c_host" / "drive.c"
 SANITIZED = (
     *("-g", "-O1", "-fno-sanitize-recover=all"),
     "-fsanitize=address,undefined,float-cast-overflow",
@@ -146,7 +146,7 @@ def test_valgrind_finds_nothing(tmp_path):
 # Hosts in C that make it hard for an FMU: they get the bits of an undisturbed run, or a reason.
 
 
-SOURCE = Path(__file__).parent / "c_host" / "stress.c"
+SOURCE = Path(__file__).parents[1] / "c_host" / "stress.c"
 EASY = ("arithmetic", "comma", "two")  # without a number
 # Rounds, kilobytes, instances or allocations: in the suite (0: not), and in long runs.
 WAYS = {

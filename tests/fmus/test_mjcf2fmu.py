@@ -28,7 +28,7 @@ from refusals import refused
 
 @pytest.fixture
 def box(tmp_path):
-    return Path(shutil.copy(Path(__file__).parent / "mjcf" / "box.xml", tmp_path))
+    return Path(shutil.copy(Path(__file__).parents[1] / "mjcf" / "box.xml", tmp_path))
 
 
 def write(model: Path, out: Path, options: ModelOptions, fmi: int = 2) -> Path:

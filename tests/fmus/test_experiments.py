@@ -18,7 +18,7 @@ from panda_cosim import Recording, run_scenario
 from toy_fmu import toy_fmu
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
-MJCF = Path(__file__).parent / "mjcf" / "box.xml"
+MJCF = Path(__file__).parents[1] / "mjcf" / "box.xml"
 ROUNDING = 1e-9  # [1] of FMPy, which interpolates inputs in its own way
 
 

@@ -20,7 +20,7 @@ from panda_cosim.fmus.sources.law import law_fmu, law_interface, read_law
 from panda_cosim.fmus.sources.python_fmu import slave_fmu
 from panda_cosim.fmus.sources.targets import Target, build_fmu
 
-SLAVES = Path(__file__).parent / "slaves"
+SLAVES = Path(__file__).parents[1] / "slaves"
 own_process = pytest.mark.own_process
 
 

@@ -18,7 +18,7 @@ from fmu_support import copy_libraries
 from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.fmus.build.libraries import BACKENDS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SOURCES = ("assets", "plant", "controller", "fmus", "scenarios", "src")
 FILES = (".ci/build_backend.py", "pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "NOTICE")
 

@@ -121,7 +121,7 @@ def _package_files(name: str, pattern: str) -> list[Path]:
 
 
 MODELS = [
-    *sorted((Path(__file__).parent / "mjcf").glob("*.xml")),
+    *sorted((Path(__file__).parents[1] / "mjcf").glob("*.xml")),
     *_package_files("mujoco", "testdata/*.xml"),
     *_package_files("gymnasium", "envs/mujoco/assets/*.xml"),
     *sorted(Path(os.environ.get("MENAGERIE_ROOT", "missing")).glob("franka_emika_panda/panda.xml")),

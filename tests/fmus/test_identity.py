@@ -13,7 +13,7 @@ from bounded import ran
 from panda_cosim.fmus.build import identity
 from panda_cosim.study.sweep import store
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 # Says of each module what it imports, and by file which of the two digests change with it.
 TOUCH = """
 import grimp, json, sys

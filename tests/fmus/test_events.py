@@ -12,7 +12,7 @@ from panda_cosim import Recording
 from toy_fmu import library, toy_fmu
 
 pytestmark = needs_compiler
-SOURCE = Path(__file__).parent / "c_fmu" / "events.c"
+SOURCE = Path(__file__).parents[1] / "c_fmu" / "events.c"
 STEP, TICKS = 0.1, 10  # s
 WAYS = [(), ("--master", "fmpy"), ("--isolate",)]
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>

@@ -31,7 +31,7 @@ BALL = (
     '<body pos="0 2 0"><joint name="b" type="ball"/><geom size=".1" mass="1" pos=".1 0 0"/></body>'
 )
 STEP = 0.002  # [s] MuJoCo's own
-KEYED = Path(__file__).parent / "mjcf" / "keyed.xml"
+KEYED = Path(__file__).parents[1] / "mjcf" / "keyed.xml"
 
 
 def saved(tmp_path, body: str, rest: str = "", option: str = ""):

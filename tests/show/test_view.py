@@ -187,7 +187,7 @@ def test_columns_of_different_units_are_not_in_one_plot():
 # The built page code is what its source says: rebuilt to the same code, and tested.
 
 
-VIEW = Path(__file__).parent.parent / "src" / "panda_cosim" / "show" / "view"
+VIEW = Path(__file__).parents[2] / "src" / "panda_cosim" / "show" / "view"
 BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
 
 

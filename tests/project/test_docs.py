@@ -30,7 +30,7 @@ from panda_cosim.cli.app import load
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
 from panda_cosim.task.table import COLUMNS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 TUTORIALS = [page for page in PAGES if page.parent.name == "learn"]
@@ -275,7 +275,7 @@ def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
 # The examples run as they stand: four ways to use the project, from own parts to a kept result.
 
 
-EXAMPLES = Path(__file__).parent.parent / "scenarios" / "examples"
+EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
 EXAMPLE_LIMIT = 500.0  # [s]
 
 

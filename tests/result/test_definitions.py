@@ -328,7 +328,7 @@ def test_holds_are_those_found_row_by_row(runs, step):
 # The example of ISO 9283: its figures computed again from the recordings, and by hand.
 
 
-EXAMPLES = Path(__file__).parents[1] / "scenarios" / "examples"
+EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
 ISO = runpy.run_path(str(EXAMPLES / "iso9283.py"))
 
 

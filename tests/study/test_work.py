@@ -12,7 +12,7 @@ import work_jobs
 from bounded import is_alive, wait_until
 from panda_cosim.study.work import Workers
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 
 
 def same(reason: str) -> str:

@@ -11,7 +11,7 @@ from fmu_instance import OK, STEP, Instance, unpacked
 from panda_cosim.fmus import twins
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 
-STAMP: dict[str, Any] = runpy.run_path(str(Path(__file__).parent.parent / ".ci" / "stamp.py"))
+STAMP: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / ".ci" / "stamp.py"))
 TICKS = 300
 
 
