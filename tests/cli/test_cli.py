@@ -17,6 +17,7 @@ from bounded import ran
 from fault_support import write_files
 from forked import command as forked
 from panda_cosim import InputError, Recording, shipped_scenarios
+from panda_cosim.cli import forms
 from panda_cosim.cli.app import app, load
 from panda_cosim.cli.commands import COMMANDS
 from panda_cosim.cli.console import progress
@@ -115,6 +116,23 @@ def test_the_help_of_a_command_has_its_summary_and_an_example(command):
     assert f"\n  panda-cosim {command}" in result.stdout
     assert "<bool>" not in result.stdout  # of a flag
     assert str(load(command).help).splitlines()[0] == COMMANDS[command][1]
+
+
+def test_each_option_has_one_text_and_each_text_an_option():
+    options = {"out": forms.option("--out -o DIR"), "json": forms.flag("--json"), "number": 3}
+    texts = "    out: Folder for\n        the results.\n    json: Print JSON.\n"
+
+    assert forms.described(options, f"Do it.\n\nArgs:\n{texts}") == "Do it."
+    assert options["out"].help == "Folder for the results."
+    assert options["json"].help == "Print JSON."
+    for wrong, entries in (
+        ({"out": forms.option("--out DIR")}, ""),
+        ({"out": forms.option("--out DIR")}, "    out: A folder.\n    put: A folder.\n"),
+        ({"out": options["out"]}, "    out: Another text.\n"),
+        ({"number": 3}, "    number: A number.\n"),
+    ):
+        with pytest.raises(TypeError, match="must be an option with one text"):
+            forms.described(wrong, f"Do it.\n\nArgs:\n{entries}")
 
 
 def test_help_lists_the_exit_codes_and_is_what_no_command_gives():

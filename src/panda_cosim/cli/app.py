@@ -8,8 +8,10 @@ import re
 import shutil
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
+from inspect import signature
 from itertools import chain
 from typing import Any, NoReturn
 
@@ -23,7 +25,7 @@ from ..show.pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code, startup
 from .commands import COMMANDS, ELSEWHERE
 from .console import complain, show, warn
-from .forms import flag
+from .forms import described, flag
 
 MIN_COLUMNS = 20  # of a terminal
 HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
@@ -82,15 +84,21 @@ def _current(name: str, args: list[str]) -> tuple[str, list[str]]:
     return name, args
 
 
+@cache
 def load(name: str) -> TyperCommand:
     """Import a command's module and return the command."""
-    module, function = ELSEWHERE.get(name, f"{name}:command").split(":")
+    module, attribute = ELSEWHERE.get(name, f"{name}:command").split(":")
+    function = getattr(import_module(f"{__package__}.commands.{module}"), attribute)
     alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-    alone.command(name, cls=Command)(
-        getattr(import_module(f"{__package__}.commands.{module}"), function)
-    )
+    alone.command(name, cls=Command, help=help_of(function))(function)
     command: TyperCommand = get_command(alone)  # type: ignore[assignment]
     return command
+
+
+def help_of(function: Callable[..., object]) -> str:
+    """Return the docstring of a command without the texts of its options, which are theirs now."""
+    parameters = signature(function).parameters.items()
+    return described({name: each.default for name, each in parameters}, function.__doc__)
 
 
 class Program(PlainFlags, TyperGroup):
@@ -182,14 +190,15 @@ app = typer.Typer(
 
 
 @app.callback()
-def program(
-    context: typer.Context,
-    version: bool = flag("--version", "Show the version."),
-    debug: bool = flag(
-        "--debug", "Show the traceback of an error. Can stand anywhere in a command."
-    ),
+def program(  # noqa: D417 - the context is no option
+    context: typer.Context, version: bool = flag("--version"), debug: bool = flag("--debug")
 ) -> None:
-    """Show the version, or the help if no command is given; `Program.main` takes `--debug`."""
+    """Show the version, or the help if no command is given; `Program.main` takes `--debug`.
+
+    Args:
+        version: Show the version.
+        debug: Show the traceback of an error. Can stand anywhere in a command.
+    """
     del debug
     if version:
         from importlib.metadata import version as installed_version  # noqa: PLC0415 - slow
@@ -198,6 +207,9 @@ def program(
         raise typer.Exit
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+help_of(program)
 
 
 def run_program() -> None:

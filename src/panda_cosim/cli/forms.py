@@ -1,30 +1,40 @@
-"""How arguments and options are written: `option("--out -o DIR", "Folder for the results.")`."""
+"""How arguments and options are written: `option("--out -o DIR")`, and its text in a docstring.
+
+A command's docstring ends with a section `Args` (a module's with `Attributes`), which has the texts
+by the names of the options in Python: `out: Folder for the results.`
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+from inspect import cleandoc
 from typing import Any
 
 import typer
+from typer.models import ParameterInfo
+
+_ENTRY = re.compile(r"^ {4}(\w+): (.+(?:\n {5,}.+)*)", re.M | re.A)
 
 
-def option(form: str, words: str, default: Any = None, **more: Any) -> Any:
-    """Return an option of this form, such as `--out -o DIR`, with its help."""
+def option(form: str, default: Any = None, **more: Any) -> Any:
+    """Return an option of this form, such as `--out -o DIR`."""
     names = [name for name in form.split() if name.startswith("-")]
     metavar = " ".join(word for word in form.split() if word not in names) or None
-    return typer.Option(default, *names, metavar=metavar, help=words, **more)
+    return typer.Option(default, *names, metavar=metavar, **more)
 
 
-def flag(name: str, words: str) -> Any:
+def flag(name: str) -> Any:
     """Return an option without a value, which is off unless it is given."""
-    return option(name, words, False)
+    return option(name, False)
 
 
-def argument(metavar: str, words: str, default: Any = ..., **more: Any) -> Any:
-    """Return an argument with its help; without a default, it is required."""
-    return typer.Argument(default, metavar=metavar, help=words, **more)
+def argument(metavar: str, default: Any = ..., **more: Any) -> Any:
+    """Return an argument; without a default, it is required."""
+    return typer.Argument(default, metavar=metavar, **more)
 
 
-def scenario_argument(words: str, default: Any = ...) -> Any:
+def scenario_argument(default: Any = ...) -> Any:
     """Return an argument that takes a scenario; the shell completes the shipped ones."""
 
     def shipped() -> list[str]:
@@ -32,4 +42,22 @@ def scenario_argument(words: str, default: Any = ...) -> Any:
 
         return list(shipped_scenarios())
 
-    return argument("SCENARIO", words, default, autocompletion=shipped)
+    return argument("SCENARIO", default, autocompletion=shipped)
+
+
+def described(values: Mapping[str, Any], docstring: str | None) -> str:
+    """Give the options among values their texts, and return the docstring without these.
+
+    Raises:
+        TypeError: An option has no text, or a text belongs to no option that has none yet.
+    """
+    before, *listed = re.split(r"\n(?:Args|Attributes):\n", cleandoc(docstring or ""))
+    texts = dict(_ENTRY.findall("".join(listed)))
+    options = {name: each for name, each in values.items() if isinstance(each, ParameterInfo)}
+    for name, each in options.items():
+        if each.help is None and name in texts:
+            each.help = " ".join(texts.pop(name).split())
+    wrong = [*texts, *(name for name, each in options.items() if each.help is None)]
+    if wrong:
+        raise TypeError(f"{', '.join(wrong)}: must be an option with one text in {before!r}")
+    return before.rstrip()

@@ -1,4 +1,36 @@
-"""Arguments and options shared by several commands, and what they stand for."""
+"""Arguments and options shared by several commands, and what they stand for.
+
+Attributes:
+    SCENARIO: Name of a shipped scenario, or a scenario's folder.
+    SCENARIO_OR_DEFAULT: Name of a shipped scenario, or a scenario's folder.
+    RUN: Folder of a run, or its recording.
+    SWEEP: Folder of a sweep.
+    ROW: Number of a row, from 0: the column index of the results.
+    SETTINGS: Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all
+        seven joints), or a key of the scenario: duration=3, table.rows[3].x=0.4, mismatch.seed=4.
+        `panda-cosim info` lists the parameters. May be repeated.
+    CONTROLLER: Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your
+        permissions.
+    PLANT: Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file.
+    ROBOT: Real robot whose limits count: the Panda is fer.
+    ISOLATE: Run each FMU in a process of its own, so that a crash ends only that process.
+    STEP_TIMEOUT: With --isolate: stop the run if an FMU takes longer for one step.
+    OUT_RUN: New folder for the run. Default: one in runs/.
+    VIDEO: Draw the video and the contact sheet.
+    PLOT: Draw the plot. Default: as for the video.
+    VIEW: Write the page that shows the run in 3D.
+    MESHES: Draw the arm with meshes of MuJoCo Menagerie; auto: if they are there.
+    JUNIT: Write the verdict as JUnit XML, for CI.
+    JSON: Print the result as JSON instead of tables.
+    OPEN_PAGE: Open the page in the browser.
+    OVERWRITE: Also replace files that panda-cosim did not write.
+    KIND: Compiled FMUs, Python, or Python packed by PythonFMU; auto: compiled while proven equal.
+    FMI: FMI version: 2.0 or 3.0.
+    MUJOCO: MuJoCo version, such as 3.11.0. Default: the installed one.
+    ENGINES: Versions of MuJoCo to run with, such as 3.10.0,3.17.0.
+    SCALARS: FMI 3.0 without arrays, for importers that read only scalars.
+    NAMES: Names of elements: q[1,2], or q_1_2 for tools without brackets.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +47,7 @@ from ..result.judging.checks import ARMS
 from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario
 from ..task.values import Values
 from .console import tell, warn
-from .forms import argument, flag, option, scenario_argument
+from .forms import argument, described, flag, option, scenario_argument
 
 DEFAULT_SCENARIO = "pick_and_place"
 FmiVersion = Literal["2", "3"]
@@ -24,51 +56,38 @@ Robot = Literal["fer", "fr3"]
 Meshes = Literal["never", "auto", "always"]
 
 
-_NAME_OR_FOLDER = "Name of a shipped scenario, or a scenario's folder."
-SCENARIO = scenario_argument(_NAME_OR_FOLDER)
-SCENARIO_OR_DEFAULT = scenario_argument(_NAME_OR_FOLDER, DEFAULT_SCENARIO)
-RUN = argument("RUN", "Folder of a run, or its recording.", show_default=False)
-CSV_FILE = argument("FILE.csv", "The file to write.")
-SETTINGS = option(
-    "--set -s KEY=VALUE",
-    "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
-    "joints), or a key of the scenario: duration=3, table.rows[3].x=0.4, mismatch.seed=4. "
-    "`panda-cosim info` lists the parameters. May be repeated.",
-)
-CONTROLLER = option(
-    "--controller FILE",
-    "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your permissions.",
-)
-PLANT = option(
-    "--plant FILE", "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file."
-)
-ROBOT = option("--robot", "Real robot whose limits count: the Panda is fer.")
-JSON = flag("--json", "Print the result as JSON instead of tables.")
-OPEN_PAGE = flag("--open", "Open the page in the browser.")
-OVERWRITE = flag("--overwrite", "Also replace files that panda-cosim did not write.")
-MESHES = option(
-    "--meshes", "Draw the arm with meshes of MuJoCo Menagerie; auto: if they are there.", "never"
-)
-OUT_RUN = option("--out -o DIR", "New folder for the run. Default: one in runs/.")
-KIND = option(
-    "--kind",
-    "Compiled FMUs, Python, or Python packed by PythonFMU; auto: compiled while proven equal.",
-    "auto",
-)
-FMI = option("--fmi", "FMI version: 2.0 or 3.0.", "2")
+SCENARIO = scenario_argument()
+SCENARIO_OR_DEFAULT = scenario_argument(DEFAULT_SCENARIO)
+RUN = argument("RUN", show_default=False)
+SWEEP = argument("DIR")
+ROW = argument("ROW", min=0)
+SETTINGS = option("--set -s KEY=VALUE")
+CONTROLLER = option("--controller FILE")
+PLANT = option("--plant FILE")
+ROBOT = option("--robot")
+ISOLATE = flag("--isolate")
+STEP_TIMEOUT = option("--step-timeout SECONDS")
+OUT_RUN = option("--out -o DIR")
+VIDEO = option("--video/--no-video", True)
+PLOT = option("--plot/--no-plot")
+VIEW = option("--view/--no-view", True)
+MESHES = option("--meshes", "never")
+JUNIT = option("--junit FILE.xml")
+JSON = flag("--json")
+OPEN_PAGE = flag("--open")
+OVERWRITE = flag("--overwrite")
+KIND = option("--kind", "auto")
+FMI = option("--fmi", "2")
 PLATFORM = option(
-    "--platform LIST",
-    f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
+    "--platform LIST", "",
+    help=f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
     "machine's. Others need the extra `cross`.",
-    "",
-)
-MUJOCO = option(
-    "--mujoco VERSION", "MuJoCo version, such as 3.11.0. Default: the installed one.", ""
-)
-ENGINES = option("--mujoco LIST", "Versions of MuJoCo to run with, such as 3.10.0,3.17.0.", "")
-SCALARS = flag("--scalars", "FMI 3.0 without arrays, for importers that read only scalars.")
-NAMES = option("--names", "Names of elements: q[1,2], or q_1_2 for tools without brackets.",
-               "structured")  # fmt: skip
+)  # fmt: skip
+MUJOCO = option("--mujoco VERSION", "")
+ENGINES = option("--mujoco LIST", "")
+SCALARS = flag("--scalars")
+NAMES = option("--names", "structured")
+described(globals(), __doc__)
 
 
 def target_of(

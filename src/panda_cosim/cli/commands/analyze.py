@@ -50,17 +50,9 @@ NUMBERS_FILE, PLOT_FILE, MODEL_FILE = "analysis.json", "loops.png", "analysis.np
 
 def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO_OR_DEFAULT,
-    at: str = option(
-        "--at TIME",
-        "Instant of the run: seconds, or an event, as grasp or 'release + 0.5'.",
-        "start",
-    ),
-    loop: str = option(
-        "--loop INPUT",
-        "Input at which the loops are opened. Default: those of the plant that an FMU feeds.",
-        "",
-    ),
-    out: Path = option("--out -o DIR", "Folder for the results.", Path("runs/analysis")),
+    at: str = option("--at TIME", "start"),
+    loop: str = option("--loop INPUT", ""),
+    out: Path = option("--out -o DIR", Path("runs/analysis")),
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
@@ -81,6 +73,11 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim analyze --set mismatch.delay=0.003 --set controller.kp=12
     panda-cosim analyze --controller my_law.py:MyLaw --set scene=motors --at 2.3
     ```
+
+    Args:
+        at: Instant of the run: seconds, or an event, as grasp or 'release + 0.5'.
+        loop: Input at which the loops are opened. Default: those of the plant that an FMU feeds.
+        out: Folder for the results.
     """
     chosen = find_scenario(scenario).changed(values_of(assignments, controller, plant))
     files = [out / name for name in (NUMBERS_FILE, PLOT_FILE, MODEL_FILE)]

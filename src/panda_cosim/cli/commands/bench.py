@@ -18,7 +18,7 @@ from ..options import KIND, OVERWRITE, announce_python
 
 def command(
     kind: Kind = KIND,
-    json: Path | None = option("--json FILE", "Also write the numbers to this file."),
+    json: Path | None = option("--json FILE"),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Measure what a co-simulation step costs.
@@ -30,6 +30,9 @@ def command(
     panda-cosim bench
     panda-cosim bench --kind python --json bench.json
     ```
+
+    Args:
+        json: Also write the numbers to this file.
     """
     check_replaceable(*filter(None, (json,)), overwrite=overwrite)
     tell("Measuring; do not use the machine meanwhile ...")

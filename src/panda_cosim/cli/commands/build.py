@@ -49,29 +49,17 @@ SYSTEM_FILE: Final = "Panda.ssp"
 
 
 def command(  # noqa: PLR0913 - one for each option
-    out: Path = option("--out -o DIR", "Folder to write the files to.", Path()),
-    scenario: str = option(
-        "--scenario SCENARIO",
-        "Scenario to build: its FMUs, and Panda.ssp with its connections and parameters.",
-        DEFAULT_SCENARIO,
-    ),
-    container: bool = flag(
-        "--container",
-        "Build only Panda.fmu, which contains the whole system. Needs the extra `container`.",
-    ),
+    out: Path = option("--out -o DIR", Path()),
+    scenario: str = option("--scenario SCENARIO", DEFAULT_SCENARIO),
+    container: bool = flag("--container"),
     kind: Kind = KIND,
     fmi: FmiVersion = FMI,
     platform: str = PLATFORM,
     scalars: bool = SCALARS,
     names: Names = NAMES,
     mujoco: str = MUJOCO,
-    slave: str = option(
-        "--slave FILE.py[:CLASS]", "Build only this slave of your own, written for PythonFMU.", ""
-    ),
-    compatibility: bool = flag(
-        "--compatibility",
-        "Add a folder for each FMU, with the files that the FMI cross-check asks for.",
-    ),
+    slave: str = option("--slave FILE.py[:CLASS]", ""),
+    compatibility: bool = flag("--compatibility"),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Build the FMUs of a scenario, and Panda.ssp that connects them.
@@ -91,6 +79,14 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim build --scenario ./mine --container
     panda-cosim build --slave my_sensor.py:Sensor --fmi 3
     ```
+
+    Args:
+        out: Folder to write the files to.
+        scenario: Scenario to build: its FMUs, and Panda.ssp with its connections and parameters.
+        container: Build only Panda.fmu, which contains the whole system. Needs the extra
+            `container`.
+        slave: Build only this slave of your own, written for PythonFMU.
+        compatibility: Add a folder for each FMU, with the files that the FMI cross-check asks for.
     """
     target = target_of(kind, fmi, platform, scalars=scalars, names=names)
     if slave:
@@ -175,32 +171,20 @@ def _container_of(scenario: Scenario, out: Path, target: Target) -> Build:
 
 
 def mjcf2fmu(  # noqa: PLR0913 - one for each option
-    models: list[Path] = argument("MODEL.xml...", "MJCF, MJB or URDF files."),
-    out: Path | None = option(
-        "--out -o PATH", "File NAME.fmu to write, or a folder. Default: MODEL.fmu in this folder."
-    ),
+    models: list[Path] = argument("MODEL.xml..."),
+    out: Path | None = option("--out -o PATH"),
     fmi: FmiVersion = FMI,
     platform: str = PLATFORM,
     scalars: bool = SCALARS,
     names: Names = NAMES,
     mujoco: str = MUJOCO,
-    step: float = option("--step SECONDS", "Internal step. Default: the model's own.", 0.0),
-    key: str = option("--key NAME", "Keyframe to start from. Default: qpos0.", ""),
-    inputs: list[str] | None = option(
-        "--input SOURCE", 'Further input, such as "body hand force"; may be repeated.'
-    ),
-    outputs: list[str] | None = option(
-        "--output SOURCE",
-        'Further output, such as "body hand xpos" or "site tip jacobian"; may be repeated.',
-    ),
-    parameters: list[str] | None = option(
-        "--parameter SOURCE",
-        'Further parameter, such as "body hand mass" or "geom box friction"; may be repeated.',
-    ),
-    interface: Path | None = option(
-        "--interface FILE.toml", "Interface file, as written by --print-interface."
-    ),
-    print_interface: bool = flag("--print-interface", "Print the interface as TOML and stop."),
+    step: float = option("--step SECONDS", 0.0),
+    key: str = option("--key NAME", ""),
+    inputs: list[str] | None = option("--input SOURCE"),
+    outputs: list[str] | None = option("--output SOURCE"),
+    parameters: list[str] | None = option("--parameter SOURCE"),
+    interface: Path | None = option("--interface FILE.toml"),
+    print_interface: bool = flag("--print-interface"),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Build an FMU from any MuJoCo model, without run-time dependencies.
@@ -228,6 +212,18 @@ def mjcf2fmu(  # noqa: PLR0913 - one for each option
     panda-cosim mjcf2fmu humanoid.xml ant.xml --step 0.001 --names flat
     panda-cosim mjcf2fmu humanoid.xml --mujoco 3.11.0
     ```
+
+    Args:
+        models: MJCF, MJB or URDF files.
+        out: File NAME.fmu to write, or a folder. Default: MODEL.fmu in this folder.
+        step: Internal step. Default: the model's own.
+        key: Keyframe to start from. Default: qpos0.
+        inputs: Further input, such as "body hand force"; may be repeated.
+        outputs: Further output, such as "body hand xpos" or "site tip jacobian"; may be repeated.
+        parameters: Further parameter, such as "body hand mass" or "geom box friction"; may be
+            repeated.
+        interface: Interface file, as written by --print-interface.
+        print_interface: Print the interface as TOML and stop.
     """
     given = (tuple(inputs or ()), tuple(outputs or ()), tuple(parameters or ()))
     options = ModelOptions(key, *given, interface, step)

@@ -20,9 +20,7 @@ from ..outcome import STYLES
 
 
 def command(  # noqa: PLR0913 - one for each option
-    folder: Path = scenario_argument(
-        "Name of a shipped scenario, a scenario's folder, an .fmu or .ssp file, or a motion.csv."
-    ),
+    folder: Path = scenario_argument(),
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
@@ -60,6 +58,10 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim check Feedthrough.fmu
     panda-cosim check Panda.ssp
     ```
+
+    Args:
+        folder: Name of a shipped scenario, a scenario's folder, an .fmu or .ssp file, or a
+            motion.csv.
     """
     if not folder.exists():
         folder = shipped_scenarios().get(str(folder), folder)

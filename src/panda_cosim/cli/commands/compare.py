@@ -17,10 +17,8 @@ PAGE = "compare.html"
 
 
 def command(
-    runs: list[Path] = argument(
-        "RUN RUN [RUN]...", "Folders of runs; the others are compared with the first."
-    ),
-    out: Path | None = option("--out -o DIR", f"Write {PAGE} there, with all details."),
+    runs: list[Path] = argument("RUN RUN [RUN]..."),
+    out: Path | None = option("--out -o DIR"),
     json: bool = JSON,
     overwrite: bool = OVERWRITE,
 ) -> None:
@@ -37,6 +35,10 @@ def command(
     panda-cosim run push --set controller.kp=6 --out runs/b
     panda-cosim compare runs/a runs/b --out report
     ```
+
+    Args:
+        runs: Folders of runs; the others are compared with the first.
+        out: Write compare.html there, with all details.
     """
     if len(runs) < 2:
         raise InputError("RUN: only one; must be at least two runs")

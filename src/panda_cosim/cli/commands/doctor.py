@@ -24,8 +24,6 @@ from ..forms import flag
 
 State = Literal["ok", "optional", "needed"]
 
-# Not that of `options`: this command must start without numpy, which `options` imports.
-JSON = flag("--json", "Print the result as JSON instead of tables.")
 STATES = {
     "ok": "[green]ok[/green]",
     "optional": "[yellow]--[/yellow]",
@@ -46,7 +44,7 @@ class Finding(NamedTuple):
     remedy: str = ""  # how to get it
 
 
-def command(json: bool = JSON) -> None:
+def command(json: bool = flag("--json")) -> None:
     """Show what is installed, what is missing, and how to get it.
 
     Exit code 0: scenarios can be run and recorded, even if something for pictures or other tools is
@@ -55,7 +53,11 @@ def command(json: bool = JSON) -> None:
     ```
     panda-cosim doctor
     ```
+
+    Args:
+        json: Print the result as JSON instead of tables.
     """
+    # Its option is not that of `options`, whose import needs numpy, which may be missing.
     tell("Examining this machine ...")
     findings = examine()
     missing = [finding.what for finding in findings if finding.state == "needed"]

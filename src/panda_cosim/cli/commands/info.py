@@ -32,13 +32,9 @@ _MANY = 3  # different bounds; more are shown as one range
 
 def command(
     fmu: str | None = argument(
-        "[plant|controller|sensors|FILE.fmu|FILE.ssp|FOLDER]",
-        "One of the project's FMUs, any .fmu or .ssp file, or a scenario's folder. Default: "
-        "plant and controller.",
-        None,
-        show_default=False,
+        "[plant|controller|sensors|FILE.fmu|FILE.ssp|FOLDER]", None, show_default=False
     ),
-    markdown: bool = flag("--markdown", "Print the variables as a Markdown table."),
+    markdown: bool = flag("--markdown"),
     json: bool = JSON,
 ) -> None:
     """Show the FMUs' variables and how they are connected.
@@ -49,6 +45,11 @@ def command(
     panda-cosim info Motor.fmu
     panda-cosim info ./my-scenario
     ```
+
+    Args:
+        fmu: One of the project's FMUs, any .fmu or .ssp file, or a scenario's folder. Default:
+            plant and controller.
+        markdown: Print the variables as a Markdown table.
     """
     interfaces, connections, order, held = _read(fmu)
     faults = known_faults(Path(fmu)) if fmu and fmu.endswith(".fmu") else []

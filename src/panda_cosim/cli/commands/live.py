@@ -33,16 +33,11 @@ def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO_OR_DEFAULT,
     out: Path | None = OUT_RUN,
     assignments: list[str] | None = SETTINGS,
-    speed: float = option("--speed", "Speed, relative to real time.", 1.0, min=0.01, max=10.0),
-    port: int = option("--port", "Port to listen on; 0: any free one.", 0, min=0, max=65535),
-    host: str = option(
-        "--host",
-        "Address to listen on. With any but the default, everyone who has the page's address "
-        "can watch and control the run; nothing is encrypted.",
-        LOCAL,
-    ),
+    speed: float = option("--speed", 1.0, min=0.01, max=10.0),
+    port: int = option("--port", 0, min=0, max=65535),
+    host: str = option("--host", LOCAL),
     kind: Kind = KIND,
-    paused: bool = flag("--paused", "Start paused, at t = 0 s."),
+    paused: bool = flag("--paused"),
     open_page: bool = OPEN_PAGE,
 ) -> None:
     """Run a scenario in real time, and interact with it in the browser.
@@ -56,6 +51,13 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim live --paused --open
     panda-cosim live push --speed 0.25 --port 8000
     ```
+
+    Args:
+        speed: Speed, relative to real time.
+        port: Port to listen on; 0: any free one.
+        host: Address to listen on. With any but the default, everyone who has the page's address
+            can watch and control the run; nothing is encrypted.
+        paused: Start paused, at t = 0 s.
     """
     chosen = find_scenario(scenario)
     values = values_of(assignments)

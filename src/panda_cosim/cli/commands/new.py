@@ -12,19 +12,16 @@ from ...task.scenario import TABLE_FILE, Scenario, shipped_scenarios
 from ...task.writer import make_scenario, write_input_csv
 from ..console import show, show_json, table
 from ..forms import argument, flag, option
-from ..options import CSV_FILE, JSON, OVERWRITE, SCENARIO, SETTINGS, find_scenario, values_of
+from ..options import JSON, OVERWRITE, SCENARIO, SETTINGS, find_scenario, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option
-    name: Path = argument("NAME", "Folder to create."),
-    source: str | None = option(
-        "--from SCENARIO",
-        "Copy a shipped scenario, without its reference; or run the experiment in an X.fmu.",
-    ),
-    law: bool = flag("--law --controller", "Add a control law in Python, for you to edit."),
-    plant: bool = flag("--plant", "Add a scene of your own with one more body, for you to edit."),
-    slave: bool = flag("--slave", "Add a slave for PythonFMU, which blows at the hand."),
-    sweep: bool = flag("--sweep", "Add a sweep, which `regress` judges, too."),
+    name: Path = argument("NAME"),
+    source: str | None = option("--from SCENARIO"),
+    law: bool = flag("--law --controller"),
+    plant: bool = flag("--plant"),
+    slave: bool = flag("--slave"),
+    sweep: bool = flag("--sweep"),
 ) -> None:
     """Create a scenario of your own, ready to run.
 
@@ -39,6 +36,14 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim new my-push --from push
     panda-cosim new their-test --from Theirs.fmu
     ```
+
+    Args:
+        name: Folder to create.
+        source: Copy a shipped scenario, without its reference; or run the experiment in an X.fmu.
+        law: Add a control law in Python, for you to edit.
+        plant: Add a scene of your own with one more body, for you to edit.
+        slave: Add a slave for PythonFMU, which blows at the hand.
+        sweep: Add a sweep, which `regress` judges, too.
     """
     if source is not None and (law or plant or slave):
         raise InputError("--from: cannot be combined with --law, --plant or --slave")
@@ -76,7 +81,7 @@ def list_scenarios(json: bool = JSON) -> None:
 
 def inputs(
     scenario: str = SCENARIO,
-    file: Path = CSV_FILE,
+    file: Path = argument("FILE.csv"),
     assignments: list[str] | None = SETTINGS,
     overwrite: bool = OVERWRITE,
 ) -> None:
@@ -89,6 +94,9 @@ def inputs(
     panda-cosim inputs tutorial commands.csv
     fmpy simulate PandaController.fmu --input-file commands.csv
     ```
+
+    Args:
+        file: The file to write.
     """
     chosen = find_scenario(scenario).changed(values_of(assignments))
     if chosen.is_system:

@@ -51,51 +51,20 @@ STYLES = {"good": "green", "warn": "yellow", "bad": "bold red"}  # of the levels
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenarios: list[str] | None = argument(
-        "[SCENARIO]...",
-        "Names of shipped scenarios, or folders. Default: all shipped scenarios.",
-        None,
-    ),
-    jobs: int | None = option(
-        "--jobs -j", "Number of runs at a time. Default: one per core.", min=1
-    ),
-    report: Path | None = option(
-        "--report DIR", "Write report.html and junit.xml there, and keep the runs that differ."
-    ),
-    update: bool = flag(
-        "--update",
-        "Record the results as new references. Lists the changes, also in a page, and asks first.",
-    ),
+    scenarios: list[str] | None = argument("[SCENARIO]...", None),
+    jobs: int | None = option("--jobs -j", min=1),
+    report: Path | None = option("--report DIR"),
+    update: bool = flag("--update"),
     assignments: list[str] | None = SETTINGS,
-    exact: bool = flag(
-        "--exact", "Require the same bits. Use it only on the same machine, with the same versions."
-    ),
-    folder: Path | None = option(
-        "--scenarios DIR",
-        "Folder with scenarios of your own, at any depth, instead of the shipped.",
-    ),
-    sweeps: bool = option(
-        "--sweeps/--no-sweeps",
-        "Run the sweeps of the scenarios, too: sweep.toml beside them.",
-        True,
-    ),
+    exact: bool = flag("--exact"),
+    folder: Path | None = option("--scenarios DIR"),
+    sweeps: bool = option("--sweeps/--no-sweeps", True),
     overwrite: bool = OVERWRITE,
     kind: Kind = KIND,
     mujoco: str = ENGINES,
-    yes: bool = flag("--yes -y", "With --update: do not ask."),
-    qualify: float | None = option(
-        "--qualify SHARE",
-        "Change each parameter by a share, one at a time, and say which changes are noticed.",
-        min=1e-6,
-        max=10.0,
-    ),
-    min_score: float = option(
-        "--min-score",
-        "With --qualify: the least share of changes to notice.",
-        0.0,
-        min=0.0,
-        max=1.0,
-    ),
+    yes: bool = flag("--yes -y"),
+    qualify: float | None = option("--qualify SHARE", min=1e-6, max=10.0),
+    min_score: float = option("--min-score", 0.0, min=0.0, max=1.0),
     json: bool = JSON,
 ) -> None:
     """Run scenarios and compare each with its reference.
@@ -129,6 +98,19 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress pick_and_place --qualify 0.05 --min-score 0.8
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
     ```
+
+    Args:
+        scenarios: Names of shipped scenarios, or folders. Default: all shipped scenarios.
+        jobs: Number of runs at a time. Default: one per core.
+        report: Write report.html and junit.xml there, and keep the runs that differ.
+        update: Record the results as new references. Lists the changes, also in a page, and asks
+            first.
+        exact: Require the same bits. Use it only on the same machine, with the same versions.
+        folder: Folder with scenarios of your own, at any depth, instead of the shipped.
+        sweeps: Run the sweeps of the scenarios, too: sweep.toml beside them.
+        yes: With --update: do not ask.
+        qualify: Change each parameter by a share, one at a time, and say which changes are noticed.
+        min_score: With --qualify: the least share of changes to notice.
     """
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     check_rules({

@@ -27,16 +27,12 @@ from ..outcome import PLOTTING, TILING, draw_video
 
 def command(  # noqa: PLR0913 - one for each option
     run: Path = RUN,
-    out: Path | None = option(
-        "--out -o DIR", "Folder for the pictures. Default: the folder of the run."
-    ),
-    camera: str = option(
-        "--camera NAME", "Camera: overview, closeup, front, or another of the model.", "overview"
-    ),
-    size: str = option("--size WxH", "Size of the video [px]; even numbers.", "640x480"),
-    fps: float = option("--fps HZ", "Frames per second.", 30.0),
+    out: Path | None = option("--out -o DIR"),
+    camera: str = option("--camera NAME", "overview"),
+    size: str = option("--size WxH", "640x480"),
+    fps: float = option("--fps HZ", 30.0),
     meshes: Meshes = MESHES,
-    video: bool = option("--video/--no-video", "Draw the video as well.", True),
+    video: bool = option("--video/--no-video", True),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Redraw a run's video and contact sheet.
@@ -46,6 +42,13 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     panda-cosim render runs/first --size 1280x720 --camera closeup
     ```
+
+    Args:
+        out: Folder for the pictures. Default: the folder of the run.
+        camera: Camera: overview, closeup, front, or another of the model.
+        size: Size of the video [px]; even numbers.
+        fps: Frames per second.
+        video: Draw the video as well.
     """
     recording = Recording.open(run, in_order=True)
     folder = out if out is not None else recording.path.parent
@@ -67,9 +70,7 @@ def command(  # noqa: PLR0913 - one for each option
 
 def plot(
     run: Path = RUN,
-    out: Path | None = option(
-        "--out -o FILE.png|DIR", f"File, or folder of {PLOT_FILE}. Default: the run's folder."
-    ),
+    out: Path | None = option("--out -o FILE.png|DIR"),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Plot a run's signals on one page.
@@ -79,6 +80,9 @@ def plot(
     ```
     panda-cosim plot runs/first
     ```
+
+    Args:
+        out: File, or folder of plot.png. Default: the run's folder.
     """
     recording = Recording.open(run, in_order=True)
     path = out if out is not None else recording.path.parent
@@ -91,12 +95,8 @@ def plot(
 
 def view(  # noqa: PLR0913 - one for each option
     run: Path = RUN,
-    against: str | None = option(
-        "--against RUN",
-        "Show another run as a ghost: a run's folder, a scenario's folder, a "
-        "reference.parquet, or the word reference for that of the run's own scenario.",
-    ),
-    out: Path | None = option("--out -o FILE.html", "Page to write. Default: in the run's folder."),
+    against: str | None = option("--against RUN"),
+    out: Path | None = option("--out -o FILE.html"),
     meshes: Meshes = MESHES,
     open_page: bool = OPEN_PAGE,
     overwrite: bool = OVERWRITE,
@@ -111,6 +111,11 @@ def view(  # noqa: PLR0913 - one for each option
     panda-cosim view runs/second --against runs/first --out compared.html
     panda-cosim view runs/first --against reference
     ```
+
+    Args:
+        against: Show another run as a ghost: a run's folder, a scenario's folder, a
+            reference.parquet, or the word reference for that of the run's own scenario.
+        out: Page to write. Default: in the run's folder.
     """
     path = out if out is not None else (run if run.is_dir() else run.parent) / VIEW_FILE
     check_replaceable(path, overwrite=overwrite)
@@ -133,8 +138,8 @@ def _other(first: Shown, against: str) -> Shown:
 
 def export(
     run: Path = RUN,
-    file: Path = argument("FILE", "The file to write: .csv or .mcap."),
-    rate: float = option("--rate HZ", "Of .mcap: messages a second.", 100.0, min=1e-3, max=1e6),
+    file: Path = argument("FILE"),
+    rate: float = option("--rate HZ", 100.0, min=1e-3, max=1e6),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Write a recording as CSV, or as MCAP for Foxglove and rerun.
@@ -148,6 +153,10 @@ def export(
     panda-cosim export runs/first first.csv
     panda-cosim export runs/first first.mcap --rate 250
     ```
+
+    Args:
+        file: The file to write: .csv or .mcap.
+        rate: Of .mcap: messages a second.
     """
     recording = Recording.open(run, in_order=True)
     if file.suffix == MCAP:

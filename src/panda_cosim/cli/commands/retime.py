@@ -23,16 +23,9 @@ from ..options import ROBOT, SCENARIO, SETTINGS, Robot, arm_of, find_scenario, v
 
 def command(  # noqa: PLR0913 - one for each option
     scenario: str = SCENARIO,
-    out: Path | None = option(
-        "--out -o DIR", "New folder. Default: NAME_fast, or NAME_feasible with --keep-times."
-    ),
-    share: float | None = option(
-        "--share",
-        "Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 unless set.",
-        min=0.1,
-        max=1.0,
-    ),
-    keep_times: bool = flag("--keep-times", "Only slow down rows that exceed the share."),
+    out: Path | None = option("--out -o DIR"),
+    share: float | None = option("--share", min=0.1, max=1.0),
+    keep_times: bool = flag("--keep-times"),
     robot: Robot | None = ROBOT,
     assignments: list[str] | None = SETTINGS,
 ) -> None:
@@ -52,6 +45,12 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim retime my-scenarios/hasty --keep-times
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
+
+    Args:
+        out: New folder. Default: NAME_fast, or NAME_feasible with --keep-times.
+        share: Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 unless
+            set.
+        keep_times: Only slow down rows that exceed the share.
     """
     chosen = find_scenario(scenario).changed(values_of(assignments, robot=arm_of(robot)))
     folder = out or Path(f"{chosen.name}_{'feasible' if keep_times else 'fast'}")
@@ -96,7 +95,7 @@ def retime(
 
 def route(
     scenario: str = SCENARIO,
-    out: Path | None = option("--out -o DIR", "New folder. Default: NAME_routed."),
+    out: Path | None = option("--out -o DIR"),
     robot: Robot | None = ROBOT,
     assignments: list[str] | None = SETTINGS,
 ) -> None:
@@ -113,6 +112,9 @@ def route(
     panda-cosim route pick_and_place --out behind --set plant.block_pos=-0.4,0.3
     panda-cosim run behind
     ```
+
+    Args:
+        out: New folder. Default: NAME_routed.
     """
     chosen = find_scenario(scenario).changed(values_of(assignments, robot=arm_of(robot)))
     folder = out or Path(f"{chosen.name}_routed")

@@ -21,70 +21,43 @@ from ..forms import argument, flag, option, scenario_argument
 from ..options import (
     CONTROLLER,
     DEFAULT_SCENARIO,
+    ISOLATE,
     JSON,
+    JUNIT,
     KIND,
     MUJOCO,
     OUT_RUN,
     PLANT,
+    PLOT,
     SETTINGS,
+    STEP_TIMEOUT,
+    VIDEO,
+    VIEW,
     find_scenario,
     values_of,
 )
 from ..outcome import Output, Progress, draw_view, perform
 
-VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
-FPS = option("--fps HZ", "Frames per second of the video; 60 takes twice as long.", 30.0, min=1)
-PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
-VIEW = option("--view/--no-view", "Write the page that shows the run in 3D.", True)
-ISOLATE = flag(
-    "--isolate", "Run each FMU in a process of its own, so that a crash ends only that process."
-)
-STEP_TIMEOUT = option(
-    "--step-timeout SECONDS", "With --isolate: stop the run if an FMU takes longer for one step."
-)
-MASTER = option(
-    "--master NAME",
-    "What steps the FMUs, with equal bits: kernel, in C where it can, or fmpy, by FMPy's methods.",
-    "kernel",
-)
-SSV = option(
-    "--ssv FILE", "Parameter set of SSP, by FMU.VARIABLE, in any units; --set goes before it."
-)
-LOG = option(
-    "--log FMU",
-    "Show all that an FMU logs, its debug messages, too, on standard error. May repeat.",
-)
-JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
-
 
 def command(  # noqa: PLR0913 - one for each option
-    scenario: str | None = scenario_argument(
-        f"Name of a shipped scenario, a folder, or an .ssp file. Default: {DEFAULT_SCENARIO}.", None
-    ),
+    scenario: str | None = scenario_argument(None),
     out: Path | None = OUT_RUN,
     assignments: list[str] | None = SETTINGS,
-    duration: float | None = option("--duration SECONDS", "Simulated time [s]."),
-    coupling: Coupling | None = option(
-        "--coupling NAME",
-        "Overrides the scenario's coupling: gauss-seidel, jacobi (the controller's output acts one "
-        "tick later) or iterated.",
-    ),
-    realtime: bool = flag("--realtime", "Run in real time, paced by the wall clock."),
+    duration: float | None = option("--duration SECONDS"),
+    coupling: Coupling | None = option("--coupling NAME"),
+    realtime: bool = flag("--realtime"),
     video: bool = VIDEO,
-    fps: float = FPS,
+    fps: float = option("--fps HZ", 30.0, min=1),
     plot: bool | None = PLOT,
     view: bool = VIEW,
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
-    system: Path | None = option(
-        "--system FILE.ssp",
-        "Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as `run FILE.ssp`.",
-    ),
+    system: Path | None = option("--system FILE.ssp"),
     isolate: bool = ISOLATE,
     step_timeout: float | None = STEP_TIMEOUT,
-    master: Stepper = MASTER,
-    ssv: Path | None = SSV,
-    log: list[str] | None = LOG,
+    master: Stepper = option("--master NAME", "kernel"),
+    ssv: Path | None = option("--ssv FILE"),
+    log: list[str] | None = option("--log FMU"),
     kind: Kind = KIND,
     mujoco: str = MUJOCO,
     junit: Path | None = JUNIT,
@@ -105,6 +78,20 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim run tutorial --controller my_law.py:MyLaw --set controller.gain=3
     panda-cosim run Panda.ssp --duration 2
     ```
+
+    Args:
+        scenario: Name of a shipped scenario, a folder, or an .ssp file. Default: pick_and_place.
+        duration: Simulated time [s].
+        coupling: Overrides the scenario's coupling: gauss-seidel, jacobi (the controller's output
+            acts one tick later) or iterated.
+        realtime: Run in real time, paced by the wall clock.
+        fps: Frames per second of the video; 60 takes twice as long.
+        system: Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as `run
+            FILE.ssp`.
+        master: What steps the FMUs, with equal bits: kernel, in C where it can, or fmpy, by FMPy's
+            methods.
+        ssv: Parameter set of SSP, by FMU.VARIABLE, in any units; --set goes before it.
+        log: Show all that an FMU logs, its debug messages, too, on standard error. May repeat.
     """
     options = Options(
         realtime=float(realtime),
@@ -133,9 +120,7 @@ def command(  # noqa: PLR0913 - one for each option
 
 
 def replay(  # noqa: PLR0913 - one for each option
-    run: Path = argument(
-        "RUN", "Folder of the run, or the journal session.jsonl in it.", show_default=False
-    ),
+    run: Path = argument("RUN", show_default=False),
     out: Path | None = OUT_RUN,
     video: bool = VIDEO,
     plot: bool | None = PLOT,
@@ -153,6 +138,9 @@ def replay(  # noqa: PLR0913 - one for each option
     ```
     panda-cosim replay runs/my-session
     ```
+
+    Args:
+        run: Folder of the run, or the journal session.jsonl in it.
     """
     from ...run import replay as journal  # noqa: PLC0415 - `run` has no use for it
 

@@ -29,51 +29,23 @@ from ...study.sweep.store import Store
 from ...task.fields import check_rules
 from ..console import as_cell, progress, show, show_file, show_json, table, tell, warn
 from ..forms import argument, option
-from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, announce_build
+from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, ROW, SWEEP, announce_build
 from ..outcome import write_case
 
 FLIPS = 10  # flipped rows that are shown, of each kind
-SWEEP = argument("DIR", "Folder of a sweep.")
-ROW = argument("ROW", "Number of a row, from 0: the column index of the results.", min=0)
 
 
 def command(  # noqa: PLR0913 - one for each option
-    sweep: str = argument(
-        "SWEEP.toml",
-        "A sweep's TOML file, or the name of a shipped one: anywhere, behind_wall, calibrated, "
-        "iso9283 or random_box. With --vary, a scenario.",
-    ),
-    out: Path | None = option(
-        "--out -o DIR",
-        "Folder for the results; a stopped sweep in it is resumed. Default: a new one in runs/.",
-    ),
-    vary: list[str] | None = option(
-        "--vary KEY=LOW:HIGH:STEPS",
-        "Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.",
-    ),
-    jobs: int | None = option("--jobs -j N", "Number of processes. Default: one per core."),
-    dask: str | None = option(
-        "--dask ADDRESS",
-        "Run on this Dask cluster, such as tcp://host:8786, or on one that is started on this "
-        "machine: local.",
-    ),
-    time_limit: float | None = option(
-        "--time-limit SECONDS", "Wall time after which a run is stopped."
-    ),
-    min_success: float | None = option(
-        "--min-success SHARE",
-        "Required success rate, such as 0.95: the share of successes in all rows or, with "
-        "--confidence, its lower bound. Exit code 3 if it is missed. In the file: min_success.",
-    ),
-    confidence: float | None = option(
-        "--confidence LEVEL",
-        "With --min-success, compare the one-sided lower bound by Clopper and Pearson at this "
-        "confidence, such as 0.95. For random rows. In the file: confidence.",
-    ),
+    sweep: str = argument("SWEEP.toml"),
+    out: Path | None = option("--out -o DIR"),
+    vary: list[str] | None = option("--vary KEY=LOW:HIGH:STEPS"),
+    jobs: int | None = option("--jobs -j N"),
+    dask: str | None = option("--dask ADDRESS"),
+    time_limit: float | None = option("--time-limit SECONDS"),
+    min_success: float | None = option("--min-success SHARE"),
+    confidence: float | None = option("--confidence LEVEL"),
     mujoco: str = ENGINES,
-    junit: Path | None = option(
-        "--junit FILE", "With --min-success, write the verdict as JUnit XML, for CI."
-    ),
+    junit: Path | None = option("--junit FILE"),
     json: bool = JSON,
 ) -> None:
     """Run a scenario many times with varied values, on all cores or a cluster.
@@ -90,6 +62,22 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim sweep report box
     panda-cosim sweep random_box --min-success 0.99 --confidence 0.95
     ```
+
+    Args:
+        sweep: A sweep's TOML file, or the name of a shipped one: anywhere, behind_wall, calibrated,
+            iso9283 or random_box. With --vary, a scenario.
+        out: Folder for the results; a stopped sweep in it is resumed. Default: a new one in runs/.
+        vary: Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.
+        jobs: Number of processes. Default: one per core.
+        dask: Run on this Dask cluster, such as tcp://host:8786, or on one that is started on this
+            machine: local.
+        time_limit: Wall time after which a run is stopped.
+        min_success: Required success rate, such as 0.95: the share of successes in all rows or,
+            with --confidence, its lower bound. Exit code 3 if it is missed. In the file:
+            min_success.
+        confidence: With --min-success, compare the one-sided lower bound by Clopper and Pearson at
+            this confidence, such as 0.95. For random rows. In the file: confidence.
+        junit: With --min-success, write the verdict as JUnit XML, for CI.
     """
     definition = _definition(sweep, vary, mujoco, min_success=min_success, confidence=confidence)
     check_rules({
@@ -163,7 +151,7 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
 
 def report(
     folder: Path = SWEEP,
-    out: Path | None = option("--out -o FILE.html", "Page to write. Default: in DIR."),
+    out: Path | None = option("--out -o FILE.html"),
     open_page: bool = OPEN_PAGE,
     overwrite: bool = OVERWRITE,
 ) -> None:
@@ -171,6 +159,9 @@ def report(
 
     It shows the success rate with its confidence bounds, margins by value, sensitivity, where runs
     fail, and the worst rows with the commands that repeat them.
+
+    Args:
+        out: Page to write. Default: in DIR.
     """
     check_replaceable(out if out is not None else folder / REPORT_FILE, overwrite=overwrite)
     _warn_if_changed(folder)
@@ -189,12 +180,8 @@ def show_one(folder: Path = SWEEP, index: int = ROW, open_page: bool = OPEN_PAGE
 def promote(
     folder: Path = SWEEP,
     index: int = ROW,
-    new: Path = argument("NEW", "Folder to create."),
-    expect: Literal["failure"] | None = option(
-        "--expect failure",
-        "The row misses a criterion, and that is a known limit: the scenario expects it. "
-        "Default: what the swept scenario expects.",
-    ),
+    new: Path = argument("NEW"),
+    expect: Literal["failure"] | None = option("--expect failure"),
 ) -> None:
     """Make a scenario of one row, for `panda-cosim regress`.
 
@@ -204,6 +191,11 @@ def promote(
     ```
     panda-cosim sweep promote box 17 my-scenarios/too-heavy --expect failure
     ```
+
+    Args:
+        new: Folder to create.
+        expect: The row misses a criterion, and that is a known limit: the scenario expects it.
+            Default: what the swept scenario expects.
     """
     _warn_if_changed(folder)
     paths = promote_row(folder, index, new, known_limit=expect is not None)
@@ -223,14 +215,9 @@ def _warn_if_changed(folder: Path) -> None:
 
 
 def compare(
-    first: Path = argument("A", "Folder of the sweep before."),
-    second: Path = argument("B", "Folder of the sweep after: of the same values."),
-    not_worse: float | None = option(
-        "--not-worse SHARE",
-        "By how much the success rate may sink. Default: it must not surely sink.",
-        min=0.0,
-        max=1.0,
-    ),
+    first: Path = argument("A"),
+    second: Path = argument("B"),
+    not_worse: float | None = option("--not-worse SHARE", min=0.0, max=1.0),
     json: bool = JSON,
 ) -> None:
     """Compare two sweeps pair by pair: a law, a gain or a version against another.
@@ -245,6 +232,11 @@ def compare(
     ```
     panda-cosim sweep compare runs/before runs/after --not-worse 0.02
     ```
+
+    Args:
+        first: Folder of the sweep before.
+        second: Folder of the sweep after: of the same values.
+        not_worse: By how much the success rate may sink. Default: it must not surely sink.
     """
     found = pair(first, second)
     if json:
