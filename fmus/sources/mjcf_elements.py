@@ -3,57 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import mujoco
 
+Part = tuple[str, str, str]  # of a joint's position or motion: words, unit, and the short name
 FREE, BALL, SLIDE, HINGE = range(4)  # mjtJoint
-_POSE: Final = (*((f"position {axis}", "m", axis) for axis in "xyz"),
-                *((f"quaternion {part}", "1", f"q{part}") for part in "wxyz"))  # fmt: skip
-_LINEAR: Final = tuple((f"along {axis}", "m", f"v{axis}") for axis in "xyz")
-_TURNS: Final = tuple((f"about {axis}", "rad", f"w{axis}") for axis in "xyz")
-# Parts of a joint's position and of its motion, by its kind: words, unit, and the short name of the
-# position or velocity.
-_POSITIONS: Final = {HINGE: (("angle", "rad", "pos"),), SLIDE: (("position", "m", "pos"),),
-                     BALL: _POSE[3:], FREE: _POSE}  # fmt: skip
-_MOTIONS: Final = {HINGE: (("", "rad", "vel"),), SLIDE: (("", "m", "vel"),), BALL: _TURNS,
-                   FREE: (*_LINEAR, *_TURNS)}  # fmt: skip
-_FORCES: Final = {"rad": "N.m", "m": "N"}
-# Units of what is derived from a length or an angle; that of an unknown unit is unknown.
-_DERIVED: Final[dict[str, Callable[[str], str]]] = {
-    "pos": lambda unit: unit,
-    "vel": lambda unit: unit and f"{unit}/s",
-    "acc": lambda unit: unit and f"{unit}/s2",
-    "frc": lambda unit: _FORCES.get(unit, ""),
-}
-_OF_MOTIONS: Final = {  # by field
-    "qvel": ("velocity", "vel"), "qacc": ("acceleration", "acc"),
-    "qfrc_bias": ("bias force", "frc"), "qfrc_applied": ("applied force", "frc"),
-    "qfrc_actuator": ("actuator force", "frc"), "qfrc_passive": ("passive force", "frc"),
-    "qfrc_constraint": ("constraint force", "frc"),
-}  # fmt: skip
-_OF_TENDONS: Final = {"ten_length": ("length", "pos"), "ten_velocity": ("velocity", "vel")}
-_OF_ACTUATORS: Final = {
-    "ctrl": ("control", ""), "act": ("activation", ""), "actuator_force": ("force", "frc"),
-    "actuator_length": ("length", "pos"), "actuator_velocity": ("velocity", "vel"),
-}  # fmt: skip
-# Units of fields whose elements all have the same, or a pattern that repeats.
-_UNITS: Final = {
-    "xpos": ("m",), "xipos": ("m",), "subtree_com": ("m",), "geom_xpos": ("m",),
-    "site_xpos": ("m",), "mocap_pos": ("m",), "xquat": ("1",), "mocap_quat": ("1",),
-    "xmat": ("1",), "geom_xmat": ("1",), "site_xmat": ("1",), "geom_friction": ("1",),
-    "xfrc_applied": ("N", "N", "N", "N.m", "N.m", "N.m"), "body_mass": ("kg",),
-    "gravity": ("m/s2",), "wind": ("m/s",), "energy": ("J",),
-}  # fmt: skip
-_SENSORS: Final = {
-    "touch": "N", "accelerometer": "m/s2", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
-    "torque": "N.m", "rangefinder": "m", "ballquat": "1", "ballangvel": "rad/s",
-    "framepos": "m", "framequat": "1", "framexaxis": "1", "frameyaxis": "1", "framezaxis": "1",
-    "framelinvel": "m/s", "frameangvel": "rad/s", "framelinacc": "m/s2", "frameangacc": "rad/s2",
-    "subtreecom": "m", "subtreelinvel": "m/s", "subtreeangmom": "kg.m2/s", "clock": "s",
-    "e_potential": "J", "e_kinetic": "J", "geomdist": "m", "geomnormal": "1", "geomfromto": "m",
-}  # fmt: skip
+_KINDS: Final = ("free", "ball", "slide", "hinge")  # in that order
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_POSITIONS: Final[Sequence[Sequence[Part]]] = [_TABLES["positions"][kind] for kind in _KINDS]
+_MOTIONS: Final[Sequence[Sequence[Part]]] = [_TABLES["motions"][kind] for kind in _KINDS]
+_OF_JOINTS: Final[Mapping[str, tuple[str, str]]] = {"qpos": ("", "pos")} | _TABLES["joints"]
+_GROUPS: Final = {"quaternion": "quat", "about": "rot"}  # by a part's first word
 # Sensors of what moves, such as `jointpos`, `tendonlimitvel` or `actuatorfrc`.
 _OF_MOVED: Final = re.compile(r"(joint|tendon|actuator)(?:limit|act)?(pos|vel|frc)")
 # MuJoCo's numbers of the kinds of actuators; older versions lack some.
@@ -63,11 +27,9 @@ _ON_BALL: Final = int(getattr(mujoco.mjtTrn, "mjTRN_SO3", -1))
 _FIXED: Final = int(mujoco.mjtGain.mjGAIN_FIXED)
 _SERVOS: Final = tuple(int(getattr(mujoco.mjtGain, f"mjGAIN_{n}", -1)) for n in ("PID", "DCMOTOR"))
 _NO_BIAS: Final = int(mujoco.mjtBias.mjBIAS_NONE)
-_FOLLOWING: Final = (  # whose force follows the control, perhaps filtered
-    int(mujoco.mjtDyn.mjDYN_NONE),
-    int(mujoco.mjtDyn.mjDYN_FILTER),
-    int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
-)
+# Those whose force follows the control, perhaps filtered.
+_FOLLOWING: Final = [int(getattr(mujoco.mjtDyn, f"mjDYN_{name}"))
+                     for name in ("NONE", "FILTER", "FILTEREXACT")]  # fmt: skip
 
 
 class Element(NamedTuple):
@@ -80,21 +42,15 @@ class Element(NamedTuple):
 
 def elements(model: Any, field: str, size: int) -> Sequence[Element]:
     """What the elements of a field of mjData or mjModel are."""
-    if field == "qpos" or field in _OF_MOTIONS:
+    if field in _OF_JOINTS:
         return list(_of_joints(model, field))
-    if field in _OF_ACTUATORS:
+    if field in _TABLES["actuators"]:
         return list(_of_actuators(model, field))
-    if field in _OF_TENDONS:
-        what, derived = _OF_TENDONS[field]
-        units = [_DERIVED[derived](_tendon_unit(model, i)) for i in range(size)]
-        views = [model.tendon(i) for i in range(size)]
-        return [
-            _element(unit, what, view, "tendon", address=f"{view.name}.{what}")
-            for unit, view in zip(units, views, strict=True)
-        ]
+    if field in _TABLES["tendons"]:
+        return [_of_tendon(model, field, tendon) for tendon in range(size)]
     if field == "sensordata":
         return [Element(unit) for i in range(model.nsensor) for unit in _of_sensor(model, i)]
-    pattern = _UNITS.get(field, ("",))
+    pattern = _TABLES["fields"].get(field, ("",))
     return [Element(pattern[i % len(pattern)]) for i in range(size)]
 
 
@@ -108,6 +64,11 @@ def called(view: Any, kind: str) -> str:
     return f"{kind} {view.name or view.id + 1}"
 
 
+def _derived(what: str, unit: str) -> str:
+    """Unit of what is derived from a length or an angle, such as `vel`; "" if it is not known."""
+    return str(_TABLES["derived"].get(unit, {}).get(what, ""))
+
+
 def _element(  # noqa: PLR0913 - what a text and names are made of
     unit: str, what: str, view: Any, kind: str, more: str = "", group: str = "", address: str = ""
 ) -> Element:
@@ -118,45 +79,51 @@ def _element(  # noqa: PLR0913 - what a text and names are made of
 
 
 def _of_joints(model: Any, field: str) -> Iterator[Element]:
-    word, derived = _OF_MOTIONS.get(field, ("", "pos"))
+    word, derived = _OF_JOINTS[field]
     for joint, kind in enumerate(map(int, model.jnt_type)):
         view = model.joint(joint)
         name = model.body(int(view.bodyid[0])).name if kind == FREE else view.name
         for part, unit, short in (_MOTIONS if word else _POSITIONS)[kind]:
-            known = _DERIVED[derived](unit) if word else unit
-            group = {"quaternion": "quat", "about": "rot"}.get(part.split(" ")[0], "")
+            known = _derived(derived, unit) if word else unit
             address = f"{name}.{short}" if field in ("qpos", "qvel") else ""
+            group = _GROUPS.get(part.split(" ")[0], "")
             yield _element(known, f"{word} {part}", view, "joint", "", group, address)
+
+
+def _of_tendon(model: Any, field: str, tendon: int) -> Element:
+    (what, derived), view = _TABLES["tendons"][field], model.tendon(tendon)
+    unit = _derived(derived, _tendon_unit(model, tendon))
+    return _element(unit, what, view, "tendon", address=f"{view.name}.{what}")
 
 
 def _of_actuators(model: Any, field: str) -> Iterator[Element]:
     """Controls, forces, lengths of actuators; one without a name has its joint's."""
-    word, derived = _OF_ACTUATORS[field]
+    word, derived = _TABLES["actuators"][field]
     number = "actuator_actnum" if field == "act" else "actuator_outnum"
     counts = getattr(model, number, [1] * len(model.actuator_trntype))
     for i, transmission in enumerate(map(int, model.actuator_trntype)):
         view, length, more = model.actuator(i), _actuator_unit(model, i), ""
         if transmission in _ON_JOINTS and not view.name:
             more = f" on {called(model.joint(int(model.actuator_trnid[i, 0])), 'joint')}"
-        parts = [("", _DERIVED[derived](length) if derived else "")] * int(counts[i])
-        for part, unit, *_ in _controls(model, i, length) if field == "ctrl" else parts:
+        parts = [("", _derived(derived, length))] * int(counts[i])
+        for part, unit in _controls(model, i, length) if field == "ctrl" else parts:
             group = part.split(" ")[0]
-            address = (
-                f"{view.name}.{'_'.join(filter(None, (field.rsplit('_', maxsplit=1)[-1], group)))}"
-            )
+            short = "_".join(filter(None, (field.rpartition("_")[2], group)))
+            address = f"{view.name}.{short}"
             yield _element(unit, f"{part} {word}", view, "actuator", more, group, address)
 
 
-def _controls(model: Any, actuator: int, length: str) -> Sequence[tuple[str, ...]]:
+def _controls(model: Any, actuator: int, length: str) -> Sequence[tuple[str, str]]:
     """What the controls of an actuator are, and their units; most have one."""
     gain = int(model.actuator_gaintype[actuator])
     if gain in _SERVOS:  # each kind of control is a bit: mjtCtrlInput
         signature = int(model.actuator_ctrlspec[actuator])
-        kinds = (("position", length), ("velocity", _DERIVED["vel"](length)),
-                 ("feedforward", _FORCES.get(length, "")), ("voltage", "V"))  # fmt: skip
+        kinds = (("position", length), ("velocity", _derived("vel", length)),
+                 ("feedforward", _derived("frc", length)), ("voltage", "V"))  # fmt: skip
         return [kind for bit, kind in enumerate(kinds) if signature & 1 << bit]
     if int(model.actuator_trntype[actuator]) == _ON_BALL:
-        return _TURNS if int(model.actuator_ctrlnum[actuator]) == len(_TURNS) else _POSE[3:]
+        turns = int(model.actuator_ctrlnum[actuator]) == len(_MOTIONS[BALL])
+        return [(words, unit) for words, unit, _ in (_MOTIONS if turns else _POSITIONS)[BALL]]
     return [("", _unit_of_control(model, actuator, length))]
 
 
@@ -167,10 +134,10 @@ def _unit_of_control(model: Any, actuator: int, length: str) -> str:
     if not (length and follows and model.actuator_gaintype[actuator] == _FIXED):
         return ""
     if model.actuator_biastype[actuator] == _NO_BIAS:
-        return _FORCES[length] if gain[0] == 1.0 else ""
+        return _derived("frc", length) if gain[0] == 1.0 else ""
     if bias[0] == 0.0 and bias[1] == -gain[0]:
         return length
-    return f"{length}/s" if not bias[:2].any() and bias[2] == -gain[0] else ""
+    return _derived("vel", length) if not bias[:2].any() and bias[2] == -gain[0] else ""
 
 
 def _joint_unit(model: Any, joint: int) -> str:
@@ -215,8 +182,8 @@ def sensor_text(model: Any, sensor: int) -> str:
 
 def _of_sensor(model: Any, sensor: int) -> list[str]:
     kind = _kind_of(model, sensor)
-    size, unit = int(model.sensor_dim[sensor]), _SENSORS.get(kind, "")
+    size, unit = int(model.sensor_dim[sensor]), str(_TABLES["sensors"].get(kind, ""))
     if moved := _OF_MOVED.fullmatch(kind):
         length = _MOVED[moved[1]](model, int(model.sensor_objid[sensor]))
-        unit = _DERIVED[moved[2]](length)
+        unit = _derived(moved[2], length)
     return [unit if kind != "rangefinder" or size == 1 else ""] * size

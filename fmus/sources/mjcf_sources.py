@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from itertools import chain, count, groupby
-from typing import Any, Final
+from itertools import chain, count, groupby, product
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -31,12 +31,13 @@ OBJECTS: Final = {
     "sensor": "sensor_type", "actuator": "actuator_trntype", "equality": "eq_type",
     "tendon": "tendon_num", "key": "key_time",
 }  # fmt: skip
-# Properties of an object that may be changed, as MuJoCo's Python names them. MuJoCo derives nothing
+# Properties of objects that may be changed, as MuJoCo's Python names them. MuJoCo derives nothing
 # from them while it compiles.
-CHANGEABLE: Final = {
-    "joint": ("damping", "armature", "frictionloss"), "geom": ("friction",),
-    "actuator": ("gain", "bias"), "equality": ("solref", "solimp", "data"),
-}  # fmt: skip
+CHANGEABLE: Final = (
+    ("joint", "damping"), ("joint", "armature"), ("joint", "frictionloss"), ("geom", "friction"),
+    ("actuator", "gain"), ("actuator", "bias"),
+    ("equality", "solref"), ("equality", "solimp"), ("equality", "data"),
+)  # fmt: skip
 FIRST_OF: Final = {"gain": ("gainprm", 1), "bias": ("biasprm", 3)}  # by length and by velocity, too
 # Computed by the acceleration stage: these belong to the last step, not to the new instant.
 HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")
@@ -54,6 +55,8 @@ SPECIAL: Final = ("force", "torque", "mocap_pos", "mocap_quat", "active", "jacob
 CONTACTS: Final = {"contact_sensors": "sensor", "contact_bodies": "body",
                    "unwanted_contacts": "body", "support_contacts": "body"}  # fmt: skip
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
+# Sources whose further words name objects, or say how a block starts.
+LISTING: Final = ("mass_matrix", "jacobian", "free_xy", "free_yaw", *CONTACTS, *SCALED)
 
 Units = tuple[str, ...]
 _TEXTS: Final = {  # descriptions of sources whose own words say too little
@@ -67,6 +70,15 @@ _POSES: Final = {
 }
 _SHOWN = 30  # names of a model in a message
 _LISTED = "`panda-cosim mjcf2fmu --help` lists the sources"
+
+
+class Words(NamedTuple):
+    """The words of a source, such as `body hand jacobian joint1`."""
+
+    kind: str  # of the object; "": of the whole model
+    i: int  # its id
+    what: str
+    more: Sequence[str] = ()
 
 
 class Sources:
@@ -90,26 +102,41 @@ class Sources:
         row = self._found(causality, words)
         if row is None:
             refuse("source", source, self._hint(causality, words))
-        text = _TEXTS.get(source, source)
-        if words[0] == "sensor":
-            text = sensor_text(self.model, self.find_id(*words))
-        elif words[0] in OBJECTS:
-            owner = called(getattr(self.model, words[0])(self.find_id(*words[:2])), words[0])
-            text = _POSES.get(words[2], f"{{}} {' '.join(words[2:])}").format(owner)
-        row = replace(row, causality=causality, description=text)
+        row = replace(row, causality=causality, description=self._text(source, words))
         if causality in ("output", "local"):
             return replace(row, start=None, minimum=None, maximum=None)
         return replace(row, variability="fixed") if causality == "parameter" else row
 
+    def _text(self, source: str, words: Sequence[str]) -> str:
+        """What a source is, for people."""
+        kind = words[0]
+        if kind not in OBJECTS:
+            return _TEXTS.get(source, source)
+        i = self.find_id(*words[:2])
+        if kind == "sensor":
+            return sensor_text(self.model, i)
+        form = _POSES.get(words[2], f"{{}} {' '.join(words[2:])}")
+        return form.format(called(getattr(self.model, kind)(i), kind))
+
     def _found(self, causality: Causality, words: Sequence[str]) -> Variable | None:
         match words:
-            case [kind, name, *rest] if kind in OBJECTS:
-                return self._of_object(causality, kind, self.find_id(kind, name), *rest)
             case [kind, field, first, count] if kind in RAW.get(causality, ()):
                 return self._raw(kind, field, first, count)
-            case [name, *rest] if name not in OBJECTS:
-                return self._of_model(causality, name, *rest)
+            case [kind, name, *rest] if kind in OBJECTS:
+                what, *more = rest or [""]
+                return self._of(causality, Words(kind, self.find_id(kind, name), what, more))
+            case [what, *more] if what not in OBJECTS:
+                return self._of(causality, Words("", -1, what, more))
         return None
+
+    def _of(self, causality: Causality, words: Words) -> Variable | None:
+        """A source of an object or of the whole model; as an output, whatever MuJoCo has."""
+        find = _RULES.get((causality, words.kind, words.what))
+        if words.more and (find is None or words.what not in LISTING):
+            return None
+        if find is None and causality == "output":
+            find = Sources._whole
+        return find and find(self, words)
 
     def _is_valid(self, causality: Causality, words: Sequence[str]) -> bool:
         try:
@@ -135,81 +162,13 @@ class Sources:
                 return f"valid: {causality} {kind} NAME {' | '.join(valid) or '...'}{near}"
         return f"no such {causality} of a MuJoCo model; {_LISTED}"
 
-    def _of_model(self, causality: Causality, name: str, *names: str) -> Variable | None:
-        row: Variable | None = None
-        match causality, name, *names:
-            case "input", "motors":  # actuators that are not motors ignore their torques
-                row = _values("motors 0", np.zeros(self.model.nu), "N.m", is_vector=True)
-            case "input", "ctrl":
-                row = self._limited(self._elements("data", name))
-            case "input", _ if name in INPUT_FIELDS:
-                row = self._elements("data", name)
-            case "output", "mass_matrix", *joints:
-                dofs = self._dofs(joints)
-                row = _matrix(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
-            case "output", _, *_ if name in CONTACTS:
-                row = _values(_join(name, *self._ids(CONTACTS[name], names)), [0.0], "N")
-            case "output", _:
-                row = self._elements("held" if name in HELD else "data", name)
-            case "local", "warnings":
-                row = COUNTED
-            case "parameter", "scene":
-                row = _values(name, [1.0], "")
-            case "parameter", "keyframe":
-                keys = (self.model.key(i).name or f"key_{i + 1}" for i in range(self.model.nkey))
-                choices = ("qpos0", *keys)
-                row = replace(_values(name, [1.0], ""), start=choices[self.key + 1],
-                               kind="Enumeration", choices=choices)  # fmt: skip
-            case "parameter", _ if name in OPTIONS:
-                row = self._elements("model", name)
-            case "parameter", "qpos" | "qvel":
-                row = _at_start(self._elements("data", name))
-            case "parameter", _, *_ if name in SCALED:
-                ids = self._ids(SCALED[name], names)
-                scales = _values(_join(name, *ids), np.ones(len(ids)), "1", is_vector=True)
-                row = replace(scales, minimum=(0.0,) * len(ids))
-        return row
-
-    def _of_object(
-        self, causality: Causality, kind: str, i: int, what: str = "", *more: str
-    ) -> Variable | None:
-        row: Variable | None = None
-        match causality, kind, what, *more:
-            case "output", "body" | "geom" | "site", "jacobian", *joints:
-                row = self._jacobian(kind, i, joints)
-            case "output", "sensor", "":
-                late = int(self.model.sensor_needstage[i]) == int(mujoco.mjtStage.mjSTAGE_ACC)
-                row = self._property("held" if late else "data", kind, i, "data")
-            case "output", _, _:
-                row = self._property("data", kind, i, what)
-            case "input", "actuator", "ctrl":
-                row = self._property("data", kind, i, what)
-                row = row and self._limited(row)
-            case "input", "equality", "active":
-                is_active = bool(self.data.eq_active[i])
-                row = Variable("", (), "", "input", "discrete", "", is_active, kind="Boolean",
-                               source=f"eq_active {i}")  # fmt: skip
-            case "input", "body", "force" | "torque":
-                row = self._elements("data", "xfrc_applied", 6 * i + 3 * (what == "torque"), 3)
-            case "input", "body", "mocap_pos" | "mocap_quat" if self.model.body_mocapid[i] >= 0:
-                width = 3 if what == "mocap_pos" else 4
-                row = self._elements("data", what, width * self.model.body_mocapid[i], width)
-            case "parameter", "body", "free_xy" | "free_yaw", *flags:
-                row = self._free(i, what, flags)
-            case "parameter", "body", "mass":
-                mass = self._elements("model", "body_mass", i, 1)
-                row = replace(mass, source=f"body_mass {i}", minimum=(1e-12,))
-            case "parameter", "body", "added_mass":
-                mass = self._elements("added", "body_mass", i, 1)
-                row = replace(mass, start=(0.0,), minimum=(0.0,))
-            case "parameter", "joint", "qpos" | "qvel":
-                row = self._property("data", kind, i, what)
-                row = row and _at_start(row)
-            case "parameter", _, _ if what in CHANGEABLE.get(kind, ()):
-                row = self._property("model", kind, i, *FIRST_OF.get(what, (what,)))
-        return row
-
     # Elements of fields.
+
+    def _whole(self, words: Words) -> Variable | None:
+        """A field of mjData, or what an object has of one."""
+        if words.kind:
+            return self._property("data", words.kind, words.i, words.what)
+        return self._elements("held" if words.what in HELD else "data", words.what)
 
     def _elements(
         self, kind: str, field: str, first: int = 0, count: int | None = None
@@ -261,8 +220,11 @@ class Sources:
         row = self._elements(kind, field, int(first), int(count))
         return replace(row, start=(0.0,) * row.size) if kind == "added" else row
 
-    def _limited(self, ctrl: Variable) -> Variable:
+    def _limited(self, words: Words) -> Variable | None:
         """Controls within their ranges, to which MuJoCo clamps them."""
+        ctrl = self._whole(words)
+        if ctrl is None:
+            return None
         first = int(ctrl.source.split()[2])
         controls = slice(first, first + ctrl.size)
         is_clamped = not self.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
@@ -271,16 +233,67 @@ class Sources:
         start = tuple(np.clip(np.asarray(ctrl.start), low, high).tolist())
         return replace(ctrl, start=start, minimum=tuple(low.tolist()), maximum=tuple(high.tolist()))
 
-    # What is computed of objects.
+    def _at_start(self, words: Words) -> Variable | None:
+        """Positions or velocities of the start, instead of those of an instant."""
+        row = self._whole(words)
+        return row and replace(row, source=row.source.removeprefix("data "), details=(), parts=())
 
-    def _free(self, body: int, what: str, flags: Sequence[str]) -> Variable:
-        joint = int(self.model.body_jntadr[body])
+    def _changed(self, words: Words) -> Variable | None:
+        return self._property(
+            "model", words.kind, words.i, *FIRST_OF.get(words.what, (words.what,))
+        )
+
+    # What is computed of the model or of objects.
+
+    def _keyframe(self, words: Words) -> Variable:
+        keys = (self.model.key(i).name or f"key_{i + 1}" for i in range(self.model.nkey))
+        choices = ("qpos0", *keys)
+        return replace(_values(words.what, [1.0], ""), start=choices[self.key + 1],
+                       kind="Enumeration", choices=choices)  # fmt: skip
+
+    def _mass_matrix(self, words: Words) -> Variable:
+        dofs = self._dofs(words.more)
+        return _matrix(_join(words.what, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
+
+    def _contacts(self, words: Words) -> Variable:
+        return _values(_join(words.what, *self._ids(CONTACTS[words.what], words.more)), [0.0], "N")
+
+    def _scales(self, words: Words) -> Variable:
+        ids = self._ids(SCALED[words.what], words.more)
+        scales = _values(_join(words.what, *ids), np.ones(len(ids)), "1", is_vector=True)
+        return replace(scales, minimum=(0.0,) * len(ids))
+
+    def _sensor(self, words: Words) -> Variable | None:
+        late = int(self.model.sensor_needstage[words.i]) == int(mujoco.mjtStage.mjSTAGE_ACC)
+        return self._property("held" if late else "data", words.kind, words.i, "data")
+
+    def _active(self, words: Words) -> Variable:
+        return Variable("", (), "", "input", "discrete", "", bool(self.data.eq_active[words.i]),
+                        kind="Boolean", source=f"eq_active {words.i}")  # fmt: skip
+
+    def _push(self, words: Words) -> Variable:
+        return self._elements("data", "xfrc_applied", 6 * words.i + 3 * (words.what == "torque"), 3)
+
+    def _mocap(self, words: Words) -> Variable | None:
+        mocap, width = int(self.model.body_mocapid[words.i]), 3 if words.what == "mocap_pos" else 4
+        return self._elements("data", words.what, width * mocap, width) if mocap >= 0 else None
+
+    def _mass(self, words: Words) -> Variable:
+        mass = self._elements("model", "body_mass", words.i, 1)
+        return replace(mass, source=f"body_mass {words.i}", minimum=(1e-12,))
+
+    def _added_mass(self, words: Words) -> Variable:
+        mass = self._elements("added", "body_mass", words.i, 1)
+        return replace(mass, start=(0.0,), minimum=(0.0,))
+
+    def _free(self, words: Words) -> Variable:
+        joint = int(self.model.body_jntadr[words.i])
         if joint < 0 or int(self.model.jnt_type[joint]) != FREE:
-            raise InputError(f"body {self.model.body(body).name!r}: has no free joint")
-        if what == "free_yaw":
-            return _values(f"free_yaw {body}", [0.0], "rad")
-        words = _join(what, body, *self._start_rule(flags))
-        return _values(words, self.data.joint(joint).qpos[:2], "m")
+            raise InputError(f"body {self.model.body(words.i).name!r}: has no free joint")
+        if words.what == "free_yaw":
+            return _values(f"free_yaw {words.i}", [0.0], "rad")
+        source = _join(words.what, words.i, *self._start_rule(words.more))
+        return _values(source, self.data.joint(joint).qpos[:2], "m")
 
     def _start_rule(self, flags: Sequence[str]) -> list[object]:
         """`[clear] [stand [GEOM...]]`, with the geoms' ids."""
@@ -291,12 +304,12 @@ class Sources:
                 return [*flags]
         raise InputError(f"start rule {' '.join(flags)!r}; valid: [clear] [stand [GEOM...]]")
 
-    def _jacobian(self, kind: str, i: int, joints: Sequence[str]) -> Variable:
-        dofs, by_dof = self._dofs(joints), dof_units(self.model)
+    def _jacobian(self, words: Words) -> Variable:
+        dofs, by_dof = self._dofs(words.more), dof_units(self.model)
         linear = ["m/rad" if by_dof[dof] == "rad" else "1" for dof in dofs]
         angular = ["1" if by_dof[dof] == "rad" else "rad/m" for dof in dofs]
         units = (*linear * 3, *angular * 3)
-        return _matrix(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
+        return _matrix(_join("jac", words.kind, words.i, *dofs), (6, len(dofs)), units)
 
     def _dofs(self, joints: Sequence[str]) -> list[int]:
         """Degrees of freedom of the named joints; of all joints if none is named."""
@@ -334,6 +347,34 @@ class Sources:
         return [name for i in ids if (name := getattr(self.model, kind)(i).name)]
 
 
+# By causality, kind of object ("": the whole model) and word.
+_RULES: Final[Mapping[tuple[Causality, str, str], Callable[[Sources, Words], Variable | None]]] = {
+    # Actuators that are not motors ignore their torques.
+    ("input", "", "motors"): lambda s, _: _values(
+        "motors 0", np.zeros(s.model.nu), "N.m", is_vector=True
+    ),
+    **{("input", "", field): Sources._whole for field in INPUT_FIELDS},
+    **{("input", kind, "ctrl"): Sources._limited for kind in ("", "actuator")},
+    ("input", "equality", "active"): Sources._active,
+    **{("input", "body", what): Sources._push for what in ("force", "torque")},
+    **{("input", "body", what): Sources._mocap for what in ("mocap_pos", "mocap_quat")},
+    ("output", "", "mass_matrix"): Sources._mass_matrix,
+    **{("output", "", contacts): Sources._contacts for contacts in CONTACTS},
+    **{("output", kind, "jacobian"): Sources._jacobian for kind in ("body", "geom", "site")},
+    ("output", "sensor", ""): Sources._sensor,
+    ("local", "", "warnings"): lambda *_: COUNTED,
+    ("parameter", "", "scene"): lambda _, words: _values(words.what, [1.0], ""),
+    ("parameter", "", "keyframe"): Sources._keyframe,
+    **{("parameter", "", n): lambda s, words: s._elements("model", words.what) for n in OPTIONS},
+    **{("parameter", *at): Sources._at_start for at in product(("", "joint"), ("qpos", "qvel"))},
+    **{("parameter", "", scaled): Sources._scales for scaled in SCALED},
+    **{("parameter", "body", what): Sources._free for what in ("free_xy", "free_yaw")},
+    ("parameter", "body", "mass"): Sources._mass,
+    ("parameter", "body", "added_mass"): Sources._added_mass,
+    **{("parameter", *place): Sources._changed for place in CHANGEABLE},
+}
+
+
 def words_of(source: str) -> list[str]:
     """Split a source into words; a name with spaces stands in quotes."""
     try:
@@ -342,11 +383,6 @@ def words_of(source: str) -> list[str]:
         raise InputError(
             f"source {source!r}: a quotation mark or a character is missing"
         ) from error
-
-
-def _at_start(row: Variable) -> Variable:
-    """Positions or velocities of the start, instead of those of an instant."""
-    return replace(row, source=row.source.removeprefix("data "), details=(), parts=())
 
 
 def _parts(whole: Sequence[Element]) -> tuple[Part, ...]:

@@ -5,6 +5,7 @@ import re
 import shutil
 import threading
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ import fmpy
 import mujoco
 import pytest
 from fmpy.validation import validate_fmu
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from lxml import etree
 from typer.testing import CliRunner
 
@@ -20,15 +23,19 @@ from panda_cosim.cli.app import app
 from panda_cosim.fmus.build import identity
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.master.fmu_file import Fmu, library_of
-from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu
+from panda_cosim.fmus.sources.mjcf_sources import CONTACTS, HELD, OBJECTS, SPECIAL, Sources
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, load, model_fmu
 from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.plant.mujoco_warnings import taken_warnings
 from refusals import refused
 
+FILE = Path(__file__).parents[1] / "mjcf" / "box.xml"
+BOX = load(FILE)
+
 
 @pytest.fixture
 def box(tmp_path):
-    return Path(shutil.copy(Path(__file__).parents[1] / "mjcf" / "box.xml", tmp_path))
+    return Path(shutil.copy(FILE, tmp_path))
 
 
 def write(model: Path, out: Path, options: ModelOptions, fmi: int = 2) -> Path:
@@ -97,6 +104,22 @@ def test_suggestions_of_the_interface_are_valid(box, tmp_path):
     made = write(box, tmp_path / "all.fmu", ModelOptions(interface=file), 3)
     assert validate_fmu(str(made)) == []
     assert "tip_xmat[9]" in Fmu(made).variables
+
+
+WORDS = st.lists(st.sampled_from([
+    *OBJECTS, *CONTACTS, *SPECIAL, *HELD, "#1", "box", "turn", "data", "xpos", "qpos", "ctrl", "0",
+]), min_size=1, max_size=5)  # fmt: skip
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(["input", "output", "parameter", "local"]), WORDS)
+@example("output", ["sensor", "#1", "data"])
+def test_any_source_is_found_and_described_or_refused(causality, words):
+    with suppress(InputError):
+        row = Sources(BOX).find(causality, " ".join(words))
+        assert row.source
+        assert row.description
+        assert row.causality == causality
 
 
 BAD_INTERFACES = {
