@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 import resource
 import sys
 import threading
@@ -14,12 +15,14 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.io import loadmat
 
 from bounded import ran
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.result.recording import Column, MemoryRecorder, Recorder, Recording, storage
 from panda_cosim.result.recording import recorder as recorder_module
 from panda_cosim.task.rotations import Array
+from refusals import refused
 
 COLUMNS = (
     Column("time", "s", "instant"),
@@ -179,6 +182,31 @@ def test_the_csv_quotes_only_names_with_a_comma(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         Recording.open(tmp_path).to_csv(tmp_path / "all.csv" / "below_a_file.csv")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.csv", "recording.parquet"]
+
+
+def test_a_mat_file_has_each_signal_with_its_unit_under_a_name_that_matlab_takes(tmp_path):
+    long = "m." + 70 * "q"
+    names = ["time", "plant.q[1]", "plant.q[2]", "m.ä b", "m.ä_b", "1.x", long + "a", long + "b"]
+    columns = [
+        Column(name, "rad" if name == "plant.q[1]" else "m", f"about {name}") for name in names
+    ]
+    recorder = MemoryRecorder(tmp_path, [*columns, Column("m.text", type="string")], {})
+    rows = np.array(
+        [[i + 0.1 * j for j in range(len(names))] + [f"t{i}"] for i in range(3)], object
+    )
+    recorder.append(rows)
+    recorder.close(complete=True)
+    recorder.recording().to_mat(tmp_path / "all.mat")
+    read = loadmat(tmp_path / "all.mat")
+    listed = [[str(cell[0]) if cell.size else "" for cell in row] for row in read.pop("signals")]
+    assert [row[1] for row in listed] == [*recorder.recording()]
+    assert listed[1] == ["plant_q", "plant.q", "rad, m", "about plant.q[1]"]
+    for name, signal, *_ in listed[:-1]:
+        assert re.fullmatch(r"[A-Za-z]\w{,62}", name, re.A)
+        assert np.array_equal(read[name], recorder.recording()[signal].reshape(3, -1))
+    assert [cell[0][0] for cell in read["m_text"]] == ["t0", "t1", "t2"]
+    assert "must end in .mat" in refused(recorder.recording().to_mat, tmp_path / "all.csv")
+    assert "already exists" in refused(recorder.recording().to_mat, tmp_path / "all.mat")
 
 
 def test_rows_are_on_disk_after_half_a_second(tmp_path, monkeypatch):

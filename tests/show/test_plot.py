@@ -1,16 +1,23 @@
 """The page of curves of a run."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from PIL import Image
 
 from fake_recording import FakeRecording
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
+from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.pictures.panels import DPI, ROWS_DRAWN
-from panda_cosim.show.pictures.plot import SIZE, VERDICTS, draw_run, plot_recording
+from panda_cosim.show.pictures.plot import SIZE, VERDICTS, draw, draw_run, draw_signals, save
 from panda_cosim.show.thinning import drawn_rows
+from refusals import refused
 
 PEAK = 0.0125  # [m] error of one row of the made-up run
 
@@ -66,7 +73,8 @@ def test_each_hold_of_the_block_is_shaded_and_closed_fingers_alone_are_not():
 
 
 def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path):
-    path = plot_recording(made_up_run(), tmp_path / "new" / "plot.png")
+    path = tmp_path / "new" / "plot.png"
+    save(draw([made_up_run()]), path)
     with Image.open(path) as page:
         assert page.format == "PNG"
         assert page.size == tuple(round(side * DPI) for side in SIZE)
@@ -116,7 +124,7 @@ def test_the_page_has_the_purpose_and_the_verdict():
 def test_a_run_that_broke_off_at_once_is_drawn_and_marked(tmp_path, rows):
     run = made_up_run(rows)
     run.metadata = {"complete": False, "reason": "diverged"}
-    assert plot_recording(run, tmp_path / "plot.png").stat().st_size > 10_000
+    assert len(draw([run])._repr_png_()) > 10_000
     assert any("incomplete: diverged" in text for text in texts(run))
 
 
@@ -135,12 +143,120 @@ def test_a_long_run_is_thinned_and_keeps_its_peaks():
 def test_a_dollar_in_a_name_is_text_and_no_formula(tmp_path, name):
     run = made_up_run(2)
     run.metadata = {"scenario": name, "complete": False, "reason": name}
-    assert plot_recording(run, tmp_path / "plot.png").stat().st_size > 10_000
+    assert len(draw([run])._repr_png_()) > 10_000
     assert name in texts(run)
 
 
-def test_a_signal_of_another_shape_is_refused(tmp_path):
+def test_a_signal_of_another_shape_is_refused():
     run = made_up_run(3)
     run.signals["plant.qvel"] = run.signals["plant.qvel"][:, :7]
     with pytest.raises(InputError, match=r"plant.qvel: shape \(7,\) per row; must be \(15,\)"):
-        plot_recording(run, tmp_path / "plot.png")
+        draw([run])
+
+
+# Figures of chosen signals.
+
+
+def pendulum(name: str = "swing", scale: float = 1.0) -> FakeRecording:
+    """Return a run of a model of one's own: two joints, a body, and a signal of noise."""
+    time = np.arange(501) * 0.001
+    qpos = np.column_stack((scale * np.sin(time), np.cos(time), time, 1e-21 * time))
+    units = ["rad", "rad", "m", "m"]
+    run = FakeRecording(time, {"plant.qpos": qpos, "plant.noise": 1e-21 * time}, {"scenario": name})
+    run.units = dict(zip(run.columns, [*units, "N"], strict=True))
+    run.addresses = {"plant.shoulder.pos": "plant.qpos[1]", "plant.elbow.pos": "plant.qpos[2]"}
+    run.path = Path("runs", name, "recording.parquet")
+    return run
+
+
+def legend_of(axes: Axes) -> list[str]:
+    """Return the names of a panel's curves."""
+    legend = axes.get_legend()
+    return [text.get_text() for text in legend.get_texts()] if legend else [""]
+
+
+def panels(figure: Figure) -> dict[str, dict[str, np.ndarray]]:
+    """Return the drawn values by the panels' titles and units, and the curves' labels."""
+    return {
+        f"{axes.get_title(loc='left')} {axes.get_ylabel()}": {
+            name: line.get_ydata() for name, line in zip(legend_of(axes), axes.lines, strict=False)
+        }
+        for axes in figure.axes
+        if axes.get_visible()
+    }
+
+
+def test_a_figure_has_the_chosen_signals_with_their_units_and_names():
+    run = pendulum()
+    qpos = run["plant.qpos"]
+    figure = draw([run], signals="plant.qpos, plant.elbow.pos, plant.qpos[1] - plant.qpos[2]")
+    drawn = panels(figure)
+    assert [*drawn] == ["plant.qpos [rad]", "plant.qpos [m]", "plant.elbow.pos [rad]",
+                        "plant.qpos[1] - plant.qpos[2] [rad]"]  # fmt: skip
+    assert np.array_equal(drawn["plant.qpos [rad]"]["shoulder.pos"], qpos[:, 0])
+    assert [*drawn["plant.qpos [m]"]] == ["qpos[3]", "qpos[4]"]
+    (difference,) = drawn["plant.qpos[1] - plant.qpos[2] [rad]"].values()
+    assert np.array_equal(difference, qpos[:, 0] - qpos[:, 1])
+    assert figure.get_size_inches()[0] == pytest.approx(88 / 25.4)
+
+
+def test_tracking_is_the_distance_of_hand_and_command_and_joints_have_their_names():
+    run = made_up_run()
+    run.path, run.units = Path("recording.parquet"), dict.fromkeys(run.columns, "m")
+    plant = INTERFACES["plant"].variable("hand_xpos")
+    run.descriptions = {f"plant.hand_xpos[{i}]": plant.description for i in (1, 2, 3)}
+    drawn = panels(draw([run], signals="tracking, plant.hand_xpos", width="100mm"))
+    (error,) = drawn["tracking [m]"].values()
+    away = run["plant.hand_xpos"] - run["controller.pos_cmd"]
+    assert error == pytest.approx(np.sqrt((away**2).sum(axis=1)))
+    assert error.max() == pytest.approx(PEAK)
+    assert [*drawn["plant.hand_xpos [m]"]] == ["x", "y", "z"]
+
+
+def test_runs_are_overlaid_and_told_apart():
+    runs = [pendulum("slow"), pendulum("fast", scale=2.0)]
+    figure = draw(runs, signals="plant.shoulder.pos")
+    lines = [line for line in figure.axes[0].lines if len(line.get_ydata())]
+    assert [line.get_ydata().max() for line in lines] == [r["plant.qpos[1]"].max() for r in runs]
+    assert len({line.get_color() for line in lines}) == 2
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["slow", "fast"]
+    both = draw(runs, signals="plant.qpos").axes[0].lines  # colours are those of the joints here
+    assert len({line.get_color() for line in both if len(line.get_ydata())}) == 2
+
+
+@pytest.mark.parametrize("suffix", ["pdf", "svg", "png"])
+def test_a_figure_is_the_same_file_each_time_with_its_font_and_may_be_replaced(tmp_path, suffix):
+    paths = [tmp_path / f"{name}.{suffix}" for name in "ab"]
+    for path in paths:
+        save(draw([pendulum()], signals="plant.qpos"), path)
+        check_replaceable(path, overwrite=False)
+    content = paths[0].read_bytes()
+    assert content == paths[1].read_bytes()
+    assert suffix != "pdf" or b"/FontFile2" in content
+    assert suffix != "svg" or b"<text" not in content  # letters are outlines
+
+
+@pytest.mark.parametrize(
+    ("signals", "width", "words"),
+    [
+        ("plant.qpso", None, "did you mean 'plant.qpos'"),
+        ("plant.qpos - plant.noise", None, "plant.qpos has 4 and plant.noise has 1 elements"),
+        ("plant.qpos", "3 km", "must be a number from 30 to 1000 mm"),
+        ("plant.qpos", "nan", "must be a number from 30 to 1000 mm"),
+        ("", "88mm", "--signals: is missing"),
+        ("plant.qpos,", None, "--signals: value ''"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(signals, width, words):
+    assert words in refused(draw, [pendulum()], None, signals, width)
+
+
+def test_the_page_of_a_model_of_ones_own_has_names_and_verdict_and_no_noise():
+    criterion = {"name": "peak", "value": 1.0, "bound": 2.0, "unit": "rad"}
+    figure = draw_signals(pendulum(), Summary.read({"criteria": [criterion]}))
+    drawn = panels(figure)
+    assert [*drawn] == ["plant.qpos [rad]", "plant.qpos [m]"]
+    assert [*drawn["plant.qpos [rad]"]] == ["shoulder.pos", "elbow.pos"]
+    assert any(text.get_text().startswith("Success: 1 of 1") for text in figure.texts)
+    assert figure.get_suptitle().startswith("swing")
+    assert figure.get_supxlabel() == "signals that stay at 0: 1"

@@ -204,7 +204,7 @@ def test_a_notebook_shows_a_run_and_its_plot(tmp_path):
         "(run.folder / 'contact_sheet.png').touch()\n"
         "assert 'data:image/png;base64,' in run._repr_html_()\n"
         "assert run.plot()._repr_png_().startswith(b'\\x89PNG')\n"
-        "assert open(run.plot(), 'rb').read(4) == b'\\x89PNG'\n"
+        "assert open(run.folder / 'plot.png', 'rb').read(4) == b'\\x89PNG'\n"
     )
     done = run_process([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -27,7 +27,7 @@ from ..result.judging.verdict import Verdict
 from ..result.judging.verdicts import FAILED
 from ..result.recording import Recording
 from ..run.folder import claimed_folder
-from ..run.result import VIDEO_FILE, Run
+from ..run.result import PLOT_FILE, VIDEO_FILE, Run
 from ..show.pictures.gl import RenderError
 from ..show.pictures.motion import position_columns
 from ..task.scenario import Scenario
@@ -171,7 +171,8 @@ def _draw(done: Run, output: Output) -> Iterator[Path]:
     with _drawing(done):
         if output.video if output.plot is None else output.plot:
             tell(PLOTTING)
-            yield done.plot().path
+            done.plot()
+            yield done.folder / PLOT_FILE
         if output.video and _is_drawable(done):
             tell(TILING)
             yield done.sheet().path

@@ -16,10 +16,12 @@ from ..result.judging.verdicts import STOPPED
 from ..result.recording import Recording
 
 if TYPE_CHECKING:
+    from ..show.pictures.canvas import ShownFigure
     from ..show.view.page import Inline
     from ..show.view.run import Shown
 
 PLOT_FILE: Final = "plot.png"
+FIGURE_FILE: Final = "figure.png"
 SHEET_FILE: Final = "contact_sheet.png"
 VIDEO_FILE: Final = "video.mp4"
 _HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th><th></th></tr>"
@@ -83,16 +85,37 @@ class Run:
         """The recording."""
         return Recording.open(self.folder) if self.in_memory is None else self.in_memory
 
-    def plot(self, path: Path | None = None) -> Picture:
-        """Draw the plot; a notebook shows it.
+    def plot(
+        self,
+        path: Path | str | None = None,
+        *,
+        signals: str = "",
+        against: Sequence[Run] = (),
+        width: str | None = None,
+    ) -> ShownFigure:
+        """Draw the page of curves, or chosen signals; returns the matplotlib figure.
+
+            run.plot("fig.pdf", signals="plant.hand_xpos[3], tracking", against=[other])
 
         Args:
-            path: Where to; None: `plot.png` in the run's folder.
-        """
-        from ..show.pictures.plot import plot_recording  # noqa: PLC0415 - matplotlib takes its time
+            path: File to write, .png, .pdf or .svg; None: the page is written to `plot.png` in the
+                run's folder, and a figure of signals is only returned.
+            signals: Signals in the words of criteria, separated by commas: `plant.qpos[1]`,
+                `a - b`, `|a - b|`, or `tracking`, the distance between hand and command. Each has
+                a panel. "": the page.
+            against: Runs whose signals are drawn over this one's.
+            width: Width of the figure of signals, such as "88mm", which it is by default.
 
-        path = path or self.folder / PLOT_FILE
-        return Picture(plot_recording(self.recording, path, self.summary))
+        Raises:
+            InputError: A signal is not recorded, or a file cannot be written.
+        """
+        from ..show.pictures.plot import draw, save  # noqa: PLC0415 - matplotlib takes its time
+
+        runs = [run.recording for run in (self, *against)]
+        figure = draw(runs, self.summary, signals, width)
+        if path is not None or not signals:
+            save(figure, Path(path or self.folder / PLOT_FILE))
+        return figure
 
     def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
         """Draw the video; a notebook shows it.

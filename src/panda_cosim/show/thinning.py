@@ -21,6 +21,7 @@ ALL_ROWS: Final = 30_001  # 30 s at 1 ms
 POSES: Final = 120_000  # of a longer run
 STRETCHES: Final = 4_000  # of a longer run's curves; each gives two points
 CLOSE: Final = 250  # rows on each side of one that matters, all drawn
+NOISE: Final = 1e-12  # a curve that stays below is rounding noise: it is shown as 0, or left out
 
 
 def drawn_rows(series: Sequence[Array], count: int, around: int | None = None) -> NDArray[np.intp]:

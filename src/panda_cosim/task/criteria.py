@@ -206,7 +206,7 @@ class SignalCriterion:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the recorded signals that it needs."""
-        return (self.signal,) if isinstance(self.signal, str) else self.signal[1]
+        return names_of(self.signal)
 
 
 def check_within(key: str, instant: Instant, start: float, end: float) -> float | None:
@@ -232,6 +232,19 @@ def check_both(criterion: object, *names: str) -> None:
 
 def _instant_text(instant: Instant) -> str:
     return instant if isinstance(instant, str) else f"{instant:g} s"
+
+
+def names_of(signal: Signal) -> tuple[str, ...]:
+    """Return the recorded signals that a signal or an operation is made of."""
+    return (signal,) if isinstance(signal, str) else signal[1]
+
+
+def read_signal(text: str) -> Signal:
+    """Read what `signal_text` writes: a name, `a - b`, `|a|` or `|a - b|`."""
+    is_norm = text.startswith("|") and text.endswith("|")
+    names = tuple(text.strip("|").split(" - "))
+    operation = "norm" if is_norm else "difference"
+    return _signal((operation, names) if is_norm or len(names) > 1 else text)
 
 
 def signal_text(signal: Signal) -> str:

@@ -9,9 +9,9 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import InputError
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
-from ...run.result import PLOT_FILE, SHEET_FILE, VIDEO_FILE
+from ...run.result import FIGURE_FILE, PLOT_FILE, SHEET_FILE, VIDEO_FILE
 from ...show.pictures.motion import position_columns
-from ...show.pictures.plot import plot_recording
+from ...show.pictures.plot import FORMATS, draw, save
 from ...show.pictures.sheet import contact_sheet
 from ...show.pictures.video import check_video
 from ...show.view.mcap import MCAP, write_mcap
@@ -19,6 +19,7 @@ from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...show.view.run import Shown
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
+from ...task.fields import check_choice
 from ..console import show, show_file, tell
 from ..forms import argument, option
 from ..options import MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes
@@ -69,28 +70,39 @@ def command(  # noqa: PLR0913 - one for each option
 
 
 def plot(
-    run: Path = RUN,
-    out: Path | None = option("--out -o FILE.png|DIR"),
+    runs: list[Path] = argument("RUN [RUN]..."),
+    signals: str = option("--signals LIST", ""),
+    width: str | None = option("--width 88mm"),
+    out: Path | None = option("--out -o FILE|DIR"),
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Plot a run's signals on one page.
+    """Plot a run's signals on one page, or chosen ones of some runs.
 
-    The page is plot.png, drawn from the recording.
+    The page is plot.png. A figure of chosen signals overlays the runs, with their units; fonts are
+    embedded. Both are drawn from the recording.
 
     ```
     panda-cosim plot runs/first
+    panda-cosim plot runs/a runs/b --signals 'plant.hand_xpos[3], tracking' --out fig.pdf
     ```
 
     Args:
-        out: File, or folder of plot.png. Default: the run's folder.
+        runs: Folders of runs, or their recordings.
+        signals: Signals to draw, separated by commas, in the words of criteria: plant.hand_xpos[3],
+            a - b, |a - b|, or tracking, the distance between hand and command. Each has a panel.
+        width: Of a figure of signals, in mm. Default: 88mm.
+        out: File (.png, .pdf or .svg), or folder of plot.png; of signals, of figure.png. Default:
+            the folder of the first run.
     """
-    recording = Recording.open(run, in_order=True)
-    path = out if out is not None else recording.path.parent
-    if path.suffix.lower() != ".png" or path.is_dir():
-        path /= PLOT_FILE
+    recordings = [Recording.open(run, in_order=True) for run in runs]
+    path = out if out is not None else recordings[0].path.parent
+    if path.is_dir() or not path.suffix:
+        path /= FIGURE_FILE if signals else PLOT_FILE
+    check_choice("--out: format", path.suffix.lower(), FORMATS)
     check_replaceable(path, overwrite=overwrite)
     tell(PLOTTING)
-    show(str(plot_recording(recording, path, Summary.of(recording))))
+    save(draw(recordings, Summary.of(recordings[0]), signals, width), path)
+    show(str(path))
 
 
 def view(  # noqa: PLR0913 - one for each option
@@ -142,20 +154,23 @@ def export(
     rate: float = option("--rate HZ", 100.0, min=1e-3, max=1e6),
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Write a recording as CSV, or as MCAP for Foxglove and rerun.
+    """Write a recording as CSV, for MATLAB, or as MCAP for Foxglove and rerun.
 
     CSV: one column per signal and one row per tick, in full precision (RFC 4180).
+
+    MAT: one variable per signal, such as plant_qpos with a row per tick, for MATLAB and Octave.
 
     MCAP: joint states, the poses of all bodies, their shapes, the signals of each FMU, events and
     the verdict, as Foxglove's messages. It needs the extra `logs`.
 
     ```
     panda-cosim export runs/first first.csv
+    panda-cosim export runs/first first.mat
     panda-cosim export runs/first first.mcap --rate 250
     ```
 
     Args:
-        file: The file to write: .csv or .mcap.
+        file: The file to write: .csv, .mat or .mcap.
         rate: Of .mcap: messages a second.
     """
     recording = Recording.open(run, in_order=True)
@@ -163,5 +178,6 @@ def export(
         number = write_mcap(recording, file, rate, overwrite=overwrite)
         show(f"{file}: {number} instants")
         return
-    recording.to_csv(file, overwrite=overwrite)
+    write = recording.to_mat if file.suffix.lower() == ".mat" else recording.to_csv
+    write(file, overwrite=overwrite)
     show(f"{file}: {recording.rows} rows, {len(recording.columns)} columns")

@@ -22,7 +22,9 @@ from ...task.criteria import (
     BodyCriterion,
     Direction,
     Instant,
+    Signal,
     SignalCriterion,
+    names_of,
     split_instant,
 )
 from ..recording import Recording, by_rows
@@ -47,7 +49,7 @@ def judge_signals(
         unit, reason, length = "", None, 0.0
         values: list[float] = []
         try:
-            unit = unit_of(criterion, shapes_of(recording.columns), units)
+            unit = unit_of(criterion.signal, shapes_of(recording.columns), units)
             unit = "s" if criterion.reduce in TIMES else unit
             values, length = _measure(criterion, recording, events)
         except ValueError as error:
@@ -70,7 +72,7 @@ def _measure(
     rows = (time >= start - _slack(time)) & (time <= stop + _slack(time))
     if not rows.any():
         raise ValueError(f"no samples from {start:g} to {stop:g} s")
-    signal = by_rows(recording, partial(_evaluate, criterion), *criterion.names)
+    signal = by_rows(recording, partial(evaluate, criterion.signal), *criterion.names)
     if not np.isfinite(signal)[rows].all():
         raise ValueError("is not finite")
     within = time[rows]
@@ -151,30 +153,30 @@ def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str])
     shapes = shapes_of(tuple(units))
     for index, criterion in enumerate(criteria, 1):
         try:
-            unit_of(criterion, shapes, units)
+            unit_of(criterion.signal, shapes, units)
         except ValueError as error:
             raise InputError(f"[[success.signal]] {index}: signal: {error}") from None
 
 
-def unit_of(
-    criterion: SignalCriterion, shapes: Mapping[str, tuple[int, ...]], units: Mapping[str, str]
-) -> str:
-    """Return the unit of a criterion's signal."""
-    columns = [_columns(name, shapes, units) for name in criterion.names]
+def unit_of(signal: Signal, shapes: Mapping[str, tuple[int, ...]], units: Mapping[str, str]) -> str:
+    """Return the unit of a signal; raises ValueError if it is not recorded, or has no one unit."""
+    names = names_of(signal)
+    columns = [columns_of(name, shapes, units) for name in names]
     kinds = {units[column] for parts in columns for column in parts}
     if len({*map(len, columns)}) > 1:
-        sizes = zip(criterion.names, map(len, columns), strict=True)
+        sizes = zip(names, map(len, columns), strict=True)
         text = " and ".join(f"{name} has {size}" for name, size in sizes)
         raise ValueError(f"{text} elements; must have the same number")
     if len(kinds) > 1:
         shown = ", ".join(sorted(kinds))
-        raise ValueError(f"{' and '.join(criterion.names)}: units {shown}; must have the same unit")
+        raise ValueError(f"{' and '.join(names)}: units {shown}; must have the same unit")
     return kinds.pop()
 
 
-def _columns(
+def columns_of(
     name: str, shapes: Mapping[str, tuple[int, ...]], units: Mapping[str, str]
 ) -> list[str]:
+    """Return the columns of a recorded signal or element; else raises ValueError."""
     if name in units:
         return [name]
     if name not in shapes:
@@ -186,11 +188,11 @@ def _columns(
     return [c for c in units if c.startswith(f"{name}[")]
 
 
-def _evaluate(criterion: SignalCriterion, *signals: Array) -> Array:
-    """Return a criterion's signal (n, k), with one column per element."""
-    parts = [signal.reshape(len(signal), -1) for signal in signals]
+def evaluate(signal: Signal, *operands: Array) -> Array:
+    """Return a signal (n, k), with one column per element, of the recorded ones that it needs."""
+    parts = [operand.reshape(len(operand), -1) for operand in operands]
     values: Array = parts[0] if len(parts) == 1 else parts[0] - parts[1]
-    if not isinstance(criterion.signal, str) and criterion.signal[0] == "norm":
+    if not isinstance(signal, str) and signal[0] == "norm":
         values = np.linalg.norm(values, axis=1, keepdims=True)
     return values
 

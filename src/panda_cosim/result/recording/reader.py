@@ -4,7 +4,7 @@ import csv
 import hashlib
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import lru_cache
 from importlib import import_module
 from itertools import chain, islice
@@ -200,6 +200,33 @@ class Recording:
                 columns = (map(_cell, values.tolist()) for values in block)
                 writer.writerows(zip(*columns, strict=True))
 
+    def to_mat(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write all rows as a MAT file of level 5, which MATLAB and Octave load.
+
+        Each signal is a variable, `plant.qpos` as `plant_qpos` (n, 16), texts are cells. The cell
+        array `signals` has variable, signal, unit and description, a row for each.
+
+        Raises:
+            InputError: The file exists, cannot be written, or its name does not end in .mat.
+        """
+        from scipy.io import savemat  # noqa: PLC0415 - slow to import
+
+        path = Path(path)
+        if path.suffix.lower() != ".mat":
+            raise InputError(f"{path}: the file is written for MATLAB; its name must end in .mat")
+        check_replaceable(path, overwrite=overwrite)
+        variables, rows = {"signals": np.empty((0, 4), object)}, []
+        for signal in self:
+            name, values = _matlab_name(signal, variables), self[signal]
+            is_text = values.dtype == object
+            variables[name] = np.vectorize(_cell, [object])(values) if is_text else values
+            columns = self._elements(signal)
+            units = dict.fromkeys(filter(None, (self.units.get(each) for each in columns)))
+            rows.append((name, signal, ", ".join(units), self.descriptions[columns[0]]))
+        variables["signals"] = np.array(rows, object)
+        with replacing(path) as partial:
+            savemat(partial, variables, appendmat=False, do_compression=True, oned_as="column")
+
     def to_pandas(self, signals: Sequence[str] | None = None) -> Any:
         """Return a pandas.DataFrame with one column per scalar, indexed by time [s].
 
@@ -293,6 +320,14 @@ def by_rows(
     )
 
 
+def run_names(recordings: Sequence[Recording]) -> list[str]:
+    """Return names of runs: those of their folders, or the whole paths if two are alike."""
+    files = (recording.path for recording in recordings)
+    paths = [f.parent if f.name in (PARQUET_FILE, STREAM_FILE) else f for f in files]
+    names = [path.resolve().name for path in paths]
+    return names if len({*names}) == len(names) else [*map(str, paths)]
+
+
 def bits(values: Array) -> Any:
     """Return the bits of a column's values, for digests; each text follows its length."""
     if values.dtype != object:
@@ -303,6 +338,14 @@ def bits(values: Array) -> Any:
 
 def _cell(value: object) -> object:
     return value.hex() if isinstance(value, bytes) else value
+
+
+def _matlab_name(signal: str, taken: Collection[str]) -> str:
+    """Return a name for a variable in MATLAB: a letter, then letters, digits and _, 63 in all."""
+    bare = re.sub(r"\W", "_", signal, flags=re.A)
+    name = (bare if bare[:1].isalpha() else f"x{bare}")[:60]
+    numbers = (f"{name}_{number}" for number in range(2, 100))
+    return next(each for each in (name, *numbers) if each not in taken)
 
 
 def _library(name: str) -> Any:

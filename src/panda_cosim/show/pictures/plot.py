@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from itertools import groupby
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from ...fmus.atomic import MARK, replacing
-from ...fmus.errors import InputError
 from ...result.judging.summary import Summary
 from ...result.judging.verdicts import NO_CRITERIA
-from ..thinning import drawn_rows
-from .motion import SHAPES, describe_run
-from .panels import COLOURS, DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves
+from .motion import SHAPES, check_signals, describe_run
+from .panels import DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves
+from .signals import PRINTED, all_panels, draw_chosen, draw_panels, moves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from ...result.recording import Recording
+    from .canvas import ShownFigure
 
 SIZE: Final = (13.0, 12.8)  # [inch]
 LENGTH: Final = 80  # of the purpose, and of what was missed
@@ -31,40 +31,55 @@ CARET_DOWN: Final = 11  # matplotlib's marker that points down from its position
 # Of the page of a run whose signals are not those of the task:
 MOST: Final = 24  # signals on a page
 ACROSS: Final = 3
-POINTS: Final = 4000  # of a curve
+# What a file of each format holds beside the figure: the mark by which later runs may replace it,
+# and no date, so that the same run gives the same file.
+FORMATS: Final[dict[str, dict[str, Any]]] = {
+    ".png": {"metadata": {"Comment": MARK}, "pil_kwargs": {"optimize": True}},
+    ".pdf": {"metadata": {"Subject": MARK, "CreationDate": None}},
+    ".svg": {"metadata": {"Description": MARK, "Date": None}},
+}
 
 
-def plot_recording(recording: Recording, path: str | Path, summary: Summary | None = None) -> Path:
-    """Write a PNG with the curves of a run of the task, or with the signals of any other run."""
-    path, is_task = Path(path), all(name in recording for name in SHAPES)
-    with own_style():
-        figure = draw_run(recording, summary) if is_task else draw_signals(recording)
-        save(figure, path)
-    return path
+def draw(
+    runs: Sequence[Recording],
+    summary: Summary | None = None,
+    signals: str = "",
+    width: str | None = None,
+) -> ShownFigure:
+    """Return the page of a run, or a figure of chosen signals of one run or several.
+
+    Raises:
+        InputError: Several runs or a width without signals, or see `draw_chosen`.
+    """
+    if signals or width is not None or len(runs) != 1:
+        with own_style(PRINTED):
+            return draw_chosen(runs, signals, width)
+    (recording,) = runs
+    is_task = all(name in recording for name in SHAPES)
+    return draw_run(recording, summary) if is_task else draw_signals(recording, summary)
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, with the mark by which later runs may replace it."""
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK},
-                       pil_kwargs={"optimize": True})  # fmt: skip
+def save(figure: ShownFigure, path: Path) -> None:
+    """Write a figure in the format of the file's name: .png, .pdf or .svg."""
+    with own_style(), replacing(path) as temporary:
+        figure.savefig(temporary, format=path.suffix.lower()[1:], dpi="figure",
+                       **FORMATS[path.suffix.lower()])  # fmt: skip
 
 
-def own_style() -> AbstractContextManager[None]:
+def own_style(more: Mapping[str, float] = MappingProxyType({})) -> AbstractContextManager[None]:
     """Draw and save figures in matplotlib's default style, changed by ours alone."""
     from matplotlib.style import context  # noqa: PLC0415 - slow to import
 
-    return context(STYLE, after_reset=True)
+    return context([STYLE, dict(more)], after_reset=True)
 
 
-def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
-    """Return the figure of a run, for a notebook or a format other than PNG."""
+def draw_run(recording: Recording, summary: Summary | None = None) -> ShownFigure:
+    """Return the figure of a run of the task."""
     curves = read_curves(recording)
     with own_style():
-        # Without pyplot, which keeps every figure and may need a screen.
-        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+        from .canvas import ShownFigure  # noqa: PLC0415 - slow to import
 
-        figure = Figure(figsize=SIZE, facecolor="white")
+        figure = ShownFigure(figsize=SIZE, dpi=DPI, facecolor="white")
         grid = figure.subplots(5, 2, sharex=True)
         figure.subplots_adjust(
             left=0.06, right=0.975, bottom=0.043, top=0.907, hspace=0.27, wspace=0.15
@@ -82,10 +97,7 @@ def draw_run(recording: Recording, summary: Summary | None = None) -> Figure:
         details = " · ".join(filter(None, (purpose, details)))
         figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", va="top")
         figure.text(0.02, 0.953, details, fontsize=10, color=GREY, va="top")
-        if summary is not None and summary.verdict is not NO_CRITERIA:
-            words = shorten(summary.headline, LENGTH, placeholder=" ...")
-            colour = VERDICTS[summary.verdict.level]
-            figure.text(0.975, 0.979, words, fontsize=11, color=colour, va="top", ha="right")
+        _write_verdict(figure, summary, 0.979)
         note = "shaded: the fingers hold the block    ▾ waypoint of the table"
         figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")
     return figure
@@ -121,30 +133,27 @@ def _mark_time(axes: Axes, curves: Curves) -> None:
     axes.tick_params(length=3)
 
 
-def draw_signals(recording: Recording) -> Figure:
-    """Return the figure of any run, a panel for each signal, at most `MOST` of them."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
-    if not recording.rows:
-        raise InputError("the recording has no rows; nothing can be plotted")
-    units = recording.units
-    names = (name for name in recording.columns if name != "time")
-    signals = groupby(names, lambda name: (name.partition("[")[0], units.get(name, "")))
-    panels = [(signal, unit, list(columns)) for (signal, unit), columns in signals]
-    down = max(-(-len(panels[:MOST]) // ACROSS), 1)
-    figure = Figure(figsize=(13.0, 1.2 + 2.2 * down), layout="constrained")
-    grid = figure.subplots(down, ACROSS, sharex=True, squeeze=False).ravel()
-    for axes, (signal, unit, columns) in zip(grid, panels, strict=False):
-        axes.set_title(signal, fontsize=9)
-        axes.set_ylabel("" if unit == "1" else unit, color=GREY)
-        axes.set_xlabel("t [s]", color=GREY)
-        for i, column in enumerate(columns):
-            values = recording[column]
-            rows, colour = drawn_rows([values], POINTS), COLOURS[i % len(COLOURS)]
-            axes.plot(recording.time[rows], values[rows], color=colour, linewidth=1.0)
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
-    title = str(recording.metadata.get("scenario") or recording.metadata.get("system") or "")
-    more = f" ({len(panels) - MOST} more signals are recorded)" if len(panels) > MOST else ""
-    figure.suptitle(f"{title}{more}", fontweight="bold")
+def draw_signals(recording: Recording, summary: Summary | None = None) -> ShownFigure:
+    """Return the figure of any run, a panel for each signal that moves, at most `MOST` of them."""
+    check_signals(recording, ())
+    every = [*all_panels(recording)]
+    moving = [*filter(moves, every)]
+    panels = moving[:MOST] or every[:1]
+    size = (SIZE[0], 1.2 + 2.2 * -(-len(panels) // ACROSS))
+    with own_style():
+        figure = draw_panels([[panel] for panel in panels], [], ACROSS, size, DPI)
+        figure.suptitle(" · ".join(describe_run(recording)), x=0.02, ha="left", fontweight="bold")
+        _write_verdict(figure, summary, 0.99)
+        rest, still = len(moving[MOST:]), len(every) - len(moving)
+        notes = {"further signals": rest, "signals that stay at 0": still}
+        text = "    ".join(f"{what}: {count}" for what, count in notes.items() if count)
+        figure.supxlabel(text, fontsize=9, color=GREY)
     return figure
+
+
+def _write_verdict(figure: ShownFigure, summary: Summary | None, top: float) -> None:
+    """Write the verdict at the right, if there are criteria."""
+    if summary is not None and summary.verdict is not NO_CRITERIA:
+        words = shorten(summary.headline, LENGTH, placeholder=" ...")
+        colour = VERDICTS[summary.verdict.level]
+        figure.text(0.975, top, words, fontsize=11, color=colour, va="top", ha="right")

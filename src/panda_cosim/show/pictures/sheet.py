@@ -18,7 +18,7 @@ from .panels import DPI, GREY, INK
 from .plot import own_style, save
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from .canvas import ShownFigure
 
 MAX_TILES = 48
 TILE = (480, 360)  # [px] width and height of an image
@@ -52,15 +52,17 @@ def contact_sheet(
     return path
 
 
-def _compose(tiles: Sequence[Image], captions: Sequence[str], title: tuple[str, str]) -> Figure:
+def _compose(
+    tiles: Sequence[Image], captions: Sequence[str], title: tuple[str, str]
+) -> ShownFigure:
     """Put images (360, 480, 3) on a page, row by row, with a caption under each."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+    from .canvas import ShownFigure  # noqa: PLC0415 - slow to import
 
     (width, height), columns = TILE, min(COLUMNS, len(tiles))
     step_x, step_y = width + GAP, height + CAPTION + GAP
     right = 2 * MARGIN - GAP + columns * step_x  # [px], and the next from below
     top = 2 * MARGIN - GAP + HEADER + math.ceil(len(tiles) / columns) * step_y
-    figure = Figure(figsize=(right / DPI, top / DPI), dpi=DPI, facecolor="white")
+    figure = ShownFigure(figsize=(right / DPI, top / DPI), dpi=DPI, facecolor="white")
     for text, below, size, colour in zip(title, (0, 40), (20, 12), (INK, GREY), strict=True):
         at = MARGIN / right, 1.0 - (MARGIN + below) / top
         figure.text(*at, text, fontsize=size, color=colour, va="top")

@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..thinning import NOISE
+
 Array = NDArray[np.float64]
 Json = dict[str, object]  # what `source/src/data/types.ts` gives a type
 
@@ -20,7 +22,6 @@ LEVEL: Final = 1  # of deflate; 4 takes twice as long for a fifth less
 LARGEST: Final = 2**30  # steps from a column's first value; int32 holds the sums
 HUGE: Final = 1e300  # larger values are clipped, so that differences are finite
 CURVE_STEPS: Final = 2**16  # steps of a curve's range
-NOISE: Final = 1e-12  # a curve that stays below is rounding noise, and shown as 0
 
 
 def pack(content: bytes) -> str:

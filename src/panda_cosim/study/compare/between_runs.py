@@ -18,6 +18,7 @@ from ...fmus.errors import InputError
 from ...result.judging.criterion import Criterion, bound_text, margin_text, quantity
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
+from ...result.recording.reader import run_names
 from ...run.result import Run
 from . import differences
 from .differences import Extent, SignalRow
@@ -167,10 +168,8 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     if not others:
         raise InputError("compare: only one run; must be at least two")
     opened = [_opened(run) for run in (first, *others)]
-    paths, recordings, summaries = (list(each) for each in zip(*opened, strict=True))
-    short = [path.resolve().name for path in paths]
-    names = short if len(set(short)) == len(short) else [str(path) for path in paths]
-    return RunComparison(names, recordings, summaries)
+    recordings, summaries = (list(each) for each in zip(*opened, strict=True))
+    return RunComparison(run_names(recordings), recordings, summaries)
 
 
 def _columns(runs: Sequence[Recording]) -> tuple[Names, Names, Names]:
@@ -183,12 +182,12 @@ def _columns(runs: Sequence[Recording]) -> tuple[Names, Names, Names]:
     return compared, other_units, tuple(name for name in every if name not in common)
 
 
-def _opened(run: Run | str | Path) -> tuple[Path, Recording, Summary]:
-    """Return a run's folder, recording and summary."""
+def _opened(run: Run | str | Path) -> tuple[Recording, Summary]:
+    """Return a run's recording and summary."""
     if isinstance(run, Run):
-        return run.folder, run.recording, run.summary
+        return run.recording, run.summary
     recording = Recording.open(run, in_order=True)
-    return Path(run), recording, Summary.of(recording)
+    return recording, Summary.of(recording)
 
 
 def _judged(criterion: Criterion | None) -> str:
