@@ -111,6 +111,7 @@ def _model_description(fmu: NativeFmu, fmi: int, rows: Sequence[Described]) -> b
     return render(
         f"fmi{fmi}.xml.j2",
         fmu=fmu,
+        restorable=str(fmu.is_restorable).lower(),
         about={"author": fmu.interface.author or None} if fmu.law else ABOUT,  # who uses us, or we
         version=version("panda-cosim"),
         date=DATE,

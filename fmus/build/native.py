@@ -44,6 +44,7 @@ class NativeFmu:
     needs: tuple[str, ...] = (NOTHING,)  # run-time requirements, one paragraph each
     step_size: float = STEP_SIZE  # internal step [s]
     stop_time: float = STOP_TIME  # of the default experiment [s]
+    is_restorable: bool = True  # whether its state can be saved and restored
     # Describes it once more, under another MuJoCo; None: it has no part in it.
     again: Callable[[], NativeFmu] | None = field(default=None, compare=False)
 
@@ -56,7 +57,7 @@ class NativeFmu:
     def digest(self) -> str:
         """Hash of everything that the FMU depends on, apart from this machine."""
         times = (self.step_size, self.stop_time)
-        parts = (self.interface, self.backend, self.law, self.options, *times)
+        parts = (self.interface, self.backend, self.law, self.options, *times, self.is_restorable)
         return digest(code_digest(), repr(parts), self.resources)
 
     @property

@@ -48,11 +48,15 @@ typedef struct {
      * parameters. Must not change inputs or parameters. */
     fmu_status (*start)(fmu *f);
 
+    /* Initialization has ended: the first step may follow. */
+    fmu_status (*initialized)(fmu *f);
+
     /* Tunable parameters have changed in f->values since the last start, tune or step. */
     fmu_status (*tune)(fmu *f);
 
     /* * Take `count` >= 1 internal steps with the inputs held; without an internal step size, one step
-     * of f->size. Outputs may be written later, in `outputs`. */
+     * of f->size. Outputs may be written later, in `outputs`. FMU_DISCARD, after fmu_log() with the
+     * reason: the simulation is to end where this step begins. */
     fmu_status (*step)(fmu *f, int64_t count);
 
     /* Write the outputs to f->values, at least those of variables with `was_read`; called before they are

@@ -1,7 +1,8 @@
 /* A slave class in Python, called through python_host.py in the resources.
  *
  * The host object works on the memory of `values`, so getting and setting values does not enter Python. Its
- * functions return None, or a list of messages (status, text); the worst status is that of the call.
+ * functions return None, or a list of messages (status, text); the worst status is that of the call. A
+ * step that is discarded ends the simulation.
  */
 #include <stdlib.h>
 #include <string.h>
@@ -11,7 +12,7 @@
 static const char HOST[] = "python_host.py";
 
 typedef struct {
-    python_object *start, *tune, *step, *outputs, *take_texts, *give_texts, *get_state, *set_state, *terminate, *release;
+    python_object *start, *initialized, *tune, *step, *outputs, *take_texts, *give_texts, *get_state, *set_state, *terminate, *release;
     python_object *saved; /* bytes of the state, kept from state_size for get_state */
     bool has_texts;
 } slave;
@@ -36,10 +37,10 @@ static fmu_status tell(fmu *f, python_object *message)
     const char *words = text ? py.PyUnicode_AsUTF8AndSize(text, NULL) : NULL;
     const long level = status ? py.PyLong_AsLong(status) : -1;
     if (!words || level < FMU_OK || level > FMU_FATAL) return unexplained(f);
-    if (level >= FMU_DISCARD) return fmu_error(f, "%s", words);
+    if (level > FMU_DISCARD) return fmu_error(f, "%s", words);
     if (level == FMU_WARNING) fmu_warn(f, "%s", words);
-    else fmu_log(f, FMU_OK, words);
-    return FMU_OK;
+    else fmu_log(f, (fmu_status)level, words);
+    return level == FMU_DISCARD ? FMU_DISCARD : FMU_OK;
 }
 
 /* Logs the messages that a call returned, and releases its result. */
@@ -48,8 +49,10 @@ static fmu_status conclude(fmu *f, python_object *result)
     if (!result) return unexplained(f);
     const python_size count = result == py.none ? 0 : py.PyList_Size(result);
     fmu_status status = FMU_OK;
-    for (python_size i = 0; i < count; i++)
-        if (tell(f, py.PyList_GetItem(result, i)) != FMU_OK) status = FMU_ERROR;
+    for (python_size i = 0; i < count; i++) {
+        const fmu_status told = tell(f, py.PyList_GetItem(result, i));
+        if (told > status) status = told;
+    }
     drop(result);
     return status;
 }
@@ -85,7 +88,8 @@ static fmu_status run_host(fmu *f, slave *s, const char *text)
     fmu_status status = done ? FMU_OK : unexplained(f);
     if (done && take(globals, "messages", &messages)) status = conclude(f, messages);
     if (status == FMU_OK &&
-        !(take(globals, "start", &s->start) && take(globals, "tune", &s->tune) &&
+        !(take(globals, "start", &s->start) && take(globals, "initialized", &s->initialized) &&
+          take(globals, "tune", &s->tune) &&
           take(globals, "step", &s->step) && take(globals, "outputs", &s->outputs) &&
           take(globals, "take_texts", &s->take_texts) && take(globals, "give_texts", &s->give_texts) &&
           take(globals, "get_state", &s->get_state) && take(globals, "set_state", &s->set_state) &&
@@ -121,7 +125,7 @@ static void destroy(fmu *f)
     if (py.Py_IsInitialized && py.Py_IsInitialized()) { /* unless the host has finalized Python */
         const int lock = py.PyGILState_Ensure();
         if (s->release) conclude(f, py.PyObject_CallFunctionObjArgs(s->release, NULL));
-        python_object *all[] = {s->start, s->tune, s->step, s->outputs, s->take_texts,
+        python_object *all[] = {s->start, s->initialized, s->tune, s->step, s->outputs, s->take_texts,
                                 s->give_texts, s->get_state, s->set_state, s->terminate, s->release, s->saved};
         for (size_t i = 0; i < sizeof all / sizeof all[0]; i++) drop(all[i]);
         py.PyGILState_Release(lock);
@@ -182,6 +186,15 @@ static fmu_status start(fmu *f)
     python_object *time = py.PyFloat_FromDouble(f->start_time);
     if (status == FMU_OK) status = conclude(f, py.PyObject_CallFunctionObjArgs(s->start, time, NULL));
     drop(time);
+    py.PyGILState_Release(lock);
+    return status;
+}
+
+static fmu_status initialized(fmu *f)
+{
+    slave *s = f->model;
+    const int lock = py.PyGILState_Ensure();
+    const fmu_status status = call(f, s->initialized);
     py.PyGILState_Release(lock);
     return status;
 }
@@ -275,5 +288,5 @@ static fmu_status set_state(fmu *f, const void *bytes, size_t size)
 }
 
 const fmu_backend_functions fmu_backend = {
-    .create = create, .destroy = destroy, .start = start, .tune = tune, .step = step, .outputs = outputs,
+    .create = create, .destroy = destroy, .start = start, .initialized = initialized, .tune = tune, .step = step, .outputs = outputs,
     .state_size = state_size, .get_state = get_state, .set_state = set_state, .terminate = terminate};

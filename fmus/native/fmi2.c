@@ -106,11 +106,11 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
     CALL(ANY_STATE, (*value = ((instance *)c)->f.time, FMU_OK));
 }
 
-/* The FMU never requests termination. */
+/* Whether the last step was discarded, since the FMU cannot go on. */
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value)
 {
     if (c && (s != fmi2Terminated || !value)) return fmi2Discard;
-    CALL(ANY_STATE, (*value = fmi2False, FMU_OK));
+    CALL(ANY_STATE, (*value = ((instance *)c)->ended, FMU_OK));
 }
 
 #define DISCARDED(name, c_type) \

@@ -131,5 +131,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 currentCommunicationPoint,
     const bool allowed = instance_begin(c, __func__, STEP_MODE);
     const fmu_status status = allowed ? instance_step(c, currentCommunicationPoint, communicationStepSize) : FMU_ERROR;
     if (c && lastSuccessfulTime) *lastSuccessfulTime = ((instance *)c)->f.time;
-    return (fmi3Status)status;
+    if (status != FMU_DISCARD) return (fmi3Status)status;
+    if (terminateSimulation) *terminateSimulation = fmi3True; /* the FMU cannot go on */
+    return fmi3OK;
 }

@@ -37,7 +37,7 @@ fmu_status instance_reset(instance *c)
 {
     c->state = INSTANTIATED;
     c->stale = c->unchecked = true;
-    c->untuned = c->outdated = c->has_stop_time = false;
+    c->untuned = c->outdated = c->has_stop_time = c->ended = false;
     c->f.start_time = c->f.time = c->carry = 0.0;
     c->f.steps = 0;
     return set_start_values(c);
@@ -199,6 +199,7 @@ fmu_status instance_tune(instance *c)
 fmu_status instance_initialized(instance *c)
 {
     if (instance_start(c) != FMU_OK) return FMU_ERROR;
+    if (fmu_backend.initialized && call(c, fmu_backend.initialized) != FMU_OK) return FMU_ERROR;
     c->state = STEP_MODE;
     return FMU_OK;
 }

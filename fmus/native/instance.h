@@ -44,6 +44,7 @@ typedef struct {
     bool outdated; /* `outputs` is needed */
     bool complete; /* all outputs are up to date, also those that were never read */
     bool unchecked; /* an input has been set since the last step */
+    bool ended;     /* the backend has asked to end the simulation */
     bool has_stop_time;
     double stop_time;
     double carry; /* part of an internal step carried over, in [0, 1) */

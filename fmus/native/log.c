@@ -50,7 +50,10 @@ static char *as_format(const char *text)
 
 void log_message(instance *c, fmu_status status, const char *text)
 {
-    const char *category = status == FMU_OK ? "logAll" : status == FMU_WARNING ? "logStatusWarning" : "logStatusError";
+    const char *category = status == FMU_OK        ? "logAll"
+                           : status == FMU_WARNING ? "logStatusWarning"
+                           : status == FMU_DISCARD ? "logStatusDiscard"
+                                                   : "logStatusError";
     if (!(c->categories & (status == FMU_OK ? LOG_REST : status == FMU_WARNING ? LOG_WARNINGS : LOG_ERRORS))) return;
     if (c->version == 3 && c->log3) {
         c->log3(c->environment, (fmi3Status)status, category, text);

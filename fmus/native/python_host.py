@@ -7,7 +7,7 @@ can be imported, in a namespace of its own, with
     RESOURCES  folder of the resources
 
 and calls the functions below. Each returns None or a list of log messages (status, text); the worst
-status is that of the FMI call.
+status is that of the FMI call. A step that is discarded ends the simulation where it begins.
 
 A slave is a class on PythonFMU's interface, `pythonfmu.Fmi2Slave`. Its variables are set and got by
 their references, as PythonFMU does. A class that has `share_values` is faster: it works on the
@@ -15,6 +15,7 @@ memory itself, and has
 
     share_values(values, texts)  memoryview of doubles, dict of texts, both by value reference
     start(start_time)            make the model from the parameters, write the outputs of the start
+    initialized(), terminate()   initialization has ended, no step follows; both may be missing
     tune()                       apply changed tunable parameters
     advance(count)               take internal steps, write the outputs
     get_state() -> bytes         the state besides the values
@@ -200,13 +201,12 @@ class SharedMemory:
         self.slave.share_values(VALUES, texts)
         for name in ("start", "tune", "get_state", "set_state"):
             setattr(self, name, getattr(self.slave, name))
+        for name in ("initialized", "terminate"):
+            setattr(self, name, getattr(self.slave, name, lambda: None))
 
     def advance(self, count: int, _time: float, _size: float) -> None:
         """Take internal steps."""
         self.slave.advance(count)
-
-    def terminate(self) -> None:
-        """Do nothing."""
 
 
 class PythonFmu:
@@ -232,6 +232,9 @@ class PythonFmu:
         self._put(again=True)
         self.slave.exit_initialization_mode()
         self.outputs()
+
+    def initialized(self) -> None:
+        """Do nothing: the slave has been told."""
 
     def tune(self) -> None:
         """Do nothing: parameters are set before the next step."""
@@ -340,8 +343,9 @@ def call(method: str, *arguments: Any) -> list[Message] | None:
     return taken
 
 
-start, tune, step, set_state, terminate = (
-    partial(call, method) for method in ("start", "tune", "advance", "set_state", "terminate")
+start, initialized, tune, step, set_state, terminate = (
+    partial(call, method)
+    for method in ("start", "initialized", "tune", "advance", "set_state", "terminate")
 )
 
 

@@ -86,7 +86,11 @@ static fmu_status take_steps(instance *c, double time, double size)
     double carry;
     const int64_t count = count_steps(c, time, size, &carry);
     c->f.size = size;
-    if (instance_tune(c) != FMU_OK || (count > 0 && fmu_backend.step(&c->f, count) != FMU_OK)) {
+    fmu_status status = instance_tune(c);
+    if (status == FMU_OK && count > 0) status = fmu_backend.step(&c->f, count);
+    c->ended = status == FMU_DISCARD;
+    if (c->ended) return FMU_DISCARD;
+    if (status != FMU_OK) {
         c->state = FAILED;
         return FMU_ERROR;
     }

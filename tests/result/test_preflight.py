@@ -14,10 +14,10 @@ from fault_support import write_files
 from forked import command
 from libfranka import FER, FR3, speed
 from panda_cosim import Recording, Scenario, TableRow, TrajectoryTable, load_scenario
+from panda_cosim.assets.checks import CHECKS
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.result.judging.advice import refusals
-from panda_cosim.result.judging.checks import CHECKS
 from panda_cosim.result.judging.preflight import preflight
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.view import run

@@ -38,12 +38,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
+from ..assets.checks import ARMS
 from ..fmus.build.platforms import PLATFORMS
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue, literal
 from ..fmus.sources.targets import Kind, Target, outdated
 from ..fmus.twins import IN_RUNS, notice
-from ..result.judging.checks import ARMS
 from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario
 from ..task.values import Values
 from .console import tell, warn

@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.checks import REMEDIES
 from ...fmus.interface.plant import FORCES
 from ...task.criteria import HELD_FORCE
 from ...task.scenario import TABLE_FILE
 from ..recording import Recording
 from .block import SUPPORT
-from .checks import REMEDIES, table_row
 from .contacts import SIGNAL as UNWANTED
 from .contacts import Touch
 from .holds import FORCE, HAND, Hold, find_holds
 from .limits import exceeded
+from .rows import table_row
 from .summary import Metrics, Summary
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
-from .checks import CHECKS, SIGNALS, Check
+from ...assets.checks import CHECKS, SIGNALS, Check
 
 WINDOWS: Final = {"start": "the first row", "end": "the last row"}
 

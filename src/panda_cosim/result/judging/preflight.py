@@ -15,6 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE, TORQUE_DRIVEN
+from ...assets.checks import (
+    AT_LIMIT,
+    CHECKS,
+    REMEDIES,
+    Measure,
+    Rates,
+    arm_measures,
+    elbow_measures,
+    end_measures,
+    hand_measures,
+    hand_velocity_measure,
+    joint_measures,
+    rate_measures,
+    start_measure,
+    start_place_measure,
+    torque_rate_measure,
+    touch_measures,
+)
 from ...assets.franka import JOINT_DAMPING
 from ...assets.limits import RobotLimits, robot_limits
 from ...controller.model import FINGERTIPS, ArmModel
@@ -23,19 +41,13 @@ from ...controller.touch import ROTOR
 from ...task import rotations
 from ...task.limits import robot_of
 from ..recording import Recording
-from .checks import CHECKS, REMEDIES, table_row
 from .holds import first_collision
+from .rows import table_row
 from .summary import Metrics
 
 Array = NDArray[np.float64]
-Rates = Sequence[Array]  # positions (n, k) and their three derivatives
-# Key of `CHECKS`, values (n, k), largest sizes (k,) or (n, k), and what both are counted from (k,).
-Measure = tuple[str, Array, Array, Array | float]
-
-DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
 INTERFACES: Final = ("joint", "cartesian", "torque", "arm")
 BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
-AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
 HAND: Final = ("plant.hand_xpos", "plant.hand_xquat")
 Q, QD, FORCE, BIAS, JAC = (
@@ -137,10 +149,7 @@ class _Arm:
         q, qd, force, bias = (signals[name][last, :7] for name in (Q, QD, FORCE, BIAS))
         read = signals.get(SENSED, signals[Q])[last, :7]  # a tick before the torque
         limits, still = self._limits, np.zeros(7)
-        middle: Array = 0.5 * (limits.q_min + limits.q_max)
-        yield "arm_position", q - middle, limits.q_max - middle, middle
-        yield "arm_velocity", qd, limits.speed(q, qd), 0.0
-        yield "torque", force, limits.torque, 0.0
+        yield from arm_measures(q, qd, force, limits)
         qdd = np.diff(qd, axis=0) / STEP_SIZE
         q, qd, force, bias = q[1:], qd[1:], force[1:], bias[1:]
         commanded, needed = np.empty((2, count, 7))
@@ -152,21 +161,19 @@ class _Arm:
         commanded[begins], needed[begins] = 0.0, 0.0
         rate: Array = np.diff(commanded, axis=0, prepend=self._torque[None]) / STEP_SIZE
         self._torque = commanded[-1]
-        yield "torque_rate", rate, limits.torque_rate, 0.0
+        yield torque_rate_measure(rate, limits)
         external = needed
         for row in range(count):
             self._external += self._share * (needed[row] - self._external)
             external[row] = self._external
-        yield "external_torque", external, limits.collision_torque, 0.0
         jac = signals[JAC][-count:]
         square = jac @ jac.transpose(0, 2, 1) + REGULAR * np.eye(6)
         at_hand = np.linalg.solve(square, (jac @ external[:, :, None]))[:, :, 0].astype(float)
-        yield "external_force", at_hand[:, :3], limits.collision_force[:3], 0.0
-        yield "external_moment", at_hand[:, 3:], limits.collision_force[3:], 0.0
+        yield from touch_measures(
+            external, at_hand, limits.collision_torque, limits.collision_force
+        )
         twist = (jac @ qd[:, :, None])[:, :, 0]
-        lever: Array = _fingertips(signals[HAND[1]][-count:])
-        speed = _length(twist[:, :3] + np.cross(twist[:, 3:], lever))
-        yield "hand_velocity", speed, limits.translation[:1], 0.0
+        yield hand_velocity_measure(twist, _fingertips(signals[HAND[1]][-count:]), limits)
 
 
 def preflight(recording: Recording, robot: str) -> Metrics:
@@ -184,9 +191,10 @@ def preflight(recording: Recording, robot: str) -> Metrics:
             judge.see(time[:1], _start_measures(signals, reference, limits))
         if reference in signals:
             rates = _rates(signals[reference][:, :7], 3)
-            judge.see(time, _joint_measures(rates, limits))
+            judge.see(time, joint_measures(rates, limits))
+            judge.see(time, elbow_measures([rate[:, 2:3] for rate in rates], limits))
             for count, each in enumerate(lost, 1):
-                each.see(time, _rate_measures(_received(count, rates), limits))
+                each.see(time, rate_measures(_received(count, rates), limits))
                 if each.first:
                     del lost[count:]
         if signals.keys() >= {*COMMAND}:
@@ -194,7 +202,7 @@ def preflight(recording: Recording, robot: str) -> Metrics:
         if signals.keys() >= {*HAND, *MEASURED}:
             judge.see(time, arm.measures(signals, len(time)))
     if reference in signals:
-        judge.see(time[-1:], _end_measures(rates, limits))
+        judge.see(time[-1:], end_measures(rates, limits))
     return _result(robot, "joint" if reference else "torque", judge, lost)
 
 
@@ -284,33 +292,13 @@ def _rates(values: Array, count: int) -> list[Array]:
     return rates
 
 
-def _rate_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
-    q, velocity, acceleration, jerk = rates
-    yield "joint_velocity", velocity, limits.speed(q, velocity), 0.0
-    yield "joint_acceleration", acceleration, limits.acceleration, 0.0
-    yield "joint_jerk", jerk, limits.jerk, 0.0
-
-
-def _joint_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
-    middle: Array = 0.5 * (limits.q_min + limits.q_max)
-    yield "joint_position", rates[0] - middle, limits.q_max - middle, middle
-    yield from _rate_measures(rates, limits)
-    elbow = limits.q_max[2:3] - middle[2]
-    yield "elbow_position", rates[0][:, 2:3] - middle[2], elbow, middle[2]
-    for name, rate, bound in zip(DERIVATIVES, rates[1:], limits.elbow, strict=True):
-        yield f"elbow_{name}", rate[:, 2:3], bound, 0.0
-
-
 def _hand_measures(signals: Mapping[str, Array], limits: RobotLimits) -> Iterator[Measure]:
     """Yield what the commanded pose asks of the end effector, between the fingertips."""
     position, orientation = (signals[name] for name in COMMAND)
     turns = rotations.multiply(orientation[1:], rotations.conjugate(orientation[:-1]))
     turning = np.concatenate((np.zeros((1, 3)), rotations.log(turns))) / STEP_SIZE
     moving = _rates(position + _fingertips(orientation), 3)[1:]
-    for name, rate, bound in zip(DERIVATIVES, moving, limits.translation, strict=True):
-        yield f"translation_{name}", _length(rate), bound, 0.0
-    for name, rate, bound in zip(DERIVATIVES, _rates(turning, 2), limits.rotation, strict=True):
-        yield f"rotation_{name}", _length(rate), bound, 0.0
+    yield from hand_measures(moving, _rates(turning, 2), limits)
 
 
 def _start_measures(
@@ -320,24 +308,13 @@ def _start_measures(
     measured = signals.get(SENSED, signals.get(Q))
     if reference in signals and measured is not None:
         away = signals[reference][:1, :7] - measured[:1, :7]
-        yield "start_pose", away, limits.velocity * STEP_SIZE, 0.0
+        yield start_measure(away, limits)
     if signals.keys() >= {*COMMAND, *HAND}:
         poses = ((signals[pose[0]][:1], signals[pose[1]][:1]) for pose in (COMMAND, HAND))
         command, hand = (position + _fingertips(turn) for position, turn in poses)
-        yield "start_place", _length(command - hand), limits.translation[:1] * STEP_SIZE, 0.0
-
-
-def _end_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
-    """Yield what is left of the motion, of which the robot can stop so much within a tick."""
-    yield "end_velocity", rates[1], limits.acceleration * STEP_SIZE, 0.0
-    yield "end_acceleration", rates[2], limits.jerk * STEP_SIZE, 0.0
+        yield start_place_measure(command - hand, limits)
 
 
 def _fingertips(orientation: Array) -> Array:
     """Return where the fingertips' centre is from the hand's origin (n, 3) [m], world axes."""
     return rotations.rotate(orientation, np.broadcast_to(FINGERTIPS, (len(orientation), 3)))
-
-
-def _length(vectors: Array) -> Array:
-    lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return lengths

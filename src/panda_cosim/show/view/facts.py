@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from ...assets.checks import CHECKS
 from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ...result.judging.advice import refusals
-from ...result.judging.checks import CHECKS
 from ...result.judging.definitions import DEFINITIONS
 from ...result.judging.summary import Summary, json_values
 from ...task.limits import METRICS

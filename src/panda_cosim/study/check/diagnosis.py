@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from ...assets.checks import REMEDIES
 from ...controller.presets import PRESETS
 from ...fmus.build.engines import has_engine
 from ...fmus.build.identity import mujoco_version
@@ -21,7 +22,6 @@ from ...fmus.master.system import conversions, notes, read_fmus
 from ...plant.parameters import PlantParameters
 from ...plant.plant import Plant
 from ...result.judging.advice import Level, advise, refusals, weakest_grip
-from ...result.judging.checks import REMEDIES
 from ...result.judging.verdicts import MISSED, NOT_MEASURED, UNEXPECTED
 from ...result.recording.reader import shapes_of
 from ...run.execution import Execution

@@ -18,13 +18,13 @@ import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.checks import ARMS
 from ...assets.franka import JOINT_DAMPING
 from ...controller.model import ArmModel
 from ...controller.touch import ROTOR
 from ...fmus.errors import InputError, excerpt, located
 from ...fmus.reading import finite_number
 from ...result.judging.advice import refusals
-from ...result.judging.checks import ARMS
 from ...result.judging.preflight import preflight
 from ...result.recording import Column, Recording
 from ...result.recording.storage import Source, in_one_block

@@ -1,0 +1,141 @@
+"""The conditions of the real robot's interface: the rows of checks.toml, and what they bound.
+
+The robot differentiates what it is sent by backward differences at 1 kHz. Preflight looks for
+refusals in recordings; the interface of a real robot's program refuses at once.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from . import ASSETS, STEP_SIZE
+from .limits import Array, RobotLimits
+
+ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario has them
+AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
+DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
+_TABLES: Final = tomllib.loads((ASSETS / "checks.toml").read_text(encoding="utf-8"))
+REMEDIES: Final[Mapping[str, str]] = _TABLES.pop("remedies")
+SIGNALS: Final[Mapping[str, list[str]]] = _TABLES.pop("signals")
+
+Rates = Sequence[Array]  # positions (n, k) and their three derivatives
+# Key of `CHECKS`, values (n, k), largest sizes (k,) or (n, k), and what both are counted from (k,).
+Measure = tuple[str, Array, Array, Array | float]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One condition of the interface; checks.toml says what the fields are."""
+
+    interface: str
+    error: str
+    what: str
+    unit: str
+    remedy: str  # its name in `REMEDIES`
+    necessary: bool = True
+    limit: str = "the limit"
+
+
+# By the key of their largest share in summary.json.
+CHECKS: Final[Mapping[str, Check]] = {key: Check(**entry) for key, entry in _TABLES.items()}
+
+
+def refusals(measures: Iterable[Measure]) -> list[str]:
+    """Return the errors, in libfranka's names, of the measures that reach their bounds."""
+    names = [
+        CHECKS[key].error
+        for key, values, bounds, _ in measures
+        if (np.abs(values) >= AT_LIMIT * bounds).any()
+    ]
+    return [*dict.fromkeys(names)]
+
+
+def start_measure(away: Array, limits: RobotLimits) -> Measure:
+    """Return how far a first command is from the joints (1, 7) [rad], per tick at full speed."""
+    return "start_pose", away, limits.velocity * STEP_SIZE, 0.0
+
+
+def start_place_measure(away: Array, limits: RobotLimits) -> Measure:
+    """Return the same of the end effector (1, 3) [m]."""
+    return "start_place", lengths(away), limits.translation[:1] * STEP_SIZE, 0.0
+
+
+def rate_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    """Yield the three derivatives of the joints' positions."""
+    q, velocity, acceleration, jerk = rates
+    yield "joint_velocity", velocity, limits.speed(q, velocity), 0.0
+    yield "joint_acceleration", acceleration, limits.acceleration, 0.0
+    yield "joint_jerk", jerk, limits.jerk, 0.0
+
+
+def joint_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what is commanded of the joints."""
+    middle: Array = 0.5 * (limits.q_min + limits.q_max)
+    yield "joint_position", rates[0] - middle, limits.q_max - middle, middle
+    yield from rate_measures(rates, limits)
+
+
+def elbow_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what is commanded of the elbow, of which joint 3 is the angle (n, 1)."""
+    middle: Array = 0.5 * (limits.q_min[2:3] + limits.q_max[2:3])
+    yield "elbow_position", rates[0] - middle, limits.q_max[2:3] - middle, middle
+    for name, rate, bound in zip(DERIVATIVES, rates[1:], limits.elbow, strict=True):
+        yield f"elbow_{name}", rate, bound, 0.0
+
+
+def hand_measures(
+    moving: Sequence[Array], turning: Sequence[Array], limits: RobotLimits
+) -> Iterator[Measure]:
+    """Yield the three derivatives of the end effector's position and orientation (n, 3)."""
+    for name, rate, bound in zip(DERIVATIVES, moving, limits.translation, strict=True):
+        yield f"translation_{name}", lengths(rate), bound, 0.0
+    for name, rate, bound in zip(DERIVATIVES, turning, limits.rotation, strict=True):
+        yield f"rotation_{name}", lengths(rate), bound, 0.0
+
+
+def end_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what is left of the motion, of which the robot can stop so much within a tick."""
+    yield "end_velocity", rates[1], limits.acceleration * STEP_SIZE, 0.0
+    yield "end_acceleration", rates[2], limits.jerk * STEP_SIZE, 0.0
+
+
+def arm_measures(q: Array, qd: Array, torque: Array, limits: RobotLimits) -> Iterator[Measure]:
+    """Yield what is measured of the joints."""
+    middle: Array = 0.5 * (limits.q_min + limits.q_max)
+    yield "arm_position", q - middle, limits.q_max - middle, middle
+    yield "arm_velocity", qd, limits.speed(q, qd), 0.0
+    yield "torque", torque, limits.torque, 0.0
+
+
+def touch_measures(
+    external: Array, at_hand: Array, most_torque: Array, most_force: Array
+) -> Iterator[Measure]:
+    """Yield external torques (n, 7) [N.m], and force and moment at the hand (n, 6) [N, N.m]."""
+    yield "external_torque", external, most_torque, 0.0
+    yield "external_force", at_hand[:, :3], most_force[:3], 0.0
+    yield "external_moment", at_hand[:, 3:], most_force[3:], 0.0
+
+
+def hand_velocity_measure(twist: Array, lever: Array, limits: RobotLimits) -> Measure:
+    """Return the end effector's speed, of a hand's twist (n, 6) with the end effector at a lever.
+
+    The lever (n, 3) [m] is in world axes.
+    """
+    speed = lengths(twist[:, :3] + np.cross(twist[:, 3:], lever))
+    return "hand_velocity", speed, limits.translation[:1], 0.0
+
+
+def torque_rate_measure(rate: Array, limits: RobotLimits) -> Measure:
+    """Return rates of commanded torques (n, 7) [N.m/s]."""
+    return "torque_rate", rate, limits.torque_rate, 0.0
+
+
+def lengths(vectors: Array) -> Array:
+    """Return the lengths of vectors (n, 3) as (n, 1)."""
+    sizes: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return sizes
