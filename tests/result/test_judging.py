@@ -97,8 +97,8 @@ def test_every_reduction_is_there():
     assert tuple(REDUCE) == tuple(REDUCTIONS)
     page = Path(__file__).parents[2] / "docs" / "reference" / "scenario.md"
     reference = page.read_text(encoding="utf-8")
-    for name, what in REDUCTIONS.items():
-        assert f"| `{name}` | {what} |" in reference
+    for name, reduction in REDUCTIONS.items():
+        assert f"| `{name}` | {reduction.text} |" in reference
 
 
 def test_two_bounds_are_two_criteria(recording):

@@ -5,10 +5,13 @@ A criterion is only data, which `judging` interprets; no code in it is run.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BeforeValidator, PlainValidator
@@ -17,22 +20,6 @@ from ..fmus.errors import did_you_mean, excerpt, located, refuse
 from .fields import Choice, Line, Quantity, Vector, checked, field_names, key_of
 from .table import POSITION
 
-# What each reduction of a window is.
-REDUCTIONS: Final[Mapping[str, str]] = {
-    "max": "largest value",
-    "min": "smallest value",
-    "peak": "largest magnitude",
-    "mean": "mean of the rows",
-    "rms": "root mean square of the rows",
-    "final": "value in the last row",
-    "range": "largest value minus the smallest",
-    "settle": "settling time [s]: from the window's first row to the row from which the signal "
-    "stays within `band` of `target`; if it ends outside the band, to the row after the last",
-    "overshoot": "largest deviation from `target` on the side away from the first value; if the "
-    "first value is the target, the largest deviation on either side; 0 if there is none",
-    "duration_above": "time [s] above `level`, summed over the steps that begin there",
-    "duration_below": "time [s] below `level`, summed over the steps that begin there",
-}
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
 LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
 NEVER: Final = "so that it can never hold"
@@ -42,15 +29,6 @@ EVENTS: Final = (
     "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
     "end", "collision",
 )  # fmt: skip
-# Keys that only some reductions take, and need, but for a target.
-_TAKES: Final = {
-    "band": ("settle",),
-    "target": ("settle", "overshoot"),
-    "level": ("duration_above", "duration_below"),
-}
-# Reductions that are never negative, whatever the signal; of a length, all are.
-_NEVER_NEGATIVE: Final = frozenset(REDUCTIONS) - {"max", "min", "mean", "final"}
-_WITHIN: Final = ("settle", "duration_above", "duration_below")  # no longer than the window
 _OPERANDS: Final = {"norm": (1, 2), "difference": (2,)}  # how many signals each takes
 _INSTANT = re.compile(
     r"(?P<event>\w+)(?: *(?P<sign>[+-]) *(?P<offset>\d{1,4}(?:\.\d{1,9})?))?", re.A
@@ -110,6 +88,20 @@ def split_instant(text: str) -> tuple[str, float]:
 Requirements = tuple[Annotated[str, Line()], ...]
 
 
+@dataclass(frozen=True)
+class Reduction:
+    """How a window is reduced to a number; criteria.toml says what the fields are."""
+
+    text: str
+    takes: Sequence[str] = ()
+    has_sign: bool = False
+    is_time: bool = False
+
+
+_TABLE: Final = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+REDUCTIONS: Final = {name: Reduction(**row) for name, row in tomllib.loads(_TABLE).items()}
+
+
 @checked
 class SignalCriterion:
     """One criterion: a signal, reduced to a number over a window of time, and its bounds.
@@ -147,28 +139,36 @@ class SignalCriterion:
     requirements: Requirements = ()
 
     def __post_init__(self) -> None:
-        if self.below is None and self.above is None:
+        if not self.bounds:
             raise ValueError("below and above: both are missing; must have at least one of them")
-        for key, users in _TAKES.items():
+        takes = REDUCTIONS[self.reduce].takes
+        for key in ("band", "target", "level"):
             is_missing = getattr(self, key) is None
-            if is_missing and self.reduce in users and key != "target":
+            if is_missing and key in takes and key != "target":
                 raise ValueError(f"{key}: is missing; reduce = {self.reduce!r} needs it")
-            if not is_missing and self.reduce not in users:
-                raise ValueError(f"{key}: only valid with reduce = {' or '.join(map(repr, users))}")
+            if not is_missing and key not in takes:
+                users = [repr(name) for name, each in REDUCTIONS.items() if key in each.takes]
+                raise ValueError(f"{key}: only valid with reduce = {' or '.join(users)}")
         self._check_bounds()
+
+    @property
+    def bounds(self) -> dict[Direction, float]:
+        """The bounds that are given, by where the value must be."""
+        bounds: dict[Direction, float | None] = {"below": self.below, "above": self.above}
+        return {where: bound for where, bound in bounds.items() if bound is not None}
 
     def _check_bounds(self) -> None:
         """Refuse bounds that hold, or fail, whatever the signal."""
-        below, above = self.below, self.above
-        if below is not None and above is not None and above > below:
+        below, above = self.bounds.get("below", math.inf), self.bounds.get("above", math.nan)
+        if above > below:
             raise ValueError(f"above: value {above!r}; {NEVER}; must be at most below, {below!r}")
         is_length = not isinstance(self.signal, str) and self.signal[0] == "norm"
-        if not (is_length or self.reduce in _NEVER_NEGATIVE):
+        if REDUCTIONS[self.reduce].has_sign and not is_length:
             return
         what = f"{self.reduce} of {signal_text(self.signal)} is never negative"
-        if above is not None and above <= 0.0:
+        if above <= 0.0:
             raise ValueError(f"above: value {above!r}; {what}, {ALWAYS}; must be above 0")
-        if below is not None and below < 0.0:
+        if below < 0.0:
             raise ValueError(f"below: value {below!r}; {what}, {NEVER}; must be at least 0")
 
     def check_window(self, start: float, end: float) -> None:
@@ -177,13 +177,13 @@ class SignalCriterion:
         last = check_within("to", self.to, start, end)
         if first is not None and last is not None and first > last:
             raise ValueError(f"to: value {self.to!r} is before from, {self.from_!r}")
-        if self.reduce not in _WITHIN:
+        if not REDUCTIONS[self.reduce].is_time:
             return
         longest = (end if last is None else last) - (start if first is None else first)
         window = f"the window lasts {longest:g} s at most"
-        if self.below is not None and self.below >= longest:
+        if self.bounds.get("below", math.nan) >= longest:
             raise ValueError(f"below: value {self.below!r}; {window}, {ALWAYS}; must be shorter")
-        if self.above is not None and self.above > longest:
+        if self.bounds.get("above", math.nan) > longest:
             raise ValueError(f"above: value {self.above!r}; {window}, {NEVER}; must be shorter")
 
     @property
@@ -199,9 +199,8 @@ class SignalCriterion:
     @property
     def labels(self) -> dict[Direction, str]:
         """Name in results of each of its bounds, by where the value must be."""
-        bounds: dict[Direction, float | None] = {"below": self.below, "above": self.above}
-        given = [name for name, bound in bounds.items() if bound is not None]
-        return {name: f"{self.label} {name}" if len(given) > 1 else self.label for name in given}
+        both = len(self.bounds) > 1
+        return {where: f"{self.label} {where}" if both else self.label for where in self.bounds}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -211,17 +210,15 @@ class SignalCriterion:
 
 def check_within(key: str, instant: Instant, start: float, end: float) -> float | None:
     """Return an instant [s] within a run; None: it is that of an event which only the run knows."""
-    at = instant
-    if isinstance(instant, str):
-        event, offset = split_instant(instant)
-        if event not in ("start", "end"):
-            return None
-        at = offset + (start if event == "start" else end)
-    slack = SLACK * min(end - start, 1.0)
-    if not start - slack <= float(at) <= end + slack:
+    event, offset = split_instant(instant) if isinstance(instant, str) else ("", instant)
+    origins = {"": 0.0, "start": start, "end": end}
+    if event not in origins:
+        return None
+    at, slack = origins[event] + offset, SLACK * min(end - start, 1.0)
+    if not start - slack <= at <= end + slack:
         must = f"must be within the run, from {start:g} to {end:g} s"
         refuse(key, instant, must, error=ValueError)
-    return float(at)
+    return at
 
 
 def check_both(criterion: object, *names: str) -> None:

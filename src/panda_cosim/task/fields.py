@@ -240,15 +240,19 @@ def _describe(error: ValidationError, cls: type) -> str:
         required = ", ".join(f.name for f in fields if f.default is f.default_factory is none)
         return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {required}"
     cause = problem.get("ctx", {}).get("error")
-    if cause is None:  # something else where a section is needed
-        path = ".".join(part for part in loc if isinstance(part, str))
-        form = f"a section [{path}]"
-        if problem["type"] == "tuple_type":
-            holds_texts = _class_at(cls, loc) is None
-            form = 'a list of texts, ["...", ...]' if holds_texts else f"sections [[{path}]]"
-        return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
     is_section = _class_at(cls, loc) is not None or not loc
+    if cause is None:  # something else where a section is needed
+        form = _form(loc, is_list=problem["type"] == "tuple_type", is_section=is_section)
+        return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
     return f"{_section(loc)}{cause}" if is_section else _joined(_place(loc), cause)
+
+
+def _form(loc: Loc, *, is_list: bool, is_section: bool) -> str:
+    """Return how what a location needs is written."""
+    path = ".".join(part for part in loc if isinstance(part, str))
+    if not is_list:
+        return f"a section [{path}]"
+    return f"sections [[{path}]]" if is_section else 'a list of texts, ["...", ...]'
 
 
 def _joined(place: str, cause: ValueError) -> str:

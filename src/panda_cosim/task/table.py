@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,8 +32,8 @@ NAME_COLUMN = "name"  # of the waypoint, for pictures
 POSTURE_COLUMNS = tuple(f"q{joint}" for joint in range(1, 8))  # of all rows or of none
 UNTIL_COLUMN = "until"  # what ends the row early
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
-# Those that are fields of a row by themselves.
-_PLAIN_COLUMNS = ("time", "frame", "grip", *OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
+# Fields of a row that have several columns; any other column is a field of its own.
+_VECTORS = {"position": "xyz", "orientation": QUATERNION_COLUMNS, "posture": POSTURE_COLUMNS}
 _MAY_BE_BLANK = (*QUATERNION_COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
 _TOGETHER = (QUATERNION_COLUMNS, POSTURE_COLUMNS)  # all of them or none
 _BLANK = ("", "", "", "")  # the orientation of `home`
@@ -232,8 +232,8 @@ def read_tables(path: Path) -> tuple[TrajectoryTable | None, InputTable]:
         rows: list[TableRow] = []
         for line, cells in table.rows.items():
             with located(f"line {line}"):
-                stripped = map(str.strip, cells)
-                rows.append(_row(dict(zip(table.names, stripped, strict=True))))
+                named = zip(table.names, map(str.strip, cells), strict=True)
+                rows.append(_row({name: text for name, text in named if "." not in name}))
                 if len(rows) > 1:
                     _check_order(rows[-2].time, rows[-1].time)
         return TrajectoryTable(tuple(rows)), inputs
@@ -251,7 +251,7 @@ def _check_names(names: Sequence[str]) -> None:
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
     valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
     check_keys("", [name for name in names if "." not in name], valid, "column")
-    absent = {n for group in _TOGETHER if not set(group) & set(names) for n in group}
+    absent = set(chain(*(group for group in _TOGETHER if not set(group) & set(names))))
     needed = [name for name in (*COLUMNS, *POSTURE_COLUMNS) if name not in absent]
     missing = [name for name in needed if name not in names]
     if missing and len(names) == len(set(names)):
@@ -265,14 +265,12 @@ def _row(cells: Mapping[str, str]) -> TableRow:
         for name, text in cells.items()
         if text or name not in _MAY_BE_BLANK
     }
-    parts = [given[name] for name in QUATERNION_COLUMNS if name in given]
-    if 0 < len(parts) < len(QUATERNION_COLUMNS):
-        blank = next(name for name in QUATERNION_COLUMNS if name not in given)
-        raise InputError(f"column {blank} is blank; qw to qz must be all blank or all set")
-    posture = [given[name] for name in POSTURE_COLUMNS if name in given]
-    position = (given["x"], given["y"], given["z"])
-    more = {name: given[name] for name in _PLAIN_COLUMNS if name in given}
-    return TableRow(position=position, orientation=parts or None, posture=posture or None, **more)  # type: ignore[arg-type]
+    blank = [name for name in QUATERNION_COLUMNS if name not in given]
+    if 0 < len(blank) < len(QUATERNION_COLUMNS):
+        raise InputError(f"column {blank[0]} is blank; qw to qz must be all blank or all set")
+    for field, columns in _VECTORS.items():
+        given[field] = [given.pop(name) for name in columns if name in given] or None
+    return TableRow(**given)
 
 
 def _number(column: str, text: str) -> float:

@@ -31,10 +31,11 @@ _FIXED: Final = ("name", "purpose", "system", "expect", "expect_reason")
 _SECTIONS: Final = ("table.", "push[", "success.", "mismatch.")
 _BY_NAME: Final = ("inputs", "fmus", "plant", "controller")  # sections with names of variables
 _OF_SCENE: Final = ("plant.scene", "plant.robot")  # parameters of our plant that a scenario states
-_STEP: Final = re.compile(r"(\w+)(?:\[(\d{1,6})\])?", re.A)
-_COLUMNS: Final = {  # of the table's file, whose rows have them in vectors
-    **{name: ("position", i) for i, name in enumerate("xyz")},
-    **{name: ("orientation", i) for i, name in enumerate(QUATERNION_COLUMNS)},
+_WAY: Final = re.compile(r"\w+(\[\d{1,6}\])?(\.\w+(\[\d{1,6}\])?)*", re.A)
+_STEP: Final = re.compile(r"\[(\d+)\]|(\w+)", re.A)
+# Columns of the table's file, whose rows have them in vectors.
+_COLUMNS: Final = {n: f"position[{i}]" for i, n in enumerate("xyz", 1)} | {
+    n: f"orientation[{i}]" for i, n in enumerate(QUATERNION_COLUMNS, 1)
 }
 Steps = tuple[str | int, ...]  # to a place in a scenario: names of fields, and indices from 0
 
@@ -59,35 +60,26 @@ def _blamed(scenario: Scenario, values: Values, text: str) -> str:
 
 def _with_all(scenario: Scenario, values: Values) -> Scenario:
     """Change all values at once, so that no order of the keys is seen."""
-    parts = {key[5:]: value for key, value in values.items() if key.startswith("fmus.")}
-    fmus, top = {*scenario.fmus, *parts}, _top(scenario)
-    ours = () if scenario.is_system else ("plant", "controller", "sensors")
-    instances = None if scenario.system else tuple(dict.fromkeys((*ours, *sorted(fmus))))
-    for name in parts if scenario.system else ():
-        raise InputError(f"fmus.{name}: cannot be combined with system = {scenario.system!r}")
+    parts = [key for key in values if key.startswith("fmus.")]
+    fmus = {*scenario.fmus, *(key[5:] for key in parts)}
+    if parts and scenario.system:
+        raise InputError(f"{parts[0]}: cannot be combined with system = {scenario.system!r}")
     if "gains" in values and "controller" in fmus:
         raise InputError("gains: acts only on the project's own controller; must be left out here")
+    given = dict(values)
+    for key in parts:
+        given[key] = _from_here(Line().check(key, values[key]))
+    places = _Places(scenario, fmus)
+    # The scene and robot of the scenario outrank those of its plant.
     changes: dict[Steps, Any] = {
-        ("fmus", name): _from_here(Line().check(f"fmus.{name}", file))
-        for name, file in parts.items()
+        places.steps(key): given[key] for key in sorted(given, key=lambda key: key not in _OF_SCENE)
     }
-    for key, value in values.items():
-        if key in _OF_SCENE and "plant" in ours and "plant" not in fmus:
-            changes.setdefault((key.partition(".")[2],), value)
-        elif not key.startswith("fmus."):
-            changes[_steps(key, top, instances)] = value
     if scenario.is_system and any(steps[0] == "table" for steps in changes):
         raise InputError("the scenario is a system, which has no trajectory.csv")
     if "inputs.file" in values:
         file = (scenario.folder or Path()) / str(values["inputs.file"])
         changes["input_table",] = InputTable.read(file)
     return _changed(scenario, changes)
-
-
-def _top(scenario: Scenario) -> list[str]:
-    """Return the keys of a scenario's texts, numbers and switches."""
-    names = (name for name in field_names(scenario) if name not in _FIXED)
-    return [name for name in names if isinstance(getattr(scenario, name), str | bool | float)]
 
 
 def _from_here(text: str) -> str:
@@ -97,37 +89,52 @@ def _from_here(text: str) -> str:
     return f"{os.path.realpath(file)}:{name}" if has_class else os.path.realpath(text)
 
 
-def _steps(key: str, top: Collection[str], instances: Collection[str] | None) -> Steps:
-    """Return the way to a key's place; instances None: the scenario's FMUs are not known yet."""
-    section, dot, name = key.partition(".")
-    if dot and section in _BY_NAME[:2]:
-        return section, name
-    if key not in top and not key.startswith(_SECTIONS):
-        if not dot or not name:
-            raise _no_such(key, top)
-        if instances is not None and section not in instances:
-            hint = did_you_mean(section, instances)
-            raise InputError(f"{key}: no instance {section!r}; valid: {', '.join(instances)}{hint}")
+class _Places:
+    """Where the keys of a scenario lead, with the names of its own FMUs."""
+
+    def __init__(self, scenario: Scenario, fmus: Collection[str]) -> None:
+        # Its texts, numbers and switches.
+        names = (name for name in field_names(scenario) if name not in _FIXED)
+        self._top = [n for n in names if isinstance(getattr(scenario, n), str | bool | float)]
+        ours = () if scenario.is_system else ("plant", "controller", "sensors")
+        self._instances = tuple(dict.fromkeys((*ours, *sorted(fmus))))
+        self._is_known = not scenario.system  # else they are in its file
+        self._has_our_plant = bool(ours) and "plant" not in fmus
+
+    def steps(self, key: str) -> Steps:
+        """Return the way to a key's place."""
+        section, dot, name = key.partition(".")
+        if dot and section in _BY_NAME[:2]:
+            return section, name
+        if key in _OF_SCENE and self._has_our_plant:
+            return (name,)
+        if key in self._top or key.startswith(_SECTIONS):
+            return self._inner(key)
+        if not name:
+            raise self._no_such(key)
+        if self._is_known and section not in self._instances:
+            valid = f"{', '.join(self._instances)}{did_you_mean(section, self._instances)}"
+            raise InputError(f"{key}: no instance {section!r}; valid: {valid}")
         return (section, name) if section in _BY_NAME else ("parameters", section, name)
-    steps: list[str | int] = []
-    for part in key.split("."):
-        match = _STEP.fullmatch(part)
-        if match is None:
-            raise _no_such(key, top)
-        is_column = steps[:1] == ["table"] and part in _COLUMNS
-        steps += _COLUMNS[part] if is_column else [match[1]]
-        steps += [int(match[2]) - 1] if match[2] else []
-    return tuple(steps)
 
+    def _inner(self, key: str) -> Steps:
+        """Return the way into a section, a list or the table."""
+        if not _WAY.fullmatch(key):
+            raise self._no_such(key)
+        parts = key.split(".")
+        if parts[0] == "table":
+            parts = [_COLUMNS.get(part, part) for part in parts]
+        return tuple(name or int(index) - 1 for index, name in _STEP.findall(".".join(parts)))
 
-def _no_such(key: str, top: Collection[str]) -> InputError:
-    bare = key.partition("[")[0]
-    owners = [f"{fmu}.{key}" for fmu, interface in INTERFACES.items()
-              if bare in {variable.name for variable in interface.of("parameter")}]  # fmt: skip
-    valid = (*top, "mismatch.preset", "table.rows[1].x", "push[1].force[1]", "success.max_slip",
-             "inputs.plant.torque", "fmus.controller", "plant.block_mass")  # fmt: skip
-    hint = f"; did you mean {owners[0]!r}?" if owners else did_you_mean(key, valid)
-    return InputError(f"{key}: no such key; valid: {', '.join(valid)}{hint}")
+    def _no_such(self, key: str) -> InputError:
+        bare = key.partition("[")[0]
+        owners = [f"{fmu}.{key}" for fmu, interface in INTERFACES.items()
+                  if any(v.name == bare for v in interface.of("parameter"))]  # fmt: skip
+        valid = (*self._top, "mismatch.preset", "table.rows[1].x", "push[1].force[1]",
+                 "success.max_slip", "inputs.plant.torque", "fmus.controller",
+                 "plant.block_mass")  # fmt: skip
+        hint = f"; did you mean {owners[0]!r}?" if owners else did_you_mean(key, valid)
+        return InputError(f"{key}: no such key; valid: {', '.join(valid)}{hint}")
 
 
 def _changed(old: Any, changes: Mapping[Steps, Any], name: str = "") -> Any:
@@ -141,12 +148,20 @@ def _changed(old: Any, changes: Mapping[Steps, Any], name: str = "") -> Any:
         return old
     if isinstance(old, Mapping):
         return _merged(old, {n: _changed(old.get(n, {}), c, n) for n, c in parts.items()})
-    if is_dataclass(old):
-        check_keys("", list(map(str, parts)), field_names(old))
-        if isinstance(old, Mismatch):  # items are those of what preset and wholes result in
-            old = replace(old, **{n: _whole(n, c.pop(())) for n, c in parts.items() if () in c})
-        new = {n: _changed(_field(old, n), c, n) for n, c in parts.items() if c}
-        return replace(old, **new)
+    return (_of_class if is_dataclass(old) else _of_list)(old, parts, name)
+
+
+def _of_class(old: Any, parts: Mapping[str, dict[Steps, Any]], _: str) -> Any:
+    """Return a dataclass with some fields changed."""
+    check_keys("", list(map(str, parts)), field_names(old))
+    if isinstance(old, Mismatch):  # items are those of what preset and wholes result in
+        old = replace(old, **{n: _whole(n, c.pop(())) for n, c in parts.items() if () in c})
+    new = {n: _changed(_field(old, n), c, n) for n, c in parts.items() if c}
+    return replace(old, **new)
+
+
+def _of_list(old: Any, parts: Mapping[int, dict[Steps, Any]], name: str) -> tuple[Any, ...]:
+    """Return a list with some items changed, by index from 0."""
     items = list(old) if isinstance(old, tuple | list) else []
     for index, inner in parts.items():
         if index not in range(len(items)):

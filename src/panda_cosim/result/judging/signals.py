@@ -18,6 +18,7 @@ from ...fmus.errors import InputError, did_you_mean, excerpt, refuse
 from ...task.criteria import (
     BLOCK,
     BOUNDS,
+    REDUCTIONS,
     SLACK,
     BodyCriterion,
     Direction,
@@ -37,7 +38,6 @@ Array = NDArray[np.float64]
 Reduction = Callable[[Array, Array, SignalCriterion], float]
 AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
 _POSE: Final = "_xquat[4]"  # end of a column's name, where a body's pose is recorded
-TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
 
 
 def judge_signals(
@@ -50,7 +50,7 @@ def judge_signals(
         values: list[float] = []
         try:
             unit = unit_of(criterion.signal, shapes_of(recording.columns), units)
-            unit = "s" if criterion.reduce in TIMES else unit
+            unit = "s" if REDUCTIONS[criterion.reduce].is_time else unit
             values, length = _measure(criterion, recording, events)
         except ValueError as error:
             reason = str(error)
