@@ -77,7 +77,8 @@ def _parameter(
     name: str, start: Any, about: Mapping[str, Any], variability: Variability
 ) -> Variable:
     if "choices" in about:
-        kind: Kind = "Boolean" if isinstance(start, bool) else "Enumeration"
+        named: Kind = "Enumeration" if about["choices"] else "String"
+        kind: Kind = "Boolean" if isinstance(start, bool) else named
         return Variable(name, (), "", "parameter", variability, "", start, kind=kind,
                         choices=about["choices"])  # fmt: skip
     shape = (len(start),) if isinstance(start, tuple) else ()

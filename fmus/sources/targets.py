@@ -24,6 +24,7 @@ from ..build.libraries import own_licences
 from ..build.platforms import this_platform
 from ..errors import InputError
 from ..interface.controller import CONTROLLER
+from ..interface.franka import FRANKA
 from ..interface.plant import PLANT
 from ..interface.sensors import SENSORS
 from ..interface.tables import TABLE_FILE, TRAJECTORY
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["auto", "native", "python", "pythonfmu"]
 INSTANCES: Final = ("plant", "controller")
+ONLY_PYTHON: Final = ("sensors", "franka")
 
 
 @dataclass(frozen=True)
@@ -59,10 +61,10 @@ class Target:
             )
 
     def kind_of(self, name: str) -> Kind:
-        """Kind of one of the project's own FMUs; the sensors run Python code in any."""
+        """Kind of one of the project's own FMUs; some run Python code in any."""
         if self.kind in ("python", "pythonfmu"):
             return self.kind
-        is_python = name == "sensors" or (self.kind == "auto" and changed(name))
+        is_python = name in ONLY_PYTHON or (self.kind == "auto" and changed(name))
         return "python" if is_python else "native"
 
     def make(self, fmu: NativeFmu) -> bytes:
@@ -140,12 +142,14 @@ class Own:
     # Files of `assets` that the slave needs.
     assets: tuple[str, ...] = ("arm.xml", "panda.xml", "fr3.xml", "shells.xml")
     needs: tuple[str, ...] = ("numpy", "mujoco")  # packages that the slave needs
+    is_restorable: bool = True  # whether its state can be saved and restored
 
 
 OWN: Final = MappingProxyType({
     "plant": Own(PLANT, ("fmus.inside.plant", "PlantSlave"), ("*.xml",)),
     "controller": Own(CONTROLLER, ("fmus.inside.controller", "ControllerSlave")),
     "sensors": Own(SENSORS, ("fmus.inside.sensors", "SensorsSlave")),
+    "franka": Own(FRANKA, ("fmus.inside.franka", "FrankaSlave"), is_restorable=False),
     "trajectory": Own(TRAJECTORY, ("fmus.inside.trajectory", "TrajectorySlave"), (), ("numpy",)),
 })  # fmt: skip
 
@@ -166,7 +170,8 @@ def own_fmu(
         if kind == PYTHONFMU:
             return packed_fmu(own.interface, code, own.slave, own.needs, table)
         needs = (*own.needs, PYTHONFMU)
-        return python_fmu(own.interface, "", code, own.slave, needs, resources=table)
+        made = python_fmu(own.interface, "", code, own.slave, needs, resources=table)
+        return replace(made, is_restorable=own.is_restorable)
     again = partial(own_fmu, name)
     if name == "plant":
         from ...plant.scene import load_scene  # noqa: PLC0415 - see above

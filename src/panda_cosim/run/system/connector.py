@@ -23,7 +23,8 @@ from .parts import Part, measures_a_panda
 # unconnected.
 RARE: Final = ("torque", *POSTURE_COMMANDS, FORCE_COMMAND)
 OPTIONAL: Final = (*FORCES.values(), *RARE)
-_OF_ARM: Final = ("qpos", "qvel")  # of PandaPlant, which begin with the arm's
+_OF_ARM: Final = ("qpos", "qvel")  # of PandaPlant, which begin with the arm's, then the fingers'
+_LENGTHS: Final = ((len(ARM_JOINTS),), (len(ARM_JOINTS) + 2,))  # of these, what others take
 _CONVERT: Final = re.compile(r"convert\((.+)\)", re.S)
 # What takes an arm's ctrl, by its unit.
 FITTING: Final = {"N.m": '; scene "motors" takes torques', "rad": '; scene "tabletop" takes angles'}
@@ -128,7 +129,7 @@ class Connector:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
             raise InputError(f"{target}: {names} both match; choose one in [connect]")
         source, giving = outputs[0]
-        is_of_arm = giving.name in _OF_ARM and variable.shape == (len(ARM_JOINTS),)
+        is_of_arm = giving.name in _OF_ARM and variable.shape in _LENGTHS
         if is_of_arm and measures_a_panda(self.parts[source].interface):
             giving = replace(giving, shape=variable.shape, unit=giving.units[: variable.size])
         self.check(f"{source}.{giving.name}", giving, target, variable)

@@ -1,0 +1,93 @@
+"""The robot's own controllers, which make torques of a motion's reference, and its load."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Final
+
+import numpy as np
+
+from ...assets import STEP_SIZE
+from ...assets.franka import TORQUE_MAX
+from ..gains import Gains
+from ..impedance import ImpedanceLaw
+from ..limits import clamp
+from ..model import Vector
+from ..signals import OUTPUTS, Buffer, Views
+from .description import ROBOT
+from .motions import Kinematics, Motion
+
+# Of the joints' springs [N.m/rad] and dampers [N.m.s/rad]: a fast and well damped arm.
+STIFFNESS: Final = np.array([3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0])
+DAMPING: Final = np.array([110.0, 110.0, 80.0, 70.0, 30.0, 25.0, 20.0])
+GRAVITY: Final = 9.81  # [m/s^2]
+
+
+class JointImpedance:
+    """A spring and a damper between each joint and its reference."""
+
+    def __init__(self) -> None:
+        self.set_stiffness(STIFFNESS)
+
+    def set_stiffness(self, stiffness: Vector) -> None:
+        """Change the springs (7,) [N.m/rad]; the dampers keep the damping ratio."""
+        self._stiffness, self._damping = stiffness, DAMPING * np.sqrt(stiffness / STIFFNESS)
+
+    def torque(self, q: Vector, dq: Vector, motion: Motion) -> Vector:
+        """Return the torques (7,) [N.m], without those that carry the arm."""
+        torque: Vector = self._stiffness * (motion.q - q) + self._damping * (motion.dq - dq)
+        return torque
+
+
+class CartesianImpedance:
+    """The hand on springs and dampers: the project's impedance law."""
+
+    def __init__(self, measured: Views, arm: Kinematics) -> None:
+        self._arm, self._outputs = arm, Buffer(OUTPUTS).views
+        commands = {"pos_cmd": 3, "quat_cmd": 4, "vel_cmd": 3, "omega_cmd": 3, "force_cmd": 3}
+        self._inputs = SimpleNamespace(
+            **vars(measured) | {name: np.zeros(size) for name, size in commands.items()},
+            posture_cmd=np.zeros(7),
+        )
+        self._inputs.qpos = measured.qpos[:7]
+        self._law = ImpedanceLaw(
+            self._inputs, self._outputs, Buffer(ImpedanceLaw.STATE).views, STEP_SIZE
+        )
+        self._gains = Gains(robot=ROBOT, impedance=True, follow_posture=True, limit_share=1.0)
+        self._law.set_gains(self._gains)
+
+    def set_stiffness(self, stiffness: Vector) -> None:
+        """Change the springs (6,) [N/m, N.m/rad]."""
+        self._gains = replace(self._gains, stiffness=tuple(stiffness.tolist()))
+        self._law.set_gains(self._gains)
+
+    def start(self, motion: Motion) -> None:
+        """Start from rest."""
+        self._command(motion)
+        self._law.start()
+
+    def torque(self, motion: Motion) -> Vector:
+        """Return the torques (7,) [N.m], with those that carry the arm."""
+        self._command(motion)
+        self._law.update()
+        torque: Vector = self._outputs.motor_torque.copy()
+        return torque
+
+    def _command(self, motion: Motion) -> None:
+        hand, inputs = self._arm.hand(motion.q), self._inputs
+        twist = hand.jacobian @ motion.dq
+        inputs.pos_cmd[:], inputs.quat_cmd[:] = hand.position, hand.orientation
+        inputs.vel_cmd[:], inputs.omega_cmd[:] = twist[:3], twist[3:]
+        inputs.posture_cmd[:] = motion.q
+
+
+def carrying(jac: Vector, mass: float, lever: Vector) -> Vector:
+    """Torques (7,) [N.m] that carry a mass [kg] at a lever (3,) [m] from the hand, world axes."""
+    upwards: Vector = jac[2] + jac[3] * lever[1] - jac[4] * lever[0]
+    return mass * GRAVITY * upwards
+
+
+def within_limits(torque: Vector) -> Vector:
+    """Return torques (7,) [N.m] within what the motors can give."""
+    return clamp(torque, -TORQUE_MAX, TORQUE_MAX)
