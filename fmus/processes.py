@@ -34,7 +34,11 @@ class Child:
     """
 
     def __init__(
-        self, *program: str, output: int | None = None, environment: Mapping[str, str] | None = None
+        self,
+        *program: str,
+        output: int | None = None,
+        environment: Mapping[str, str] | None = None,
+        files: Sequence[int] = (),  # descriptors that it gets, too
     ) -> None:
         from multiprocessing.connection import Pipe  # noqa: PLC0415 - slow to import
 
@@ -47,7 +51,7 @@ class Child:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.DEVNULL if output == subprocess.DEVNULL else None,
-                pass_fds=[there.fileno()],
+                pass_fds=[there.fileno(), *files],
                 start_new_session=True,  # gets no Ctrl-C, and can be killed with its children
                 env={**os.environ, **SAFE_PATH, **(environment or {})},
             )

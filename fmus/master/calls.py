@@ -8,10 +8,11 @@ from __future__ import annotations
 import ctypes
 import re
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import PurePath
+from time import perf_counter
 from typing import Any, ClassVar, Final, NoReturn
 from weakref import WeakValueDictionary
 
@@ -23,6 +24,7 @@ from ..interface.variables import INTEGERS, Scalar
 from .fmu_file import Fmu
 
 OnMessage = Callable[[str, str, str], None]  # with instance, status and text
+Spent = defaultdict[str, float]  # [s] wall time by name of a call
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
@@ -66,7 +68,7 @@ class MessageLog:
         self.worst = OK
         self.number = next(_numbers)  # environment pointer that the FMU hands back
         self.calls = 0  # that Python has made
-        self.in_c: Callable[[], tuple[int, ...]] = tuple  # which call C makes
+        self.in_c: Callable[[], tuple[float, ...]] = tuple  # which call C makes
         self._last: deque[tuple[object, str]] = deque(maxlen=LAST_MESSAGES)  # by call
         self._on_message = on_message
         _logs[self.number] = self
@@ -79,7 +81,7 @@ class MessageLog:
         return "; ".join(dict.fromkeys(map(without_traceback, said)))
 
     @property
-    def _call(self) -> tuple[int, ...]:
+    def _call(self) -> tuple[float, ...]:
         return (self.calls, *self.in_c())
 
     def take(self, status: int, message: str) -> None:
@@ -102,6 +104,7 @@ class Caller:
 
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         self.name, self.fmu, self.log = name, fmu, MessageLog(name, on_message)
+        self.spent: Spent = defaultdict(float)
         self.no_going_back = True  # argument of fmiDoStep: whether no earlier state is restored
         self._worst = OK
 
@@ -115,11 +118,13 @@ class Caller:
     ) -> Any:
         """Call a method of FMPy; a status worse than a warning is an error."""
         self.log.calls += 1
+        began = perf_counter()
         try:
             returned = method(*arguments)
         except Exception as error:  # FMPy's FMICallException or a ctypes error
             status = getattr(error, "status", ERROR)
             self.fail(what, status if isinstance(status, int) else ERROR, time, variable)
+        self.spent[what] += perf_counter() - began
         if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
             self.fail(what, returned, time, variable)
         return returned
@@ -160,14 +165,32 @@ class Caller:
         return self.call(label, getattr(self.instance, label), references, *arguments, variable=one)
 
 
-class Access:
+class InLibrary:
+    """A function of an FMU's library, which C can call, too."""
+
+    slave: Caller
+    name: str
+
+    def for_c(self) -> dict[str, int | None]:
+        """Return what the kernel calls."""
+        method = getattr(self.slave.instance.dll, self.name)
+        function = ctypes.cast(method, ctypes.c_void_p).value
+        return {"function": function, "instance": self.slave.component, "fmi": self.slave.fmu.fmi}
+
+    def fail(self, status: int, time: float) -> NoReturn:
+        """Raise the error of a status."""
+        self.slave.fail(self.name, status, time)
+
+
+class Access(InLibrary):
     """A getter or setter of arrays, called with the index of a row of a block (n, elements)."""
 
     def __init__(
         self, slave: Caller, verb: str, arrays: Sequence[Scalar], block: NDArray[Any]
     ) -> None:
         kind, references = arrays[0].variable.fmi_type, [each.value_reference for each in arrays]
-        self.slave, self.name, self.block = slave, f"{slave.prefix}{verb}{kind}", block
+        self.slave, self.name = slave, f"{slave.prefix}{verb}{kind}"
+        self.block = self.memory = block
         self.references = (ctypes.c_uint * len(references))(*references)
         size = block.shape[1]
         first, stride, view = block.ctypes.data, block.strides[0], ctypes.c_double * size
@@ -182,9 +205,10 @@ class Access:
         """Call the method with a row of the block, in place."""
         self.slave.call(self.name, self._method, *self._arguments[row])
 
-    def fail(self, status: int, time: float) -> None:
-        """Raise the error of a status."""
-        self.slave.fail(self.name, status, time)
+    def for_c(self) -> dict[str, int | None]:
+        """Return what the kernel calls, and with what."""
+        references = {"references": ctypes.addressof(self.references)}
+        return super().for_c() | references | {"count": len(self.references)}
 
 
 class Lists:
@@ -228,7 +252,7 @@ class Lists:
         return number
 
 
-class StepCall(ABC):
+class StepCall(InLibrary, ABC):
     """FMPy's `doStep` of an FMU, by a time and a step size [s]."""
 
     reached = 0.0  # [s] by the last step of FMI 3.0
@@ -241,9 +265,10 @@ class StepCall(ABC):
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step to its end; raises SimulationEndedError if the FMU ends the simulation."""
 
-    def fail(self, status: int, time: float) -> NoReturn:
-        """Raise the error of a status."""
-        self.slave.fail(self.name, status, time)
+    @property
+    def in_c(self) -> bool:
+        """Whether C can call it: neither Python nor event mode is needed."""
+        return not (self.slave.fmu.in_python or self.slave.has_events)
 
     def ending(self, time: float, reached: float) -> SimulationEndedError:
         """What says that the FMU has ended the simulation."""

@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from time import perf_counter
 from typing import Any, Final, NoReturn
 
 from fmpy import calloc, fmi2, fmi3, free
@@ -42,10 +43,12 @@ class _Fmi2Step(StepCall):
         """Take a step."""
         slave = self.slave
         slave.log.calls += 1
+        began = perf_counter()
         try:
             status = self._method(slave.component, time, step_size, slave.no_going_back)
         except FMICallException as error:
             status = error.status
+        slave.spent[self.name] += perf_counter() - began
         if not OK <= status <= WARNING:
             self.fail(status, time)
 

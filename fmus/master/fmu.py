@@ -25,7 +25,7 @@ from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
 from .calls import ERROR, FATAL, WARNING, Access, Caller, Lists, OnMessage
 from .fmu_file import Fmu
-from .wiring import Array, Exchange, Moved
+from .wiring import Array, Exchange, Moved, together
 
 # One thread at a time: FMPy changes the working directory while it loads a library, and
 # PythonFMU's wrapper changes sys.path while it makes an instance.
@@ -122,18 +122,10 @@ class FmuSlave(Caller, ABC):
         columns: dict[str, list[int]] = {}
         for column, scalar in enumerate(scalars):
             columns.setdefault(scalar.variable.fmi_type, []).append(column)
-        calls = [
+        return together([
             self._bind_type(verb, [scalars[column] for column in each], each, block)
             for each in columns.values()
-        ]
-        if len(calls) == 1:
-            return calls[0]
-
-        def exchange(row: int) -> None:
-            for call in calls:
-                call(row)
-
-        return exchange
+        ])  # fmt: skip
 
     def _bind_type(
         self, verb: str, scalars: Sequence[Scalar], columns: list[int], block: Array

@@ -19,13 +19,14 @@ from ..build.libraries import STEPPER, library
 from ..build.platforms import this_platform
 from ..errors import CosimError, InputError
 from ..twins import changed
-from .calls import OK, WARNING, Access, StepCall
+from .calls import OK, WARNING, Access, Caller
 from .step import Step
-from .wiring import Array, Moved, nothing
+from .wiring import Array, Moved, Shared, nothing
 
 SLICE: Final = 0.005  # [s] wall time after which C returns, so that Python sees signals
 SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK = range(5)
-ENDED, EARLY, NOT_FINITE, EVENT = range(100, 104)
+ENDED, EARLY, NOT_FINITE, EVENT, LATE, GONE, TOLD = range(100, 107)
+STEPPED: Final = 2
 
 
 class _Call(ctypes.Structure):
@@ -35,7 +36,7 @@ class _Call(ctypes.Structure):
         ("references", ctypes.c_void_p), ("count", ctypes.c_size_t), ("column", ctypes.c_size_t),
         ("values", ctypes.c_void_p), ("size", ctypes.c_size_t),
         ("columns", ctypes.c_void_p), ("places", ctypes.c_void_p), ("moved", ctypes.c_size_t),
-        ("linear", ctypes.c_void_p),
+        ("linear", ctypes.c_void_p), ("seconds", ctypes.c_double),
     ]  # fmt: skip
 
 
@@ -45,7 +46,7 @@ class _Course(ctypes.Structure):
         ("rows", ctypes.c_void_p), ("width", ctypes.c_size_t),
         ("start", ctypes.c_double), ("step_size", ctypes.c_double), ("stop", ctypes.c_void_p),
         ("filled", ctypes.c_int64), ("failed", ctypes.c_int64), ("status", ctypes.c_int32),
-        ("reached", ctypes.c_double), ("ended", ctypes.c_int64),
+        ("reached", ctypes.c_double), ("ended", ctypes.c_int64), ("timed", ctypes.c_int64),
     ]  # fmt: skip
 
 
@@ -63,7 +64,7 @@ def load_stepper() -> Any:
     except (CosimError, InputError, OSError):
         return None
     stepper.panda_take_steps.restype = ctypes.c_int64
-    return stepper.panda_take_steps
+    return stepper
 
 
 def make_kernel(step: Step, rows: Array, *others: Any) -> Kernel | None:
@@ -83,13 +84,20 @@ class Kernel:
     the columns whose values must be finite before followers read a row.
     """
 
-    def __init__(
-        self, step: Step, rows: Array, start: float, stop: ctypes.c_int32, checked: Sequence[int]
+    def __init__(  # noqa: PLR0913 - what a course has
+        self,
+        step: Step,
+        rows: Array,
+        start: float,
+        stop: ctypes.c_int32,
+        checked: Sequence[int] = (),
+        timed: bool = False,  # whether `spent` of the FMUs is to be known
     ) -> None:
         self._step, self._rows = step, rows
         self._keep: list[object] = [stop]
-        self._made_by: list[Any] = []  # `Access`, `StepCall` or None, of each call
+        self._made_by: list[Any] = []  # `Access`, `Shared`, `StepCall` or None, of each call
         self._list: list[_Call] = []
+        self._remote: list[Any] = []  # steps of FMUs in processes of their own
         for leader in step.leaders:
             self._exchange(SET_INPUTS, leader.set_inputs)
             self._step_once(leader.step)
@@ -106,19 +114,40 @@ class Kernel:
         self._calls = (_Call * len(self._list))(*self._list)
         self._course = _Course(
             ctypes.addressof(self._calls), len(self._calls), rows.ctypes.data, rows.shape[1],
-            start, step.size, ctypes.addressof(stop),
+            start, step.size, ctypes.addressof(stop), timed=timed,
         )  # fmt: skip
         for call in filter(None, self._made_by):  # a call of a tick, for the messages in it
-            call.slave.log.in_c = lambda: (self._course.filled, self._course.failed)
+            if isinstance(call.slave, Caller):
+                call.slave.log.in_c = lambda: (
+                    self._course.start,  # of each step, where it is asked for
+                    self._course.filled,
+                    self._course.failed,
+                )
 
     def take(self, tick: int, row: int, count: int) -> tuple[int, int]:
         """Take up to `count` steps; returns how many were, and the number of complete rows."""
         self._course.filled = row
-        taken = load_stepper()(
+        taken = load_stepper().panda_take_steps(
             ctypes.byref(self._course), *map(ctypes.c_int64, (tick, row, count)),
             ctypes.c_double(SLICE),
         )  # fmt: skip
         return taken, self._course.filled
+
+    def serve(self, socket: int, order: Array) -> int:
+        """Take the steps that another process asks for, until it asks for something else: 0.
+
+        Also until a step still needs an answer: 1, it has failed; `STEPPED`, it has not.
+        """
+        where = ctypes.c_void_p(order.ctypes.data)
+        course = ctypes.byref(self._course)
+        return int(load_stepper().panda_serve_steps(course, ctypes.c_int(socket), where))
+
+    def account(self) -> None:
+        """Add the time of the calls so far to `spent` of their FMUs, once."""
+        for call, caller in zip(self._calls, self._made_by, strict=True):
+            if caller is not None:
+                caller.slave.spent[caller.name] += call.seconds
+                call.seconds = 0.0
 
     @property
     def met_non_finite(self) -> bool:
@@ -129,6 +158,8 @@ class Kernel:
         """Raise the error of the call that ended `take`, in the tick of a time, if one did."""
         course = self._course
         status, reached = course.status, course.reached
+        for caller in self._remote:
+            caller.hear()
         if course.ended:
             ender = self._made_by[course.ended - 1]
             self._step.ended = ender.ending(time - self._step.size, reached)
@@ -144,18 +175,16 @@ class Kernel:
         elif caller is not None:
             caller.fail(status, time)
 
-    def _add(self, action: int, caller: Access | StepCall | None, **fields: int | None) -> None:
-        if caller is not None:
-            method = getattr(caller.slave.instance.dll, caller.name)
-            fields["function"] = ctypes.cast(method, ctypes.c_void_p).value
-            fields |= {"instance": caller.slave.component, "fmi": caller.slave.fmu.fmi}
+    def _add(self, action: int, caller: Any, **fields: int | None) -> None:
+        fields |= {} if caller is None else caller.for_c()
         self._made_by.append(caller)
         self._list.append(_Call(action, **fields))
 
-    def _step_once(self, call: object) -> None:
-        if not isinstance(call, StepCall) or call.slave.fmu.in_python or call.slave.has_events:
+    def _step_once(self, call: Any) -> None:
+        if not getattr(call, "in_c", False):
             raise _NotInCError
         self._add(STEP, call, later=int(not call.slave.no_going_back))  # whether it is returned to
+        self._remote += [call] if hasattr(call, "hear") else []
 
     def _exchange(self, action: int, exchange: object, later: int = 0) -> None:
         if exchange is nothing:
@@ -168,17 +197,16 @@ class Kernel:
             if columns is None:
                 columns = self._place(exchange.rows)[exchange.columns]
             places, exchange = exchange.places, exchange.call
-        if not isinstance(exchange, Access) or exchange.block.dtype != np.float64:
+        if not isinstance(exchange, Access | Shared) or exchange.memory.dtype != np.float64:
             raise _NotInCError
+        if columns is None and isinstance(exchange, Shared):
+            columns = self._place(exchange.block)
+            places = np.arange(len(columns))
         if columns is None:
             moves["column"] = int(self._place(exchange.block)[0])
         else:
-            moves |= {"values": exchange.block.ctypes.data, **self._columns(columns, places)}
-        references = exchange.references
-        self._add(
-            action, exchange, later=later, **moves, size=exchange.block.shape[1],
-            references=ctypes.addressof(references), count=len(references),
-        )  # fmt: skip
+            moves |= {"values": exchange.memory.ctypes.data, **self._columns(columns, places)}
+        self._add(action, exchange, later=later, **moves, size=exchange.memory.shape[-1])
 
     def _place(self, block: Array) -> Any:
         """Columns of the rows that a block of theirs shows."""

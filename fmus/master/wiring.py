@@ -199,6 +199,51 @@ class Moved:
         self.call(0)
 
 
+class Memory(Protocol):
+    """What holds the values of an FMU in another process."""
+
+    def refresh(self) -> None:
+        """Have the FMU's present outputs written there, unless they are."""
+
+    def note(self, put: Shared) -> None:
+        """Have values set before anything else is asked of the FMU."""
+
+
+class Shared:
+    """Exchanges rows of a block with an FMU in another process, by memory that both have."""
+
+    name = "exchange"
+
+    def __init__(self, slave: Memory, index: int, block: Array, memory: Array, *, reads: bool):
+        self.slave, self.index, self.block, self.memory = slave, index, block, memory
+        self._reads = reads
+
+    def __call__(self, row: int) -> None:
+        """Exchange the values of a row."""
+        if self._reads:
+            self.slave.refresh()
+            self.block[row] = self.memory
+        else:
+            self.memory[:] = self.block[row]
+            self.slave.note(self)
+
+    def for_c(self) -> dict[str, int | None]:
+        """Return what the kernel calls: nothing, as values need only be copied."""
+        return {}
+
+
+def together(exchanges: Sequence[Exchange]) -> Exchange:
+    """Make one function of several."""
+    if len(exchanges) == 1:
+        return exchanges[0]
+
+    def exchange(row: int) -> None:
+        for each in exchanges:
+            each(row)
+
+    return exchange if exchanges else nothing
+
+
 # The rows.
 
 BLOCK_ROWS = 256  # few enough to stay in the processor's cache

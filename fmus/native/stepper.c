@@ -14,6 +14,8 @@
 #include <windows.h>
 #define EXPORT __declspec(dllexport)
 #else
+#include <errno.h>
+#include <sys/socket.h>
 #include <time.h>
 #define EXPORT __attribute__((visibility("default")))
 #endif
@@ -21,7 +23,11 @@
 typedef enum { SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK } action;
 
 /* Statuses beyond those of FMI. */
-enum { WARNING = 1, ENDED = 100, EARLY, NOT_FINITE, EVENT };
+enum { WARNING = 1, ENDED = 100, EARLY, NOT_FINITE, EVENT, LATE, GONE, TOLD };
+
+/* What is said through the socket to an FMU's process, and its answers: one byte each. Values are in memory
+ * that both share. */
+enum { TAKE_STEP = 's', DONE = 0, HEARD, ENDED_AT_END, FAILED };
 
 static const double ROUNDING = 1e-9; /* of a step: an FMU's clock may sum */
 
@@ -34,7 +40,7 @@ typedef unsigned step3(void *instance, double time, double size, bool no_going_b
 
 typedef struct {
     int32_t action;
-    int32_t fmi;    /* major version */
+    int32_t fmi;    /* major version; 0: in a process of its own */
     int64_t later;  /* 0: values of this tick's row, 1: of the next row; of a step: whether it is returned to */
     union {
         access2 *access2;
@@ -51,10 +57,19 @@ typedef struct {
     const uint32_t *columns, *places; /* columns of the row, and where they are in `values` */
     size_t moved;                     /* how many: those of `columns` */
     const double *linear;             /* factor and offset of each, if they are converted */
+    double seconds;                   /* that it took so far, if it is timed */
 } call;
 
+/* An FMU in a process of its own: the `instance` of its calls. */
 typedef struct {
-    const call *calls;
+    int32_t socket;
+    int32_t heard;             /* set if it has logged messages, which wait there */
+    double *order;             /* begin and size of the step that it is to take [s] */
+    void (*interrupted)(void); /* called if a signal comes while it is waited for */
+} remote;
+
+typedef struct {
+    call *calls;
     int64_t call_count;
     double *rows;
     size_t width;               /* of a row */
@@ -65,6 +80,7 @@ typedef struct {
     uint32_t status;            /* its status, */
     double reached;             /* and where it ended a step early [s] */
     int64_t ended;              /* number of the call that ended the simulation at its step's end, from 1 on; or 0 */
+    int64_t timed;              /* whether calls are timed */
 } course;
 
 static double now(void) /* [s] */
@@ -102,15 +118,37 @@ static unsigned access(const call *c, double *row)
     if (c->action == SET_INPUTS)
         for (size_t i = 0; i < c->moved; i++) values[c->places[i]] = converted(c, i, row[c->columns[i]]);
     const unsigned status =
-        c->fmi == 3 ? c->function.access3(c->instance, c->references, c->count, values, c->size)
-                    : c->function.access2(c->instance, c->references, c->count, values);
+        c->fmi == 0   ? 0 /* the values are in its process already */
+        : c->fmi == 3 ? c->function.access3(c->instance, c->references, c->count, values, c->size)
+                      : c->function.access2(c->instance, c->references, c->count, values);
     if (c->action == GET_OUTPUTS && status <= WARNING)
         for (size_t i = 0; i < c->moved; i++) row[c->columns[i]] = values[c->places[i]];
     return status;
 }
 
+#if defined(_WIN32)
+static unsigned ask(remote *f, double time, double size) { return GONE; }
+#else
+static unsigned ask(remote *f, double time, double size)
+{
+    char byte = TAKE_STEP;
+    f->order[0] = time, f->order[1] = size;
+    if (send(f->socket, &byte, 1, 0) != 1) return GONE;
+    ssize_t count;
+    while ((count = recv(f->socket, &byte, 1, 0)) < 0 && errno == EINTR) f->interrupted();
+    if (count != 1) return count < 0 && (errno == EAGAIN || errno == EWOULDBLOCK) ? LATE : GONE;
+    f->heard |= byte == HEARD;
+    return byte == FAILED ? TOLD : byte == ENDED_AT_END ? ENDED : 0;
+}
+#endif
+
 static unsigned step(course *r, const call *c, double time)
 {
+    if (c->fmi == 0) {
+        const unsigned status = ask(c->instance, time, r->step_size);
+        if (status == ENDED) r->ended = r->failed + 1;
+        return status == ENDED ? 0 : status;
+    }
     if (c->fmi != 3) return c->function.step2(c->instance, time, r->step_size, !c->later);
     bool event = false, ended = false, early = false;
     const double end = time + r->step_size;
@@ -151,10 +189,31 @@ EXPORT int64_t panda_take_steps(course *r, int64_t tick, int64_t k, int64_t coun
     for (int64_t taken = 0; taken < count; taken++) {
         const double time = r->start + (double)(tick + taken) * r->step_size;
         for (r->failed = 0; r->failed < r->call_count; r->failed++) {
-            r->status = carry_out(r, &r->calls[r->failed], k + taken, time);
+            call *c = &r->calls[r->failed];
+            const double began = r->timed ? now() : 0.0;
+            r->status = carry_out(r, c, k + taken, time);
+            if (r->timed) c->seconds += now() - began;
             if (r->status > WARNING) return taken;
         }
         if (*r->stop || r->ended || now() >= until) return taken + 1;
     }
     return count;
 }
+
+#if !defined(_WIN32)
+/* In an FMU's process: takes the steps that are asked for. Returns 0 before anything that is not a step, 1 after a
+ * step that failed, and 2 after one that ended the simulation or logged messages; these are still to be answered. */
+EXPORT int panda_serve_steps(course *r, int socket, const double *order)
+{
+    char byte;
+    while (recv(socket, &byte, 1, MSG_PEEK) == 1 && byte == TAKE_STEP && recv(socket, &byte, 1, 0) == 1) {
+        r->start = order[0], r->step_size = order[1];
+        panda_take_steps(r, 0, 0, 1, 1.0);
+        if (r->status > WARNING) return 1;
+        if (r->ended || *r->stop) return 2;
+        byte = DONE;
+        if (send(socket, &byte, 1, 0) != 1) return 0;
+    }
+    return 0;
+}
+#endif
