@@ -21,13 +21,13 @@ import ctypes
 import time as clock
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from ...assets import STEP_SIZE
 from ..errors import SimulationEndedError, SimulationError
 from ..interface.tables import Connection
-from .kernel import make_kernel
+from .kernel import Kernel, make_kernel
 from .step import ITERATIONS, Coupling, IteratedStep, Step, Stepper, settle
 from .wiring import (
     BLOCK_ROWS,
@@ -56,6 +56,7 @@ class RunStatistics:
     overruns: int = 0  # ticks that ended too late for real time
     worst_lateness: float = 0.0  # [s] largest delay of a tick
     in_c: int = 0  # steps that the kernel took; FMPy's methods took the others
+    spent: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # see `Master.spent`
 
     @property
     def stepped_by(self) -> str:
@@ -119,6 +120,8 @@ class Master:
         ]
         self._bound = bind(self.slaves, self.columns, self.external, connections, rows)
         self._stop = ctypes.c_int32()
+        self._is_timed = False
+        self._kernel: Kernel | None = None
         self._set_coupling(coupling)
         self.statistics = RunStatistics()
         self._flush_at = 0.0  # time of the next flush, by the performance counter
@@ -155,6 +158,8 @@ class Master:
     def begin(self, sink: Sink) -> None:
         """Read all outputs at t_0; the slaves have just been initialized."""
         self.statistics, self._flush_at = RunStatistics(), 0.0
+        for times in self._times().values():
+            times.clear()
         self._buffer.begin(sink)
         with self._rows_kept():
             for slave in self._bound:
@@ -272,6 +277,22 @@ class Master:
         self._set_coupling(coupling)
         self._step.ended = ended
 
+    def time_calls(self) -> None:
+        """Have the calls that are made in C timed, too; those of Python always are."""
+        self._is_timed = True
+        self._set_coupling(self.coupling)
+
+    def spent(self) -> dict[str, dict[str, float]]:
+        """Wall time since `begin` by FMU and call [s]."""
+        if self._kernel is not None:
+            self._kernel.account()
+        return {name: dict(times) for name, times in self._times().items()}
+
+    def _times(self) -> dict[str, dict[str, float]]:
+        """Times of those slaves that are FMUs, as they are kept."""
+        slaves = (each.slave if isinstance(each, SlowSlave) else each for each in self.slaves)
+        return {slave.name: slave.spent for slave in slaves if hasattr(slave, "spent")}
+
     def latest(self) -> Array:
         """Copy of the present row; inputs and leaders' outputs are those of the last tick."""
         self._buffer.hold(self._row)
@@ -304,12 +325,15 @@ class Master:
 
     def _set_coupling(self, coupling: Coupling) -> None:
         buffer = self._buffer
+        self.spent()  # of the kernel that there was
         kind = IteratedStep if coupling == "iterated" else Step
         self._step = kind(self._bound, coupling, self.step_size, buffer.rows, buffer.complete)
         self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
         self._kernel = (
-            make_kernel(self._step, buffer.rows, self.start, self._stop, self.checked)
+            make_kernel(
+                self._step, buffer.rows, self.start, self._stop, self.checked, self._is_timed
+            )
             if self._stepper == "kernel"
             else None
         )

@@ -32,7 +32,8 @@ ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
 SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial",
            "push_block", "calibrated", "stack_blocks")  # fmt: skip
 RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expect", "expect_reason",
-       "as_expected", "verdict", "row_ends", "first_limit", "stepped_by", "code")  # fmt: skip
+       "as_expected", "verdict", "row_ends", "first_limit", "stepped_by", "code",
+       "profile")  # fmt: skip
 
 
 # --- the numbers once more

@@ -223,6 +223,7 @@ def outcome_lines(
         at = end["ended_s"]
         how = "never ended early" if at is None else f"ended early, at t = {at:.3f} s"
         yield f"Row {end['row']} ({end['until']}) {how}", "yellow" if at is None else ""
+    yield from ((line, "") for line in summary.costs())
     for line in advise(recording, summary, ours=ours):
         yield line, STYLES["hint"]
     for level, text in refusals(summary.preflight, complete=summary.complete):

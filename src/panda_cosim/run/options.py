@@ -33,6 +33,7 @@ class Options:
         time_limit: Wall time that all steps may take [s]; None: unlimited. Checked between
             steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
         master: What steps the FMUs: "kernel", in C where it can, or "fmpy", by FMPy's methods.
+        profile: Measure the time of each FMU by call, for the summary.
         log: FMUs, by instance, all of whose messages go to standard error as they come.
 
     Raises:
@@ -50,6 +51,7 @@ class Options:
     parts: Mapping[str, str] = field(default_factory=dict)
     master: Stepper = "kernel"
     log: Sequence[str] = ()
+    profile: bool = False
 
     def __post_init__(self) -> None:
         """Check values that may come from a command line."""

@@ -89,6 +89,7 @@ def summarize(
         first_limit=first_limit(recording),
         stepped_by=statistics.stepped_by if statistics else None,
         code=recording.metadata.get("code", {}),
+        profile=statistics.spent if statistics else {},
         **measured,
     )
 

@@ -58,6 +58,7 @@ def command(  # noqa: PLR0913 - one for each option
     master: Stepper = option("--master NAME", "kernel"),
     ssv: Path | None = option("--ssv FILE"),
     log: list[str] | None = option("--log FMU"),
+    profile: bool = flag("--profile"),
     kind: Kind = KIND,
     mujoco: str = MUJOCO,
     junit: Path | None = JUNIT,
@@ -92,6 +93,7 @@ def command(  # noqa: PLR0913 - one for each option
             methods.
         ssv: Parameter set of SSP, by FMU.VARIABLE, in any units; --set goes before it.
         log: Show all that an FMU logs, its debug messages, too, on standard error. May repeat.
+        profile: Measure the time of each FMU by call; it stands in the summary and on the page.
     """
     options = Options(
         realtime=float(realtime),
@@ -100,6 +102,7 @@ def command(  # noqa: PLR0913 - one for each option
         kind=kind,
         master=master,
         log=log or (),
+        profile=profile,
     )
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:

@@ -78,6 +78,8 @@ class Summary:
     timing: Metrics = field(default_factory=dict)
     stepped_by: str | None = None  # "kernel", "fmpy" or both; None: judged later
     code: Metrics = field(default_factory=dict)  # what runs in each FMU
+    # Wall time of the steps by FMU and call [s]; empty: not asked for.
+    profile: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @classmethod
     def open(cls, folder: Path, **known: Any) -> Self:
@@ -166,6 +168,18 @@ class Summary:
         names = ", ".join(each.name for each in self.criteria if each.word == wanted)
         short = self.complete and verdict is not SUCCESS
         return f"{verdict.word}: {names if short else self.detail}"
+
+    def costs(self) -> Iterator[str]:
+        """Say where the wall time went, by FMU and call, the most expensive first."""
+        whole = self.timing.get("wall_s") or 0.0
+        sums = {name: sum(calls.values()) for name, calls in self.profile.items()}
+        for name in sorted(sums, key=sums.__getitem__, reverse=True):
+            calls = sorted(self.profile[name].items(), key=lambda call: -call[1])
+            python = " (Python)" * (self.code.get(name) == "python")
+            parts = ", ".join(f"{call} {seconds:.3g} s" for call, seconds in calls)
+            yield f"{name}{python}: {sums[name]:.3g} s of {whole:.3g} s: {parts}"
+        if sums:
+            yield f"the master itself: {max(whole - sum(sums.values()), 0.0):.3g} s"
 
     def numbers(self) -> Iterator[tuple[str, Any]]:
         """Yield the metrics by place, such as `limits.torque_share[2]`; the wall clock is none."""

@@ -107,7 +107,8 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     forces = FORCES if run.masses else ""
     order = metadata.get("order", ())
     steps = shown(order, metadata["late"]) if len(order) > 1 else ""
-    notes = (*refusals_of(run.summary), thinning.words(), ROUNDING, forces, steps, *run.notes)
+    notes = (*refusals_of(run.summary), thinning.words(), ROUNDING, forces, steps,
+             *run.summary.costs(), *run.notes)  # fmt: skip
     return {
         "name": run.name,
         "title": title,
