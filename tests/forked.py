@@ -57,8 +57,8 @@ def call(
     job: Callable[..., Any], *args: Any, cwd: Path | None = None, timeout: float = 600.0
 ) -> subprocess.CompletedProcess[str]:
     """Call a function of a module in tests/; the last line of its output is what it returned."""
-    module = Path(sys.modules[job.__module__].__file__ or "").stem
-    return _forked(_job, [module, job.__name__, *args], cwd, timeout, {})
+    file = Path(sys.modules[job.__module__].__file__ or "")
+    return _forked(_job, [str(file.parent), file.stem, job.__name__, *args], cwd, timeout, {})
 
 
 def script(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -167,6 +167,7 @@ def _script(arguments: list[str]) -> None:
 
 
 def _job(arguments: list[Any]) -> None:
-    module, name, *values = arguments
+    folder, module, name, *values = arguments
+    sys.path.insert(0, folder)
     result = getattr(import_module(module), name)(*values)
     print(f"\nRESULT {json.dumps(result)}", flush=True)

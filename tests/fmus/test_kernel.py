@@ -66,7 +66,14 @@ def run(folder: str, plans: list[dict[str, Any]]) -> list[list[str]]:
     return [[_run(Path(folder), plan, STEPPERS[stepper]) for stepper in STEPPERS] for plan in plans]
 
 
-def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
+def isolated(folder: str, plan: dict[str, Any]) -> str:
+    """The same, with a process for each toy."""
+    return _run(Path(folder), plan, STEPPERS["in C"], isolate=True)
+
+
+def _run(
+    folder: Path, plan: dict[str, Any], stepper: Callable[[], Any], isolate: bool = False
+) -> str:
     instances = [f"toy{i}" for i in range(len(plan["versions"]))]
     rows: list[str] = []
     system = System(
@@ -82,8 +89,8 @@ def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
     with (
         patch("panda_cosim.fmus.master.kernel.load_stepper", stepper),
         patch("panda_cosim.fmus.master.kernel.changed", lambda _: ()),  # in C in any case
-        open_system(system, plan["start"], stop=1.0 + count * TICK, coupling=plan["coupling"])
-        as opened,
+        open_system(system, plan["start"], stop=1.0 + count * TICK, coupling=plan["coupling"],
+                    isolate=isolate) as opened,
     ):  # fmt: skip
         master = opened.master
         try:
@@ -121,7 +128,7 @@ def plan(version: int, **changes: Any) -> dict[str, Any]:
 def test_both_end_alike(folder, version, act):
     acting = plan(version, start={"toy0": {"act": act}})
     [[in_c, in_python]] = in_process(run, str(folder), [acting])
-    assert in_c == in_python
+    assert in_c == in_python == in_process(isolated, str(folder), acting)
     ends = version == 3 and act == "end"  # with its third step, which the others finish
     assert ("at t = 0.002 s, in FMU 'toy0'" in in_c) == (act in {"discard", "error"} or ends)
     assert in_c.endswith(", 3 steps") == ends

@@ -216,7 +216,37 @@ def test_isolated_fmus_give_the_same_bits(tmp_path, scenario, coupling):
                                   coupling=coupling)  # fmt: skip
         assert forked.script(*command[2:]).returncode == 0
         rows.append(Recording.open(tmp_path / f"{isolate}").sha256())
+        summary = json.loads((tmp_path / f"{isolate}" / "summary.json").read_text())
+        assert summary["stepped_by"] == "kernel"
     assert rows[0] == rows[1]
+
+
+SLOW = """
+import time as clock
+
+class Slow:
+    "Holds the arm, slowly."
+
+    def update(self, time, qpos):
+        clock.sleep(0.002)
+        return [*qpos[:7], 255.0]
+"""
+
+
+@pytest.mark.parametrize("way", [(), ("--master", "fmpy"), ("--isolate",)])
+def test_a_profile_tells_which_fmu_takes_the_time_and_in_which_call(tmp_path, scenario, way):
+    (tmp_path / "slow.py").write_text(SLOW)
+    law = ("--controller", f"{tmp_path}/slow.py:Slow", "--no-video", "--no-view")
+    words = ("run", scenario, *law, "--profile", "--out", tmp_path / "run", *way)
+    told = forked.command(*words).stdout
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    spent, whole = summary["profile"], summary["timing"]["wall_s"]
+    assert spent.keys() == {"controller", "plant"}
+    step = "step" if "--isolate" in way else "fmi2DoStep"
+    assert 0.1 / 0.001 * 0.002 <= spent["controller"][step] <= whole  # [s] in which it slept
+    assert sum(sum(calls.values()) for calls in spent.values()) <= whole
+    first = next(line for line in told.splitlines() if f" s of {whole:.3g} s: " in line)
+    assert first.startswith("controller (Python): ")
 
 
 def test_a_killed_master_takes_its_fmus_along(tmp_path, faulty, scenario):
