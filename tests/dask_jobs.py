@@ -5,6 +5,8 @@ import os
 import signal
 import time
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import distributed
 import pytest
@@ -25,6 +27,9 @@ def local_cluster(base: str, out: str, samples: int) -> int:
             assert address.startswith("tls://127.0.0.1:")
             with pytest.raises(OSError, match=":"):  # another user has no key
                 distributed.Client(address.replace("tls", "tcp"), timeout=2)
+            port = distributed.get_client().cluster.scheduler.http_server.port
+            with pytest.raises(HTTPError, match="404"):  # nor is there anything to read
+                urlopen(f"http://127.0.0.1:{port}/info/main/workers.html", timeout=10)
             worker = multiprocessing.active_children()[0]
             os.kill(worker.pid or 0, signal.SIGKILL)
             killed.append(worker.pid or 0)

@@ -9,7 +9,13 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.result.judging.preflight import preflight
 from panda_cosim.result.recording import Recording
 from panda_cosim.run.execution import run_scenario
-from panda_cosim.study.check.motion import Motion, check_motion, followed
+from panda_cosim.study.check.motion import (
+    check_motion,
+    followed,
+    motion_text,
+    motions,
+    retimed,
+)
 
 HOME = np.array([0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853])
 NAMES = [f"q{joint}" for joint in range(1, 8)]
@@ -48,7 +54,7 @@ def test_speeds_are_refused_from_the_robots_limit_on(tmp_path, robot, arm, rows,
     refused = []
     for amplitude in (0.5, 5.0):
         path = moved(tmp_path / "m.csv", amplitude, rows, speeds=speeds)
-        motion = followed(Motion.read(path), arm)
+        motion = followed(motion_in(path), arm)
         found = preflight(motion, robot)
         joints = motion_of(motion)
         rates = np.diff(joints, axis=0, prepend=joints[:1]) * 1000
@@ -60,6 +66,11 @@ def test_speeds_are_refused_from_the_robots_limit_on(tmp_path, robot, arm, rows,
     assert refused == [False, True]
 
 
+def motion_in(path):
+    (motion,) = motions(path)
+    return motion
+
+
 def motion_of(recording):
     return np.stack([recording[f"controller.qpos_ref[{joint}]"] for joint in range(1, 8)], axis=1)
 
@@ -67,7 +78,7 @@ def motion_of(recording):
 def test_the_splines_follow_the_motion_between_its_rows(tmp_path):
     """Quintic in time, which cubic pieces of 100 ms follow within 2e-6 of the way."""
     for speeds in (False, True):
-        motion = Motion.read(moved(tmp_path / "m.csv", 1.0, speeds=speeds))
+        motion = motion_in(moved(tmp_path / "m.csv", 1.0, speeds=speeds))
         times, joints = motion.sent()
         assert len(times) == 3001
         assert np.abs(joints[:, 0] - smooth(times)[0]).max() < (1e-4 if not speeds else 2e-5)
@@ -81,7 +92,7 @@ def test_a_run_and_its_reference_as_a_file_are_refused_the_same(tmp_path):
     names = [f"controller.qpos_ref[{joint}]" for joint in range(1, 8)]
     joints = np.stack([recording[name] for name in names], axis=1)
     path = write(tmp_path / "m.csv", recording.time, joints)
-    arms = [Recording.open(tmp_path / "run"), followed(Motion.read(path), "panda")]
+    arms = [Recording.open(tmp_path / "run"), followed(motion_in(path), "panda")]
     ours, theirs = (preflight(each, "fer") for each in arms)
     for key in ("joint_velocity_share", "joint_acceleration_share", "joint_jerk_share"):
         assert theirs[key] == pytest.approx(ours[key], rel=1e-6)
@@ -91,14 +102,14 @@ def test_a_run_and_its_reference_as_a_file_are_refused_the_same(tmp_path):
 def test_a_motion_beyond_a_joints_range_names_the_row_and_the_joint(tmp_path):
     path = moved(tmp_path / "m.csv", Q_MAX[0] + 0.2, speeds=True)
     refused = next(it.text for it in check_motion(path, "fer") if "position_limits" in it.text)
-    row = int(np.argmax(Motion.read(path).joints[:, 0] > Q_MAX[0])) + 1
+    row = int(np.argmax(motion_in(path).joints[:, 0] > Q_MAX[0])) + 1
     assert refused.startswith("fer refuses: joint_motion_generator_position_limits_violation")
     assert f"(row {row})" in refused
     assert "joint 1" in refused
 
 
 def test_a_motion_from_rest_to_rest_has_no_step_at_its_first_tick(tmp_path):
-    motion = Motion.read(moved(tmp_path / "m.csv", 1.0))
+    motion = motion_in(moved(tmp_path / "m.csv", 1.0))
     _, joints = motion.sent()
     assert np.abs(np.diff(joints[:2], axis=0)).max() < 1e-6  # rad: 1 mrad/s
     assert np.abs(np.diff(joints[-2:], axis=0)).max() < 1e-6
@@ -116,15 +127,40 @@ ROW = "0,0,0,-1.5,0,1.5,0"
         (f"{GOOD},qd1\n", "must be time and q1 to q7"),
         (f"{GOOD}\n", "0 rows; must be at least two"),
         (f"{GOOD}\n0,{ROW}\n", "1 rows; must be at least two"),
-        (f"{GOOD}\n0,{ROW}\n0,{ROW}\n", "line 3: time: must be after the row above"),
-        (f"{GOOD}\n0,{ROW}\n1e9,{ROW}\n", "line 3: time: must be after"),
-        (f"{GOOD}\n0,{ROW}\n1,nan{ROW[1:]}\n", "line 3: q1: value 'nan'; must be a finite number"),
+        (f"{GOOD}\n0,{ROW}\n0,{ROW}\n", "row 2: time: must be after the row above"),
+        (f"{GOOD}\n0,{ROW}\n1e9,{ROW}\n", "row 2: time: must be after"),
+        (f"{GOOD}\n0,{ROW}\n1,nan{ROW[1:]}\n", "row 2: q1: value 'nan'; must be a finite number"),
         (f"{GOOD}\n0,{ROW}\n1,{ROW},2\n", "line 3: 9 values; must be 8"),
     ],
 )
 def test_a_file_that_is_no_motion_is_refused_with_its_place(tmp_path, text, said):
     (tmp_path / "m.csv").write_text(text)
     with pytest.raises(InputError) as refused:
-        Motion.read(tmp_path / "m.csv")
+        motion_in(tmp_path / "m.csv")
     assert str(refused.value).startswith(str(tmp_path / "m.csv"))
     assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 2.0])
+@pytest.mark.parametrize("speeds", [False, True])
+def test_a_motion_at_new_times_is_refused_nothing_and_hardly_faster_it_would_be(
+    tmp_path, amplitude, speeds
+):
+    path = moved(tmp_path / "m.csv", amplitude, rows=7, speeds=speeds)
+    motion, factor = retimed(path, "fer", 0.9, keep_times=False)
+    (tmp_path / "n.csv").write_text(motion_text(motion))
+    assert "refused" not in {each.level for each in check_motion(tmp_path / "n.csv", "fer")}
+    found = [preflight(followed(each, "panda"), "fer") for each in (motion, motion.stretched(0.98))]
+    keys = ("joint_velocity", "joint_acceleration", "joint_jerk", "elbow_jerk", "torque")
+    used = [max(max(it[f"{key}_share"]) for key in keys) for it in found]
+    assert used[0] < 0.9 <= used[1]
+    old = motion_in(path)
+    assert np.allclose(motion.times, factor * old.times, rtol=1e-12)
+    assert np.array_equal(motion.joints, old.joints)
+    assert retimed(path, "fer", 0.9, keep_times=True)[1] == max(factor, 1.0)
+
+
+def test_a_motion_that_no_time_mends_is_refused_with_what_is_beyond(tmp_path):
+    path = moved(tmp_path / "m.csv", Q_MAX[0] + 0.2)
+    with pytest.raises(InputError, match="joint_position is beyond 90% of its limit at any speed"):
+        retimed(path, "fer", 0.9, keep_times=False)

@@ -22,6 +22,7 @@ Attributes:
     MESHES: Draw the arm with meshes of MuJoCo Menagerie; auto: if they are there.
     JUNIT: Write the verdict as JUnit XML, for CI.
     JSON: Print the result as JSON instead of tables.
+    MAP: Names of a log's columns: [names] "plant.qpos[1]" = ["q1"]; also time, seconds and start.
     OPEN_PAGE: Open the page in the browser.
     OVERWRITE: Also replace files that panda-cosim did not write.
     KIND: Compiled FMUs, Python, or Python packed by PythonFMU; auto: compiled while proven equal.
@@ -74,6 +75,7 @@ VIEW = option("--view/--no-view", True)
 MESHES = option("--meshes", "never")
 JUNIT = option("--junit FILE.xml")
 JSON = flag("--json")
+MAP = option("--map NAMES.toml")
 OPEN_PAGE = flag("--open")
 OVERWRITE = flag("--overwrite")
 KIND = option("--kind", "auto")

@@ -9,9 +9,10 @@ import typer
 
 from ...fmus.errors import InputError
 from ...result.judging.verdicts import MISSED
+from ...result.recording.logs import SUFFIXES
 from ...study.check.diagnosis import check_folder
 from ...study.check.experiments import check_experiments
-from ...study.check.motion import MOTION, check_motion
+from ...study.check.motion import check_motion
 from ...task.scenario import shipped_scenarios
 from ..console import show, show_json
 from ..forms import scenario_argument
@@ -42,8 +43,9 @@ def command(  # noqa: PLR0913 - one for each option
     criterion or the robot's conditions could not be measured. Exit code 3: the robot would refuse
     it.
 
-    Of a motion, a .csv file with the columns `time`, `q1` to `q7` and perhaps `qd1` to `qd7`, it
-    says the same: that robot would be sent it each millisecond, with splines between the rows.
+    Of a motion, a .csv or .parquet file with the columns `time`, `q1` to `q7` and perhaps `qd1` to
+    `qd7`, or the JointTrajectory messages of an .mcap file, it says the same: that robot would be
+    sent it each millisecond, with splines between the rows.
 
     Of an .fmu, the reference experiments are run (FMI-LS-REF; `build` and `mjcf2fmu` embed one),
     and the largest difference is printed, with the number of values that were compared, and of
@@ -61,7 +63,7 @@ def command(  # noqa: PLR0913 - one for each option
 
     Args:
         folder: Name of a shipped scenario, a scenario's folder, an .fmu or .ssp file, or a
-            motion.csv.
+            motion: .csv, .parquet or .mcap.
     """
     if not folder.exists():
         folder = shipped_scenarios().get(str(folder), folder)
@@ -72,12 +74,12 @@ def command(  # noqa: PLR0913 - one for each option
         _check_fmu(folder, as_json=json)
         return
     values = values_of(assignments, controller, plant)
-    if folder.suffix == MOTION:
+    if folder.suffix in SUFFIXES:
         if values or not robot:
             option = "--set" if values else "--robot"
             must = "not for a motion" if values else "is missing; must be fer or fr3"
             raise InputError(f"{folder}: {option}: {must}")
-        diagnostics = check_motion(folder, robot)
+        diagnostics = [*check_motion(folder, robot)]
     else:
         diagnostics = check_folder(folder, values, robot or "")
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)

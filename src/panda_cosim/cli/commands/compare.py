@@ -10,14 +10,15 @@ from ...study.compare.between_runs import RunComparison, compare
 from ...study.compare.wording import signal_names
 from ..console import as_cell, show, show_json, table
 from ..forms import argument, option
-from ..options import JSON, OVERWRITE
+from ..options import JSON, MAP, OVERWRITE
 
 SHOWN = 8  # rows of a table
 PAGE = "compare.html"
 
 
 def command(
-    runs: list[Path] = argument("RUN RUN [RUN]..."),
+    runs: list[Path] = argument("RUN RUN|LOG..."),
+    names: Path | None = MAP,
     out: Path | None = option("--out -o DIR"),
     json: bool = JSON,
     overwrite: bool = OVERWRITE,
@@ -30,19 +31,23 @@ def command(
     different lengths are compared where they overlap, and are never identical. Exit code 2: the
     runs have nothing in common.
 
+    A log of a robot or another program is compared as a run, where it has the names of its columns
+    and its seconds; `--map` says what other names and times are.
+
     ```
     panda-cosim run push --out runs/a
     panda-cosim run push --set controller.kp=6 --out runs/b
     panda-cosim compare runs/a runs/b --out report
+    panda-cosim compare runs/a robot.mcap --map names.toml
     ```
 
     Args:
-        runs: Folders of runs; the others are compared with the first.
+        runs: Folders of runs, or logs (.csv, .parquet, .mcap); compared with the first, a run.
         out: Write compare.html there, with all details.
     """
     if len(runs) < 2:
         raise InputError("RUN: only one; must be at least two runs")
-    comparison = compare(runs[0], *runs[1:])
+    comparison = compare(runs[0], *runs[1:], names=names)
     if out is not None:
         check_replaceable(out / PAGE, overwrite=overwrite)
         write_whole(out / PAGE, comparison.to_html())

@@ -7,23 +7,26 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...assets import STEP_SIZE
+from ...fmus.atomic import write_whole
 from ...fmus.errors import InputError
+from ...result.recording.logs import SUFFIXES
 from ...run.folder import keep_scenario, refuse_existing
 from ...run.prepare import prepare
 from ...run.start import new_timing, start_values
+from ...study.check.motion import motion_text, retimed
 from ...task.files import as_argument, check_new
 from ...task.scenario import MAX_DURATION, SCENARIO_FILE, TABLE_FILE, Scenario
 from ...task.table import TrajectoryTable
 from ...task.timing.demand import Shares
 from ...task.writer import write_scenario
 from ..console import show, table, tell
-from ..forms import flag, option
+from ..forms import flag, option, scenario_argument
 from ..options import ROBOT, SCENARIO, SETTINGS, Robot, arm_of, find_scenario, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenario: str = SCENARIO,
-    out: Path | None = option("--out -o DIR"),
+    scenario: str = scenario_argument(),
+    out: Path | None = option("--out -o DIR|FILE.csv"),
     share: float | None = option("--share", min=0.1, max=1.0),
     keep_times: bool = flag("--keep-times"),
     robot: Robot | None = ROBOT,
@@ -40,20 +43,31 @@ def command(  # noqa: PLR0913 - one for each option
 
     With `--robot fr3`, the times are for that arm, and the new scenario has `robot = "fr3"`.
 
+    A motion, a file as `check` takes it, becomes slower or faster as a whole, until its robot
+    refuses nothing and it uses at most the share.
+
     ```
     panda-cosim retime pick_and_place
     panda-cosim retime my-scenarios/hasty --keep-times
+    panda-cosim retime motion.csv --robot fr3
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
 
     Args:
-        out: New folder. Default: NAME_fast, or NAME_feasible with --keep-times.
+        scenario: Name of a shipped scenario, a scenario's folder, or a motion: .csv, .parquet or
+            .mcap.
+        out: New folder, or file of a motion. Default: NAME_fast, or NAME_feasible with
+            --keep-times.
         share: Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 unless
             set.
         keep_times: Only slow down rows that exceed the share.
     """
+    suffix = "feasible" if keep_times else "fast"
+    if Path(scenario).suffix in SUFFIXES:
+        _retime_motion(Path(scenario), out, robot, share or Scenario.timing_share, suffix)
+        return
     chosen = find_scenario(scenario).changed(values_of(assignments, robot=arm_of(robot)))
-    folder = out or Path(f"{chosen.name}_{'feasible' if keep_times else 'fast'}")
+    folder = out or Path(f"{chosen.name}_{suffix}")
     check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
     tell(f"Timing {chosen.name} ...")
     retimed, shares = retime(chosen, share, keep_times=keep_times)
@@ -63,6 +77,20 @@ def command(  # noqa: PLR0913 - one for each option
     show(table(("limit*", "largest share"), used, right=("largest share",)))
     show(f"{chosen.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
     show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")
+
+
+def _retime_motion(
+    path: Path, out: Path | None, robot: Robot | None, share: float, suffix: str
+) -> None:
+    """Write a motion at new times as CSV."""
+    if robot is None:
+        raise InputError(f"{path}: --robot: is missing; must be fer or fr3")
+    file = out or Path(f"{path.stem}_{suffix}.csv")
+    check_new([file])
+    motion, factor = retimed(path, robot, share, keep_times=suffix == "feasible")
+    write_whole(file, motion_text(motion))
+    show(f"{path}: takes {factor:.3g} times as long: {motion.times[-1] - motion.times[0]:.3f} s")
+    show(f"{file}\nNext: panda-cosim check {file} --robot {robot}")
 
 
 def retime(

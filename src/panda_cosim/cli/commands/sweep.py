@@ -15,21 +15,24 @@ from ...fmus.errors import CosimError, InputError
 from ...result.judging.criterion import line as criterion_line
 from ...result.judging.criterion import miss_text
 from ...result.judging.verdicts import FAILED, MISSED, SUCCESS
-from ...run.folder import default_folder
+from ...run.folder import default_folder, keep_scenario, refuse_existing
+from ...run.prepare import prepare
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.sweep.again import promote_row, show_row
 from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...study.sweep.engine import SweepResult, check_sweep
 from ...study.sweep.engine import sweep as run_sweep
+from ...study.sweep.fit import fit
 from ...study.sweep.paired import Paired, pair
 from ...study.sweep.report import REPORT_FILE, write_report
 from ...study.sweep.results import missing, share_bounds
 from ...study.sweep.row import STATUSES, UNJUDGED
 from ...study.sweep.store import Store
 from ...task.fields import check_rules
+from ...task.files import as_argument
 from ..console import as_cell, progress, show, show_file, show_json, table, tell, warn
 from ..forms import argument, option
-from ..options import ENGINES, JSON, OPEN_PAGE, OVERWRITE, ROW, SWEEP, announce_build
+from ..options import ENGINES, JSON, MAP, OPEN_PAGE, OVERWRITE, ROW, SWEEP, announce_build
 from ..outcome import write_case
 
 FLIPS = 10  # flipped rows that are shown, of each kind
@@ -46,6 +49,8 @@ def command(  # noqa: PLR0913 - one for each option
     confidence: float | None = option("--confidence LEVEL"),
     mujoco: str = ENGINES,
     junit: Path | None = option("--junit FILE"),
+    log: Path | None = option("--fit LOG"),
+    names: Path | None = MAP,
     json: bool = JSON,
 ) -> None:
     """Run a scenario many times with varied values, on all cores or a cluster.
@@ -56,11 +61,15 @@ def command(  # noqa: PLR0913 - one for each option
     writes a page about the results, `sweep show DIR ROW` shows a row's run in 3D beside the
     unchanged scenario, and `sweep promote DIR ROW NEW` makes a scenario of a row.
 
+    With `--fit`, each value is told with its interval of 95 %, with the RMS that is left in each
+    signal, and which values the log does not tell apart; the fitted scenario is written.
+
     ```
     panda-cosim sweep random_box --out box
     panda-cosim sweep pick_and_place --vary plant.block_mass=0.05:2:100
     panda-cosim sweep report box
     panda-cosim sweep random_box --min-success 0.99 --confidence 0.95
+    panda-cosim sweep push --vary plant.payload=0:1:2 --fit robot.csv --map names.toml
     ```
 
     Args:
@@ -78,6 +87,8 @@ def command(  # noqa: PLR0913 - one for each option
         confidence: With --min-success, compare the one-sided lower bound by Clopper and Pearson at
             this confidence, such as 0.95. For random rows. In the file: confidence.
         junit: With --min-success, write the verdict as JUnit XML, for CI.
+        log: Run no sweep, but find the values within the ranges that bring a run closest to a log:
+            .csv, .parquet or .mcap. With --out, the fitted scenario's folder.
     """
     definition = _definition(sweep, vary, mujoco, min_success=min_success, confidence=confidence)
     check_rules({
@@ -87,7 +98,14 @@ def command(  # noqa: PLR0913 - one for each option
         "--junit: needs --min-success, without which there is no verdict": (
             junit is not None and not definition.min_success
         ),
+        "--fit: cannot be combined with --jobs, --dask, --time-limit, --mujoco or --junit": (
+            log and any((jobs, dask, time_limit, mujoco, junit))
+        ),
+        "--map: needs --fit": names and not log,
     })  # fmt: skip
+    if log is not None:
+        _fit(definition, log, names, out, json=json)
+        return
     if junit is not None:
         check_replaceable(junit)
     check_sweep(definition, out)  # before anything is built
@@ -115,6 +133,30 @@ def command(  # noqa: PLR0913 - one for each option
         write_case(junit, "sweep", name, seconds, verdict, miss_text(done.gate))
         if verdict.exit_code:
             raise typer.Exit(verdict.exit_code)
+
+
+def _fit(definition: Sweep, log: Path, names: Path | None, out: Path | None, *, json: bool) -> None:
+    """Fit a scenario to a log, write it and tell what was found."""
+    folder = out or Path(f"{Path(definition.scenario[0]).name}_fitted")
+    refuse_existing(folder)
+    announce_build()
+    found = fit(definition, log, names)
+    prepared = prepare(found.scenario)
+    keep_scenario(prepared.scenario, prepared.assembly, folder)
+    for text in found.alike:
+        warn(text)
+    if json:
+        parts = ("estimates", "alike", "noise")
+        show_json({"folder": folder, **{name: getattr(found, name) for name in parts}})
+        return
+    rows = [
+        (as_cell(it.key), f"{it.value:.6g}", f"{it.low:.6g} to {it.high:.6g}")
+        for it in found.estimates
+    ]
+    show(table(("key*", "fitted", "95 %"), rows, right=("fitted", "95 %")))
+    left = [(as_cell(name), f"{rms:.3g}") for name, rms in found.noise.items()]
+    show(table(("signal*", "RMS left"), left, right=("RMS left",)))
+    show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")
 
 
 def _definition(sweep: str, vary: list[str] | None, mujoco: str, **asked: float | None) -> Sweep:

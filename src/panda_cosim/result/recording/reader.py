@@ -4,7 +4,7 @@ import csv
 import hashlib
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import lru_cache
 from importlib import import_module
 from itertools import chain, islice
@@ -22,8 +22,11 @@ from .storage import (
     REALS,
     STREAM_FILE,
     TEXTS,
+    Column,
+    Metadata,
     Source,
     addresses,
+    in_one_block,
     open_parquet,
     open_stream,
     read_type,
@@ -92,8 +95,22 @@ class Recording:
         read = open_stream if file.suffix == Path(STREAM_FILE).suffix else open_parquet
         recording = cls(file, read(file))
         if in_order:
-            recording._check_time()
+            recording.check_time()
         return recording
+
+    @classmethod
+    def of_columns(
+        cls,
+        columns: Mapping[str, Array],
+        metadata: Metadata,
+        units: Mapping[str, str] | None = None,
+        *,
+        path: Path = Path(),
+    ) -> Self:
+        """Make one of real numbers in memory, each column (n,), `time` the first."""
+        listed = tuple(Column(name, (units or {}).get(name, "")) for name in columns)
+        blocks = in_one_block(columns.__getitem__)
+        return cls(path, Source(listed, metadata, len(columns["time"]), blocks))
 
     @property
     def complete(self) -> bool:
@@ -130,7 +147,7 @@ class Recording:
         Raises:
             InputError: There is no such signal, or the data is damaged.
         """
-        names = self._elements(name)
+        names = self.elements(name)
         values, row = np.empty((self.rows, len(names)), self._types[names[0]]), 0
         for block in self._source.blocks(names):  # no more than one beside the result
             end = row + len(block[0])
@@ -169,7 +186,7 @@ class Recording:
         All blocks but the first begin with so many rows of the one before. The only block of a
         recording without rows is empty.
         """
-        columns = [self._elements(name) for name in names]
+        columns = [self.elements(name) for name in names]
         ends = [np.empty((0, *self._shapes.get(name, ()))) for name in names]
         flat = list(chain.from_iterable(columns))
         for block in self._source.blocks(flat) if self.rows else [[np.empty(0)] * len(flat)]:
@@ -220,7 +237,7 @@ class Recording:
             name, values = _matlab_name(signal, variables), self[signal]
             is_text = values.dtype == object
             variables[name] = np.vectorize(_cell, [object])(values) if is_text else values
-            columns = self._elements(signal)
+            columns = self.elements(signal)
             units = dict.fromkeys(filter(None, (self.units.get(each) for each in columns)))
             rows.append((name, signal, ", ".join(units), self.descriptions[columns[0]]))
         variables["signals"] = np.array(rows, object)
@@ -240,7 +257,7 @@ class Recording:
             InputError: There is no such signal.
         """
         pandas = _library("pandas")
-        names = [name for signal in signals or self.signals for name in self._elements(signal)]
+        names = [name for signal in signals or self.signals for name in self.elements(signal)]
         index = pandas.Index(self.time, name="time")
         frame = pandas.DataFrame({name: self[name] for name in names if name != "time"}, index)
         frame.attrs["units"] = {name: self.units.get(name, "") for name in frame.columns}
@@ -274,7 +291,7 @@ class Recording:
         metadata = {k: v for k, v in self.metadata.items() if isinstance(v, str | float | int)}
         return xarray.Dataset(variables, {"time": time, **indices}, metadata)
 
-    def _elements(self, name: str) -> list[str]:
+    def elements(self, name: str) -> list[str]:
         """Return the columns of a signal, or the one column of that name."""
         name = self.addresses.get(name, name)
         shape = self._shapes.get(name)
@@ -287,12 +304,13 @@ class Recording:
         return [f"{name}[{','.join(map(str, index))}]" for index in indices]
 
     def _attributes(self, signal: str) -> dict[str, str]:
-        names = self._elements(signal)
+        names = self.elements(signal)
         units = {self.units.get(name, "") for name in names}
         same_unit = {"units": units.pop()} if len(units) == 1 else {}
         return {**same_unit, "description": self.descriptions[names[0]]}
 
-    def _check_time(self) -> None:
+    def check_time(self) -> None:
+        """Refuse instants that do not increase."""
         time = self.time
         wrong = ~np.isfinite(time)
         wrong[1:] |= ~(time[1:] > time[:-1])

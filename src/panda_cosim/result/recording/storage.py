@@ -241,6 +241,17 @@ def open_parquet(path: Path) -> Source:
     return Source(columns, metadata, sum(groups), partial(_blocks, path, tables))
 
 
+def read_cells(path: Path) -> dict[str, list[Any]]:
+    """Return the columns of any Parquet file."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
+
+    try:
+        return dict(pq.ParquetFile(literal(path)).read().to_pydict())
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(str(error))}") from error
+
+
 def make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
     """Return columns as a batch of rows of a schema."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import

@@ -1,42 +1,42 @@
-"""A motion of the joints from a CSV file: what the real robot would refuse of it.
+"""A motion of the joints from a file: what the real robot would refuse of it, and new times.
 
-The file has the columns `time` [s] and `q1` to `q7` [rad], and may have `qd1` to `qd7` [rad/s], as
-planners and JointTrajectory messages give them. Between its rows the joints follow cubic splines:
-through all rows, at rest at both ends, or with the speeds that it gives. The arm is taken to follow
-exactly, so that torques are those of the rigid body.
+A table, CSV or Parquet, has the columns `time` [s] and `q1` to `q7` [rad], and may have `qd1` to
+`qd7` [rad/s], as planners give them; an MCAP file has JointTrajectory messages. Between the rows
+the joints follow cubic splines: through all rows, at rest at both ends, or with the speeds that are
+given. The arm is taken to follow exactly, so that torques are those of the rigid body.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.checks import ARMS
+from ...assets.checks import ARMS, CHECKS
 from ...assets.franka import JOINT_DAMPING
 from ...controller.model import ArmModel
 from ...controller.touch import ROTOR
-from ...fmus.errors import InputError, excerpt, located
-from ...fmus.reading import finite_number
+from ...fmus.errors import InputError, excerpt, located, one_line
 from ...result.judging.advice import refusals
 from ...result.judging.preflight import preflight
-from ...result.recording import Column, Recording
-from ...result.recording.storage import Source, in_one_block
-from ...task.files import MAX_BYTES, parse_csv, read_text
+from ...result.recording import Recording
+from ...result.recording.logs import MCAP, TIME, messages, read_columns
+from ...task.files import csv_text
 from ...task.scenario import MAX_DURATION
 from .diagnosis import Diagnostic
 
 Array = NDArray[np.float64]
 
-MOTION: Final = ".csv"
 JOINTS: Final = tuple(f"q{joint}" for joint in range(1, 8))
 SPEEDS: Final = tuple(f"qd{joint}" for joint in range(1, 8))
+SLOWEST: Final = 16.0  # times as slow, or as fast, as `retimed` tries
+PRECISION: Final = 0.005  # of its factor
 
 
 @dataclass(frozen=True)
@@ -48,28 +48,44 @@ class Motion:
     speeds: Array | None  # (n, 7) [rad/s]; None: not given
 
     @classmethod
-    def read(cls, path: Path) -> Motion:
-        """Read a file.
+    def of(cls, columns: Mapping[str, Array]) -> Motion:
+        """Make one of the columns of a table."""
+        has_speeds = any(name in columns for name in SPEEDS)
+        if {TIME, *JOINTS, *(SPEEDS if has_speeds else ())} - columns.keys():
+            listed = excerpt(",".join(columns))
+            raise InputError(f"columns {listed}; must be time and q1 to q7, and may be qd1 to qd7")
+        times, joints = columns[TIME], np.column_stack([columns[name] for name in JOINTS])
+        speeds = np.column_stack([columns[name] for name in SPEEDS]) if has_speeds else None
+        return cls(times, joints, speeds)
 
-        Raises:
-            InputError: It is no motion; the message names file, line and column.
-        """
-        text = read_text(path, MAX_BYTES)
-        with located(path):
-            table = parse_csv(text, _check_names)
-            rows = [
-                [_number(line, *cell) for cell in zip(table.names, cells, strict=True)]
-                for line, cells in table.rows.items()
-            ]
-            if len(rows) < 2:
-                raise InputError(f"{len(rows)} rows; must be at least two")
-            columns = dict(zip(table.names, np.array(rows).T, strict=True))
-            times = columns["time"]
-            for line, gap in zip(list(table.rows)[1:], np.diff(times), strict=True):
-                if not 0.0 < gap <= MAX_DURATION:
-                    raise InputError(f"line {line}: time: must be after the row above")
-        speeds = _stacked(columns, SPEEDS) if SPEEDS[0] in columns else None
-        return cls(times, _stacked(columns, JOINTS), speeds)
+    @classmethod
+    def of_message(cls, content: Any) -> Motion:
+        """Make one of a JointTrajectory, whose joints are in the order of their names."""
+        order = np.argsort(content["joint_names"])
+        if len(order) != len(JOINTS):
+            raise InputError(f"{len(order)} joints; must be {len(JOINTS)}")
+        points = content["points"]
+        after = [each["time_from_start"] for each in points]
+        times = np.array([each["sec"] + 1e-9 * each["nanosec"] for each in after])
+        joints, speeds = (
+            np.array([each[name] for each in points], float) for name in ("positions", "velocities")
+        )
+        return cls(times, joints[:, order], speeds[:, order] if speeds.size else None)
+
+    def __post_init__(self) -> None:
+        """Refuse what no robot could follow."""
+        if len(self.times) < 2:
+            raise InputError(f"{len(self.times)} rows; must be at least two")
+        gaps = np.diff(self.times)
+        for row in np.flatnonzero(~((gaps > 0.0) & (gaps <= MAX_DURATION))):
+            raise InputError(f"row {row + 2}: time: must be after the row above")
+
+    def stretched(self, factor: float) -> Motion:
+        """Return the same motion, so many times as slow."""
+        times = self.times[0] + factor * (self.times - self.times[0])
+        return replace(
+            self, times=times, speeds=None if self.speeds is None else self.speeds / factor
+        )
 
     def sent(self) -> tuple[Array, Array]:
         """Return the instants (n,) [s] and joints (n, 7) [rad] that are sent each millisecond."""
@@ -82,23 +98,28 @@ class Motion:
         return times, np.asarray(spline(np.minimum(times, self.times[-1])))
 
 
-def _check_names(names: Sequence[str]) -> None:
-    """Refuse names of columns that are no motion's."""
-    allowed = ({"time", *JOINTS}, {"time", *JOINTS, *SPEEDS})
-    if set(names) not in allowed:
-        listed = excerpt(",".join(names))
-        raise InputError(f"columns {listed}; must be time and q1 to q7, and may be qd1 to qd7")
+def motions(path: Path) -> list[Motion]:
+    """Read a motion, or all of an MCAP file's JointTrajectory messages.
+
+    Raises:
+        InputError: There is none; the message names file, place and column.
+    """
+    is_log = path.suffix == MCAP
+    contents = [*_trajectories(path)] if is_log else [read_columns(path, (TIME, *JOINTS, *SPEEDS))]
+    make = Motion.of_message if is_log else Motion.of
+    with located(path):
+        if not contents:
+            raise InputError("no message in it is a JointTrajectory")
+        try:
+            return [make(content) for content in contents]
+        except (KeyError, TypeError) as error:
+            raise InputError(f"is no JointTrajectory: {one_line(error)}") from None
 
 
-def _number(line: int, name: str, text: str) -> float:
-    number = finite_number(text)
-    if number is None:
-        raise InputError(f"line {line}: {name}: value {excerpt(text)}; must be a finite number")
-    return number
-
-
-def _stacked(columns: dict[str, Array], names: Sequence[str]) -> Array:
-    return np.stack([columns[name] for name in names], axis=1)
+def _trajectories(path: Path) -> Iterator[Any]:
+    for _, _, content in messages(path):
+        if isinstance(content, dict) and {"joint_names", "points"} <= content.keys():
+            yield content
 
 
 def followed(motion: Motion, arm: str) -> Recording:
@@ -130,17 +151,56 @@ def followed(motion: Motion, arm: str) -> Recording:
         "row_times": motion.times.tolist(), "robot": arm, "step_size": STEP_SIZE,
         "parameters": {"controller": {}, "plant": {}},
     }  # fmt: skip
-    listed = (Column("time", "s"), *map(Column, columns))
-    values = {"time": times, **columns}
-    return Recording(Path(), Source(listed, metadata, len(times), in_one_block(values.__getitem__)))
+    return Recording.of_columns({TIME: times, **columns}, metadata)
 
 
-def check_motion(path: Path, robot: str) -> list[Diagnostic]:
-    """Check a motion for a robot, `fer` or `fr3`."""
-    motion = Motion.read(path)
-    found = preflight(followed(motion, ARMS[robot]), robot)
-    apart = np.diff(motion.times).max()
-    joined = "" if apart <= STEP_SIZE * 1.001 else f", up to {apart:g} s apart, joined by splines"
-    about = f"{path}: {motion.times[-1] - motion.times[0]:g} s, {len(motion.times)} rows{joined}"
-    told = [Diagnostic(level, text) for level, text in refusals(found, complete=True)]
-    return [Diagnostic("good", about), *told]
+def check_motion(path: Path, robot: str) -> Iterator[Diagnostic]:
+    """Check the motions in a file for a robot, `fer` or `fr3`."""
+    for motion in motions(path):
+        found = preflight(followed(motion, ARMS[robot]), robot)
+        apart = np.diff(motion.times).max()
+        joined = (
+            "" if apart <= STEP_SIZE * 1.001 else f", up to {apart:g} s apart, joined by splines"
+        )
+        span = f"{motion.times[-1] - motion.times[0]:g} s, {len(motion.times)} rows"
+        yield Diagnostic("good", f"{path}: {span}{joined}")
+        yield from (Diagnostic(level, text) for level, text in refusals(found, complete=True))
+
+
+def retimed(path: Path, robot: str, share: float, *, keep_times: bool) -> tuple[Motion, float]:
+    """Return a file's motion as fast as a share of a robot's limits allows, and by which factor.
+
+    All of it becomes slower or faster by the same factor; with `keep_times`, no faster.
+
+    Raises:
+        InputError: It is too fast at any speed that was tried.
+    """
+    motion, *others = motions(path)
+    if others:
+        raise InputError(f"{path}: {1 + len(others)} motions; must be one")
+
+    def beyond(factor: float) -> str:
+        found = preflight(followed(motion.stretched(factor), ARMS[robot]), robot)
+        used = {key: max(found[f"{key}_share"] or (0.0,)) for key, check in CHECKS.items()
+                if check.interface in ("joint", "arm") and check.necessary}  # fmt: skip
+        return next((key for key in used if used[key] >= (1.0 if is_fixed(key) else share)), "")
+
+    def is_fixed(key: str) -> bool:
+        return CHECKS[key].remedy in ("elsewhere", "start")  # what no time changes
+
+    low, high = (1.0 if keep_times else 1.0 / SLOWEST), 1.0
+    while name := beyond(high):
+        if is_fixed(name) or high >= SLOWEST:
+            raise InputError(f"{path}: {name} is beyond {share:.0%} of its limit at any speed")
+        low, high = high, 2.0 * high
+    while high > low * (1.0 + PRECISION):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if beyond(middle) else (low, middle)
+    return motion.stretched(high), high
+
+
+def motion_text(motion: Motion) -> str:
+    """Return a motion as CSV."""
+    parts = [motion.joints] if motion.speeds is None else [motion.joints, motion.speeds]
+    names = [TIME, *JOINTS, *SPEEDS][: 1 + 7 * len(parts)]
+    return csv_text([names, *np.column_stack([motion.times, *parts]).tolist()])

@@ -2,12 +2,13 @@
 
 All runs are compared with the first. Their scenarios, lengths and step sizes may differ; signals
 of the same name and unit are compared at the instants of all runs, where the times overlap.
-Between its own, a run's Reals are interpolated; all else keeps its value.
+Between its own, a run's Reals are interpolated; all else keeps its value. A log of a robot or
+another program is compared as a run without parameters, criteria and metrics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,7 @@ from ...fmus.errors import InputError
 from ...result.judging.criterion import Criterion, bound_text, margin_text, quantity
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
+from ...result.recording.logs import is_log, open_log
 from ...result.recording.reader import run_names
 from ...run.result import Run
 from . import differences
@@ -67,10 +69,10 @@ class RunComparison:
         self.begin, self.end = float(instants[0]), float(instants[-1])
         self.rows, self.columns = len(instants), len(compared)
         settings = [differences.parameters_of(run) for run in runs]
-        self.parameters = tuple(differences.differing(settings))
+        self.parameters = _differing(settings)
         judged = [{each.name: each for each in summary.criteria} for summary in summaries]
         self.criteria = tuple(differences.side_by_side(judged))
-        metrics = differences.differing([dict(summary.numbers()) for summary in summaries])
+        metrics = _differing([dict(summary.numbers()) for summary in summaries])
         self.metrics = tuple(sorted(metrics, key=lambda row: -row.relative))
         self.signals = differences.signals_apart(compared, runs, instants, own)
 
@@ -155,21 +157,30 @@ class RunComparison:
         return Inline(self.to_html(), 640)._repr_html_()
 
 
-def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison:
+def compare(
+    first: Run | str | Path, *others: Run | str | Path, names: Path | None = None
+) -> RunComparison:
     """Compare runs with the first of them.
 
     Args:
         first: A run, or its folder.
-        others: At least one more.
+        others: At least one more, or a log: CSV, Parquet or MCAP.
+        names: What the logs' columns are in the first run, see `LogNames`; None: their names.
 
     Raises:
         InputError: There is no such run, or only one, or they have no signal or span in common.
     """
     if not others:
         raise InputError("compare: only one run; must be at least two")
-    opened = [_opened(run) for run in (first, *others)]
+    opened = [_opened(first)]
+    opened += [_opened(other, opened[0][0], names) for other in others]
     recordings, summaries = (list(each) for each in zip(*opened, strict=True))
     return RunComparison(run_names(recordings), recordings, summaries)
+
+
+def _differing(tables: Sequence[Mapping[str, object]]) -> tuple[differences.Row, ...]:
+    """Return what differs; nothing if a table is empty, as a log's is."""
+    return tuple(differences.differing(tables)) if all(tables) else ()
 
 
 def _columns(runs: Sequence[Recording]) -> tuple[Names, Names, Names]:
@@ -182,10 +193,14 @@ def _columns(runs: Sequence[Recording]) -> tuple[Names, Names, Names]:
     return compared, other_units, tuple(name for name in every if name not in common)
 
 
-def _opened(run: Run | str | Path) -> tuple[Recording, Summary]:
-    """Return a run's recording and summary."""
+def _opened(
+    run: Run | str | Path, like: Recording | None = None, names: Path | None = None
+) -> tuple[Recording, Summary]:
+    """Return a run's recording and summary; also those of a log `like` a run."""
     if isinstance(run, Run):
         return run.recording, run.summary
+    if like is not None and is_log(Path(run)):
+        return open_log(Path(run), names, like), Summary()
     recording = Recording.open(run, in_order=True)
     return recording, Summary.of(recording)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import ExitStack
 from functools import partial
@@ -29,6 +29,10 @@ FIRST: Final = 4  # rows of a chunk before a row's time is known
 LARGEST: Final = 2000  # rows
 AHEAD: Final = 2  # chunks handed out for each thread of a cluster
 CONNECTING: Final = 30.0  # [s]
+# Of a cluster on this machine: what it would tell any user without a key.
+NO_HTTP: Final[Mapping[str, list[str]]] = {
+    f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")
+}
 
 Rows = Future[list[Done]]
 
@@ -121,16 +125,18 @@ class Cluster(Backend):
         super().__init__(job)
         self._address = address
         try:
-            import distributed  # noqa: PLC0415 - an extra
+            import dask  # noqa: PLC0415 - an extra
+            import distributed  # noqa: PLC0415
 
             # What its client logs, with a traceback, is also raised.
             logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
             library: Any = distributed  # it has no types
             cluster = address
             if address == "local":  # with keys of its own, since other users reach its port, too
-                cluster = library.LocalCluster(
-                    n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
-                )
+                with dask.config.set(NO_HTTP):
+                    cluster = library.LocalCluster(
+                        n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
+                    )
                 self.callback(cluster.close)
             self._client = library.Client(cluster, timeout=CONNECTING)
         except ImportError as error:  # also of cryptography
