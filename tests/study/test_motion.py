@@ -141,8 +141,7 @@ def test_a_file_that_is_no_motion_is_refused_with_its_place(tmp_path, text, said
     assert said in str(refused.value)
 
 
-@pytest.mark.parametrize("amplitude", [0.1, 2.0])
-@pytest.mark.parametrize("speeds", [False, True])
+@pytest.mark.parametrize(("amplitude", "speeds"), [(0.1, True), (2.0, False)])
 def test_a_motion_at_new_times_is_refused_nothing_and_hardly_faster_it_would_be(
     tmp_path, amplitude, speeds
 ):
@@ -150,7 +149,7 @@ def test_a_motion_at_new_times_is_refused_nothing_and_hardly_faster_it_would_be(
     motion, factor = retimed(path, "fer", 0.9, keep_times=False)
     (tmp_path / "n.csv").write_text(motion_text(motion))
     assert "refused" not in {each.level for each in check_motion(tmp_path / "n.csv", "fer")}
-    found = [preflight(followed(each, "panda"), "fer") for each in (motion, motion.stretched(0.98))]
+    found = [preflight(followed(each, "panda"), "fer") for each in (motion, motion.stretched(0.95))]
     keys = ("joint_velocity", "joint_acceleration", "joint_jerk", "elbow_jerk", "torque")
     used = [max(max(it[f"{key}_share"]) for key in keys) for it in found]
     assert used[0] < 0.9 <= used[1]
@@ -162,5 +161,5 @@ def test_a_motion_at_new_times_is_refused_nothing_and_hardly_faster_it_would_be(
 
 def test_a_motion_that_no_time_mends_is_refused_with_what_is_beyond(tmp_path):
     path = moved(tmp_path / "m.csv", Q_MAX[0] + 0.2)
-    with pytest.raises(InputError, match="joint_position is beyond 90% of its limit at any speed"):
+    with pytest.raises(InputError, match="joint_position: is beyond its limit at any speed"):
         retimed(path, "fer", 0.9, keep_times=False)

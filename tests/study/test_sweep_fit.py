@@ -69,8 +69,8 @@ def definition(arm, **ranges):
 def test_a_log_without_noise_gives_the_values_exactly(arm, swung, tmp_path, low):
     ranges = {**RANGES, "arm.gravity[1]": (low, 5.0)}
     found = fit(definition(arm, **ranges), write_log(swung, tmp_path / "log.csv"))
-    for each in found.estimates:
-        assert each.value == pytest.approx(TRUE[each.key], rel=1e-6)
+    for key, each in found.estimates.items():
+        assert each.value == pytest.approx(TRUE[key], rel=1e-6)
         assert each.low <= each.value <= each.high
         assert each.high - each.low < 1e-4
     assert not found.alike
@@ -82,9 +82,9 @@ def held(arm, swung, folder, fits):
     counts = dict.fromkeys(TRUE, 0)
     for seed in range(fits):
         found = fit(definition(arm, **RANGES), write_log(swung, folder / "log.csv", seed))
-        for each in found.estimates:
-            counts[each.key] += each.low <= TRUE[each.key] <= each.high
-            low, high = RANGES[each.key]
+        for key, each in found.estimates.items():
+            counts[key] += each.low <= TRUE[key] <= each.high
+            low, high = RANGES[key]
             assert each.high - each.low < 0.7 * (high - low)
         for name, sigma in NOISE.items():
             assert found.noise[name] == pytest.approx(sigma, rel=0.35)  # of 101 values
@@ -92,8 +92,8 @@ def held(arm, swung, folder, fits):
 
 
 def test_intervals_hold_the_values_of_a_noisy_run(arm, swung, tmp_path):
-    counts = held(arm, swung, tmp_path, 10)
-    assert min(counts.values()) >= 8  # fixed seeds; by chance in 1.2 % otherwise
+    counts = held(arm, swung, tmp_path, 5)
+    assert min(counts.values()) >= 4  # of fixed seeds
 
 
 @pytest.mark.long
@@ -107,8 +107,12 @@ def test_what_moves_the_signals_alike_is_said_and_what_does_nothing(arm, swung, 
     ranges = {"arm.gravity[2]": (-1.0, 1.0), "arm.gravity[3]": (-12.0, -5.0)}
     found = fit(definition(arm, **ranges), log)
     assert found.alike == ("arm.gravity[2] changes no signal of the log",)
-    free = found.estimates[0]
+    free = found.estimates["arm.gravity[2]"]
     assert (free.low, free.high) == (-1.0, 1.0)  # nothing is known of it
+    (tmp_path / "one.csv").write_text(f"time,arm.qpos\n0.2,{swung['arm.qpos'][100]:.17g}\n")
+    found = fit(definition(arm, **RANGES), tmp_path / "one.csv")
+    (said,) = found.alike
+    assert said.startswith("arm.gravity[1] and arm.gravity[3] cannot be told apart")
 
 
 def test_a_log_of_other_signals_or_times_is_refused(arm, tmp_path):
@@ -120,7 +124,7 @@ def test_a_log_of_other_signals_or_times_is_refused(arm, tmp_path):
         with pytest.raises(InputError) as refused:
             fit(definition(arm, **RANGES), tmp_path / "log.csv")
         assert said in str(refused.value)
-    with pytest.raises(InputError, match="must be a range of numbers"):
+    with pytest.raises(InputError, match="must be ranges of numbers"):
         fit(sweep_of(str(arm), ["coupling=jacobi,gauss-seidel"]), tmp_path / "log.csv")
 
 
@@ -130,7 +134,7 @@ def test_the_command_writes_the_fitted_scenario(arm, swung, tmp_path):
     words = ("sweep", arm, *vary, "--fit", log, "--out", "fitted")
     said = json.loads(command(*words, "--json", cwd=tmp_path, code=0).stdout)
     fitted = Scenario.read(tmp_path / "fitted")
-    for each in said["estimates"]:
-        instance, _, name = each["key"].partition(".")
+    for key, each in said["estimates"].items():
+        instance, _, name = key.partition(".")
         assert fitted.parameters[instance][name] == each["value"]
     assert "already exists" in command(*words, cwd=tmp_path, code=2).stderr

@@ -143,16 +143,14 @@ def _fit(definition: Sweep, log: Path, names: Path | None, out: Path | None, *, 
     found = fit(definition, log, names)
     prepared = prepare(found.scenario)
     keep_scenario(prepared.scenario, prepared.assembly, folder)
-    for text in found.alike:
-        warn(text)
     if json:
         parts = ("estimates", "alike", "noise")
         show_json({"folder": folder, **{name: getattr(found, name) for name in parts}})
         return
-    rows = [
-        (as_cell(it.key), f"{it.value:.6g}", f"{it.low:.6g} to {it.high:.6g}")
-        for it in found.estimates
-    ]
+    for text in found.alike:
+        warn(text)
+    rows = [(as_cell(key), f"{it.value:.6g}", f"{it.low:.6g} to {it.high:.6g}")
+            for key, it in found.estimates.items()]  # fmt: skip
     show(table(("key*", "fitted", "95 %"), rows, right=("fitted", "95 %")))
     left = [(as_cell(name), f"{rms:.3g}") for name, rms in found.noise.items()]
     show(table(("signal*", "RMS left"), left, right=("RMS left",)))

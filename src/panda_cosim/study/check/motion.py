@@ -35,8 +35,9 @@ Array = NDArray[np.float64]
 
 JOINTS: Final = tuple(f"q{joint}" for joint in range(1, 8))
 SPEEDS: Final = tuple(f"qd{joint}" for joint in range(1, 8))
-SLOWEST: Final = 16.0  # times as slow, or as fast, as `retimed` tries
-PRECISION: Final = 0.005  # of its factor
+ROUNDS: Final = 12  # of `retimed`
+ENOUGH: Final = 0.98  # of the share that may be used
+POWERS: Final = {"velocity": 1, "jerk": 3, "rate": 3}  # of the times; of all else, 2
 
 
 @dataclass(frozen=True)
@@ -173,30 +174,33 @@ def retimed(path: Path, robot: str, share: float, *, keep_times: bool) -> tuple[
     All of it becomes slower or faster by the same factor; with `keep_times`, no faster.
 
     Raises:
-        InputError: It is too fast at any speed that was tried.
+        InputError: It is too fast at any speed that is tried.
     """
     motion, *others = motions(path)
     if others:
         raise InputError(f"{path}: {1 + len(others)} motions; must be one")
-
-    def beyond(factor: float) -> str:
+    factor = 1.0
+    for _ in range(ROUNDS):
         found = preflight(followed(motion.stretched(factor), ARMS[robot]), robot)
-        used = {key: max(found[f"{key}_share"] or (0.0,)) for key, check in CHECKS.items()
-                if check.interface in ("joint", "arm") and check.necessary}  # fmt: skip
-        return next((key for key in used if used[key] >= (1.0 if is_fixed(key) else share)), "")
+        used = {key: max(found[f"{key}_share"] or (0.0,)) for key in CHECKS}
+        with located(path):
+            needed = max(_needed(key, used[key], share) for key in CHECKS)
+        if needed < 1.0 and (needed > ENOUGH or (keep_times and factor == 1.0)):
+            return motion.stretched(factor), factor
+        factor *= needed * (1.0 + ENOUGH) / 2.0 / ENOUGH
+    raise InputError(f"{path}: no times were found within {share:.0%} of the limits")
 
-    def is_fixed(key: str) -> bool:
-        return CHECKS[key].remedy in ("elsewhere", "start")  # what no time changes
 
-    low, high = (1.0 if keep_times else 1.0 / SLOWEST), 1.0
-    while name := beyond(high):
-        if is_fixed(name) or high >= SLOWEST:
-            raise InputError(f"{path}: {name} is beyond {share:.0%} of its limit at any speed")
-        low, high = high, 2.0 * high
-    while high > low * (1.0 + PRECISION):
-        middle = (low * high) ** 0.5
-        low, high = (middle, high) if beyond(middle) else (low, middle)
-    return motion.stretched(high), high
+def _needed(key: str, used: float, share: float) -> float:
+    """Return the factor of all times at which a limit is used up to a share, by its own power."""
+    check = CHECKS[key]
+    if check.interface not in ("joint", "arm") or not check.necessary:
+        return 0.0
+    if check.remedy in ("elsewhere", "start"):  # no time changes it
+        if used >= 1.0:
+            raise InputError(f"{key}: is beyond its limit at any speed")
+        return 0.0
+    return float((used / share) ** (1.0 / POWERS.get(key.rpartition("_")[2], 2)))
 
 
 def motion_text(motion: Motion) -> str:
