@@ -6,10 +6,13 @@ simulated hours, without recording: a scenario lasts an hour at most.
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 import sys
 import tempfile
 import time as clock
+from collections.abc import Sequence
 from pathlib import Path
 from resource import getpagesize
 from shutil import copytree
@@ -26,7 +29,7 @@ from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.stopping import StopRequest
-from panda_cosim.study.benchmark import OURS, cost_of
+from panda_cosim.study.benchmark import OURS, SHELL
 from panda_cosim.study.sweep.definition import shipped_sweeps
 from panda_cosim.task.scenario import SCENARIO_FILE, load_scenario, shipped_scenarios
 
@@ -69,6 +72,17 @@ def figures(step: float, length: float = HOUR) -> dict[str, float]:
         "peak_compare_MB": costs["compare"][1],
         "long_run_growth_MB": added,
     }
+
+
+def cost_of(command: Sequence[str]) -> tuple[float, float]:
+    """Run a command; return its wall time [s], and the most memory of one of its processes [MB]."""
+    start = clock.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, env=SHELL) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode not in (0, 3):
+        raise RuntimeError(f"{' '.join(command)} ended with {process.returncode}")
+    return clock.perf_counter() - start, usage.ru_maxrss / 1024
 
 
 def _change(file: Path, pattern: str, text: str) -> None:

@@ -9,27 +9,30 @@ from __future__ import annotations
 import json
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 import time as clock
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
-from subprocess import DEVNULL, PIPE
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 from fmpy.simulation import apply_start_values, instantiate_fmu
 
 from ..assets import STEP_SIZE
+from ..fmus import processes
 from ..fmus.errors import CosimError
 from ..fmus.interface.controller import COMMANDS
-from ..fmus.interface.tables import CONNECTIONS, INTERFACES
+from ..fmus.interface.plant import PLANT
+from ..fmus.interface.sensors import MEASURED
+from ..fmus.interface.tables import INTERFACES
 from ..fmus.master.fmu_file import Fmu
 from ..fmus.master.system import OpenSystem
-from ..fmus.master.wiring import Array, Name
+from ..fmus.master.wiring import Array
 from ..fmus.sources.targets import Kind
 from ..plant.parameters import PlantParameters
 from ..plant.plant import Plant
@@ -44,31 +47,14 @@ from .work import processor
 FORMAT: Final = 4  # of the JSON file
 MICRO: Final = 1e6  # [us/s]
 CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
-LABELS: Final = {
-    "physics": "(a) mj_step of the scene with the shapes that are only drawn",
-    "bare": "(a') mj_step of the model that the FMU steps",
-    "lists": "(b) a plain loop over the FMUs with FMPy's FMU2Slave",
-    "master": "(c) our master over the FMUs, in C",
-    "fmpy": "(d) our master with FMPy's methods, run --master fmpy",
-}
-RATIOS: Final = {
-    "c/a": ("master", "physics", "at most 1.1; Python 6.3"),
-    "c/a'": ("master", "bare", "at most 1.25"),
-    "d/a": ("fmpy", "physics", "at most 2"),
-    "b/c": ("lists", "master", "at least 2"),
-    "cold run": ("run", "imports", "at most 2.2"),
-}
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+LABELS: Final[Mapping[str, str]] = _TABLES["labels"]
+RATIOS: Final[Mapping[str, tuple[str, str, str]]] = _TABLES["ratios"]
+SHELL: Final = {name: value for name, value in os.environ.items()
+                if name not in _TABLES["environment"]["of_program"]}  # fmt: skip
 OURS: Final = (sys.executable, "-m", "panda_cosim")
 IMPORTS: Final = "import numpy, mujoco, fmpy, pyarrow"  # what a cold run is compared with
 IMPORTING: Final = f'python -c "{IMPORTS}"'
-
-
-# Commands are measured as in a shell, without what our command line sets for its own process, and
-# with byte code, which modules of an editable install keep, too, as those that it imports do.
-OF_PROGRAM: Final = (
-    "MUJOCO_GL", "OPENBLAS_NUM_THREADS", "PANDA_COSIM_GL", "PYDANTIC_DISABLE_PLUGINS",
-    "PYTHONDONTWRITEBYTECODE", "PYTHONSAFEPATH",
-)  # fmt: skip
 
 # Takes a number of steps from a tick on, and returns positions of arm, fingers and block (16,).
 Way = tuple[Callable[[int, int], object], Callable[[], Array]]
@@ -94,7 +80,7 @@ def _physics(prepared: Prepared, targets: Array, *, drawn: bool) -> Way:
 def _own_master(prepared: Prepared, system: OpenSystem) -> Way:
     """(c) This project's master over the FMUs."""
     master, commands = system.master, prepared.inputs()
-    where = [1 + master.columns.index(("plant", name)) for name in _names("plant", "qpos")]
+    where = [1 + master.columns.index(("plant", name)) for name in PLANT.variable("qpos").names()]
     master.begin(lambda _rows: None)
 
     def state() -> Array:
@@ -106,55 +92,49 @@ def _own_master(prepared: Prepared, system: OpenSystem) -> Way:
 @contextmanager
 def _plain_loop(prepared: Prepared) -> Iterator[Way]:
     """(b) A plain loop over FMPy's `FMU2Slave` as its documentation shows it, with lists."""
-    slaves, references = {}, dict[Name, int]()
-    for name, path in prepared.assembly.system.fmus.items():
-        fmu = Fmu(path)
-        slaves[name] = slave = instantiate_fmu(str(fmu.folder), fmu.description)
-        slave.setupExperiment(startTime=0.0)
-        given = prepared.start_values()[name].items()
-        values = {n: fmu.variable(n).converted(v) for n, v in given}
-        apply_start_values(slave, fmu.description, values)
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
-        references |= {(name, n): v.value_reference for n, v in fmu.variables.items()}
+    slaves, fmus = {}, dict[str, Fmu]()
+    with ExitStack() as stack:
+        for name, path in prepared.assembly.system.fmus.items():
+            fmus[name] = fmu = Fmu(path)
+            slaves[name] = slave = instantiate_fmu(str(fmu.folder), fmu.description)
+            stack.callback(slave.freeInstance)
+            stack.callback(slave.terminate)
+            slave.setupExperiment(startTime=0.0)
+            given = prepared.start_values()[name].items()
+            values = {n: fmu.variable(n).converted(v) for n, v in given}
+            apply_start_values(slave, fmu.description, values)
+            slave.enterInitializationMode()
+            slave.exitInitializationMode()
+        yield _with_lists(slaves, fmus, prepared.inputs()[:].tolist())
 
-    def of(instance: str, *variables: str) -> list[int]:
-        return [references[instance, n] for v in variables for n in _names(instance, v)]
+
+def _with_lists(slaves: Mapping[str, Any], fmus: Mapping[str, Fmu], commands: list[Any]) -> Way:
+    def of(instance: str, *names: str) -> list[int]:
+        interface = INTERFACES[instance]
+        variables = [interface.variable(name) for name in names] or interface.of("output")
+        return [fmus[instance].variable(n).value_reference for v in variables for n in v.names()]
 
     plant, controller = slaves["plant"], slaves["controller"]
-    targets, servos = of("controller", *COMMANDS), of("plant", "ctrl")
-    outputs, answers = (
-        of(name, *(v.name for v in INTERFACES[name].of("output")))
-        for name in ("plant", "controller")
-    )
-    wires = [c for c in CONNECTIONS if c.source[0] == "plant"]
-    measured = [references[c.target] for c in wires]
-    where = [outputs.index(references[c.source]) for c in wires]
-    commands, rows = prepared.inputs()[:].tolist(), []
+    targets, answers = of("controller", *COMMANDS), of("controller")
+    servos, outputs, position = of("plant", "ctrl"), of("plant"), of("plant", "qpos")
+    measured = of("controller", *MEASURED)
+    seen = [n for name in MEASURED for n in INTERFACES["controller"].variable(name).names()]
+    where = [outputs.index(fmus["plant"].variable(n).value_reference) for n in seen]
+    rows = []
 
     def advance(first: int, count: int) -> None:
         state = plant.getReal(outputs)
         for k in range(first, first + count):
-            now = {"currentCommunicationPoint": k * STEP_SIZE, "communicationStepSize": STEP_SIZE}
             controller.setReal(targets, commands[k])
             controller.setReal(measured, [state[i] for i in where])
-            controller.doStep(**now)
+            controller.doStep(k * STEP_SIZE, STEP_SIZE)
             answer = controller.getReal(answers)
             rows.append([k * STEP_SIZE, *commands[k], *state, *answer])
             plant.setReal(servos, answer[:8])
-            plant.doStep(**now)
+            plant.doStep(k * STEP_SIZE, STEP_SIZE)
             state = plant.getReal(outputs)
 
-    try:
-        yield advance, lambda: np.array(plant.getReal(of("plant", "qpos")))
-    finally:
-        for slave in slaves.values():
-            slave.terminate()
-            slave.freeInstance()
-
-
-def _names(instance: str, variable: str) -> list[str]:
-    return INTERFACES[instance].variable(variable).names()
+    return advance, lambda: np.array(plant.getReal(position))
 
 
 @dataclass(frozen=True)
@@ -192,10 +172,7 @@ class BenchResult:
 
 
 def bench(
-    scenario: str = "pick_and_place",
-    repeats: int = 7,
-    chunk: int = CHUNK,
-    kind: Kind = "native",
+    scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK, kind: Kind = "native"
 ) -> BenchResult:
     """Measure steps and whole commands."""
     prepared = prepare(load_scenario(scenario), Options(kind=kind))
@@ -208,19 +185,12 @@ def bench(
     run = f"panda-cosim run {scenario} --no-video"
     times = start_up(run, kind)
     costs |= {"run": np.array(times[run]), "imports": np.array(times[IMPORTING])}
-    return BenchResult(
-        scenario,
-        steps,
-        {name: Spread.of(costs[over] / costs[by]) for name, (over, by, _) in RATIOS.items()},
-        STEP_SIZE * MICRO / steps["master"].median,
-        {command: min(taken) for command, taken in times.items()},
-        {
-            "processor": processor(),
-            "cores": str(os.cpu_count()),
-            "system": f"{platform.system()} {platform.machine()}",
-            **versions(),
-        },
-    )
+    ratios = {name: Spread.of(costs[over] / costs[by]) for name, (over, by, _) in RATIOS.items()}
+    best = {command: min(taken) for command, taken in times.items()}
+    machine = {"processor": processor(), "cores": str(os.cpu_count())}
+    machine |= {"system": f"{platform.system()} {platform.machine()}"} | versions()
+    factor = STEP_SIZE * MICRO / steps["master"].median
+    return BenchResult(scenario, steps, ratios, factor, best, machine)
 
 
 def _one_pass(prepared: Prepared, targets: Array, chunk: int) -> dict[str, float]:
@@ -263,18 +233,9 @@ def start_up(run: str, kind: Kind, times: int = 7) -> dict[str, list[float]]:
                 run: [*OURS, *arguments, "--kind", kind, "--out", f"{folder}/{i}"],
             }
             for name, command in commands.items():
-                taken.setdefault(name, []).append(cost_of(command)[0])
+                start = clock.perf_counter()
+                done = processes.run(command, environment=SHELL)
+                taken.setdefault(name, []).append(clock.perf_counter() - start)
+                if done.returncode not in (0, 3):
+                    raise CosimError(f"{name} ended with {done.returncode}:\n{done.stderr}")
     return taken
-
-
-def cost_of(command: Sequence[str]) -> tuple[float, float]:
-    """Run a command; return its wall time [s], and the most memory of one of its processes [MB]."""
-    env = {name: value for name, value in os.environ.items() if name not in OF_PROGRAM}
-    start = clock.perf_counter()
-    with subprocess.Popen(command, stdout=DEVNULL, stderr=PIPE, env=env, text=True) as process:
-        message = process.stderr.read() if process.stderr else ""
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode not in (0, 3):
-        raise CosimError(f"{' '.join(command)} ended with {process.returncode}:\n{message}")
-    return clock.perf_counter() - start, usage.ru_maxrss / 1024
