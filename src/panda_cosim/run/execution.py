@@ -16,6 +16,7 @@ from ..fmus.master.master import Master, RealtimePacer
 from ..result.judging.summary import Summary
 from ..result.judging.verdicts import ENDED, FAILED, STOPPED, TIMEOUT
 from ..task.scenario import Scenario, load_scenario
+from ..task.typed import typed
 from ..task.values import Values
 from .exits import exit_guard
 from .folder import claimed_folder
@@ -31,6 +32,7 @@ Progress = Callable[[int, int], None]  # completed and total steps
 NOT_OPEN = "session: is not open; `open` opens it"
 
 
+@typed
 def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
     scenario: Scenario | str | Path,
     out: Path | str | None = None,

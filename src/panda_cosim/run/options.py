@@ -13,6 +13,7 @@ from ..fmus.errors import InputError, refuse
 from ..fmus.master.step import Coupling, Stepper
 from ..fmus.sources.targets import Kind
 from ..task.fields import Quantity, check_choice
+from ..task.typed import check_types
 from ..task.values import Values
 
 MAX_TIME_LIMIT = 1e9  # [s]
@@ -55,6 +56,7 @@ class Options:
 
     def __post_init__(self) -> None:
         """Check values that may come from a command line."""
+        check_types(type(self), vars(self))
         if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
             refuse("realtime", self.realtime, "must be a number of at least 0")
         check_choice("kind", self.kind, get_args(Kind))

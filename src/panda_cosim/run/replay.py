@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..fmus.errors import InputError, excerpt
 from ..task.scenario import Scenario
+from ..task.typed import typed
 from .folder import SCENARIO_FOLDER
 from .journal import Adjustments, End, Journal
 from .options import Options
@@ -16,6 +17,7 @@ from .result import Run
 from .session import Session
 
 
+@typed
 def replay(
     place: str | Path,
     out: str | Path | None = None,

@@ -14,6 +14,7 @@ from ..result.judging.summary import Summary
 from ..result.judging.verdict import Verdict
 from ..result.judging.verdicts import STOPPED
 from ..result.recording import Recording
+from ..task.typed import typed
 
 if TYPE_CHECKING:
     from ..show.pictures.canvas import ShownFigure
@@ -52,6 +53,7 @@ class Video(ShownFile):
         return f'<video controls loop src="{_data_url(self.path, "video/mp4")}"></video>'
 
 
+@typed
 @dataclass(frozen=True)
 class Run:
     """A finished run, complete or not.
@@ -117,7 +119,7 @@ class Run:
             save(figure, Path(path or self.folder / PLOT_FILE))
         return figure
 
-    def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
+    def render(self, path: Path | str | None = None, *, camera: str = "overview") -> Video:
         """Draw the video; a notebook shows it.
 
         Args:
@@ -129,7 +131,7 @@ class Run:
         path = path or self.folder / VIDEO_FILE
         return Video(render_video(self.recording, path, camera=camera))
 
-    def sheet(self, path: Path | None = None) -> Picture:
+    def sheet(self, path: Path | str | None = None) -> Picture:
         """Draw the contact sheet; a notebook shows it, also with the run's table.
 
         Args:

@@ -35,6 +35,7 @@ from ..fmus.master.wiring import Array
 from ..task.scenario import Push, Scenario, load_scenario
 from ..task.table import TrajectoryTable
 from ..task.trajectory import StartPose, Trajectory
+from ..task.typed import typed
 from ..task.values import Values
 from .execution import Execution, Progress
 from .folder import keep_scenario, refuse_existing
@@ -120,6 +121,7 @@ def _time(prepared: Prepared, tick: int) -> str:
 _REFUSED = ("realtime", "time_limit")  # options: the caller paces, and stops
 
 
+@typed
 class Session(Execution):
     """A scenario stepped by the caller. One thread at a time may use it.
 
@@ -195,7 +197,7 @@ class Session(Execution):
             SimulationError: An FMU fails; the run is over, and what was recorded is kept.
             KeyboardInterrupt: Ctrl-C, after the step under way.
         """
-        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 0:
+        if isinstance(n, bool) or n < 0:
             raise InputError(f"step: {n!r} steps; must be a whole number of at least 0")
         first = self.tick
         with stopping_on_signals() as stop:

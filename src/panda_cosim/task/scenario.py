@@ -37,6 +37,7 @@ from .rules import check_combinations
 from .table import TableRow, TrajectoryTable, read_tables
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS
+from .typed import typed
 from .values import Values, changed
 
 GAINS = ("default", "robust", "tutorial", "impedance")
@@ -289,6 +290,7 @@ class Scenario:
         return asked | TOUCH if observed else asked
 
     @classmethod
+    @typed
     def read(cls, folder: str | Path) -> Self:
         """Read a scenario's folder.
 
@@ -314,6 +316,7 @@ class Scenario:
             name = folder.resolve().name
             return cls(**keys, name=name, table=table, input_table=driven, folder=folder)
 
+    @typed
     def changed(self, values: Values) -> Scenario:
         """Return it with values changed by key, all at once: the one way to change a scenario.
 
@@ -346,6 +349,7 @@ def is_shipped(scenario: Scenario) -> bool:
     return scenario.folder is not None and scenario.folder.resolve().parent == SHIPPED_FOLDER
 
 
+@typed
 def load_scenario(name_or_folder: Scenario | str | Path) -> Scenario:
     """Load a shipped scenario by name (a str), or any scenario from its folder (a str or Path).
 

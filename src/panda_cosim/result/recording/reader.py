@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import InputError, did_you_mean, excerpt, one_line
 from ...fmus.extras import needing
+from ...task.typed import typed
 from .storage import (
     PARQUET_FILE,
     REALS,
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 _INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*)\]", re.A)
 
 
+@typed
 class Recording:
     """A recording; columns are read from disk when they are used.
 
@@ -74,6 +76,7 @@ class Recording:
         self._shapes = shapes_of(self.columns) | shapes_of(self.texts)
 
     @classmethod
+    @typed
     def open(cls, path: str | Path, *, in_order: bool = False) -> Self:
         """Open a recording: a run's folder, a Parquet file, or an interrupted Arrow stream.
 

@@ -14,6 +14,7 @@ import numpy as np
 from ...fmus.atomic import MARK, replacing
 from ...result.judging.summary import Summary
 from ...result.judging.verdicts import NO_CRITERIA
+from ...task.fields import check_choice
 from .motion import SHAPES, check_signals, describe_run
 from .panels import DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves
 from .signals import PRINTED, all_panels, draw_chosen, draw_panels, moves
@@ -61,9 +62,9 @@ def draw(
 
 def save(figure: ShownFigure, path: Path) -> None:
     """Write a figure in the format of the file's name: .png, .pdf or .svg."""
+    kind = check_choice(f"{path}: format", path.suffix.lower(), FORMATS)
     with own_style(), replacing(path) as temporary:
-        figure.savefig(temporary, format=path.suffix.lower()[1:], dpi="figure",
-                       **FORMATS[path.suffix.lower()])  # fmt: skip
+        figure.savefig(temporary, format=kind[1:], dpi="figure", **FORMATS[kind])
 
 
 def own_style(more: Mapping[str, float] = MappingProxyType({})) -> AbstractContextManager[None]:

@@ -27,6 +27,7 @@ from ...run.options import Options
 from ...run.prepare import Prepared, prepare
 from ...task.criteria import check_instant, check_within
 from ...task.scenario import Scenario, load_scenario
+from ...task.typed import typed
 from .responses import DECAYED, ENOUGH, LINEAR, Responses, measure
 from .sensitivity import Limits, disk_margin, limits
 from .state_space import FIT, realised, system
@@ -224,6 +225,7 @@ class Analysis:
         return realised(self.responses)
 
 
+@typed
 def analyze(
     scenario: Scenario | str | Path,
     at: float | str = "start",

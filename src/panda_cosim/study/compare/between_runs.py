@@ -22,6 +22,7 @@ from ...result.recording import Recording
 from ...result.recording.logs import is_log, open_log
 from ...result.recording.reader import run_names
 from ...run.result import Run
+from ...task.typed import typed
 from . import differences
 from .differences import Extent, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
@@ -157,6 +158,7 @@ class RunComparison:
         return Inline(self.to_html(), 640)._repr_html_()
 
 
+@typed
 def compare(
     first: Run | str | Path, *others: Run | str | Path, names: Path | None = None
 ) -> RunComparison:

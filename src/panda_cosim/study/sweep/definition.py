@@ -30,6 +30,7 @@ from ...task.fields import (
 )
 from ...task.files import read_toml
 from ...task.scenario import shipped_scenarios
+from ...task.typed import typed
 
 Array = NDArray[np.float64]
 
@@ -215,6 +216,7 @@ class Sweep:
         })  # fmt: skip
 
     @classmethod
+    @typed
     def read(cls, path: str | Path) -> Self:
         """Read a sweep's file; paths in it are relative to its folder.
 

@@ -20,6 +20,7 @@ from ...result.judging.criterion import Criterion
 from ...result.judging.summary import SUMMARY_FILE
 from ...run.folder import default_folder
 from ...task.criteria import Success
+from ...task.typed import typed
 from ..work import cores
 from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
@@ -48,6 +49,7 @@ class SweepResult:
         return Store(self.folder).table()
 
 
+@typed
 def sweep(  # noqa: PLR0913 - options, by keyword
     definition: Sweep | str | Path,
     out: str | Path | None = None,

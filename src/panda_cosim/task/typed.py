@@ -1,0 +1,77 @@
+"""Arguments of what users call from Python: those of a wrong type are refused in one line."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, wraps
+from importlib import import_module
+from inspect import Parameter, signature
+from itertools import takewhile
+from types import FunctionType, SimpleNamespace, UnionType
+from typing import Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from ..fmus.errors import refuse
+
+T = TypeVar("T", bound=Callable[..., Any])
+# What counts as a type, numpy's among it.
+_COUNTS: Final[Mapping[object, Any]] = {
+    float: numbers.Real, int: numbers.Integral, Sequence: (Sequence, np.ndarray)
+}  # fmt: skip
+_METHODS: Final = ("__init__", "__getitem__")
+
+
+def typed(target: T) -> T:
+    """Let a function, or the public methods of a class, refuse arguments of other types.
+
+    Raises:
+        InputError: An argument has another type than its annotation says.
+    """
+    if isinstance(target, type):
+        for name, member in [*vars(target).items()]:
+            if isinstance(member, FunctionType) and (name[0] != "_" or name in _METHODS):
+                setattr(target, name, typed(member))
+        return target
+    parameters = signature(target).parameters.values()
+    single = takewhile(lambda each: each.kind is not Parameter.VAR_POSITIONAL, parameters)
+    names = [each.name for each in single]
+
+    @wraps(target)
+    def call(*given: Any, **named: Any) -> Any:
+        check_types(target, dict(zip(names, given, strict=False)) | named)
+        return target(*given, **named)
+
+    return cast("T", call)
+
+
+def check_types(target: Any, values: Mapping[str, object]) -> None:
+    """Refuse values whose types are not those of a function's or class's annotations."""
+    hints = _hints(target)
+    for name, value in values.items():
+        if not _fits(value, hint := hints.get(name, Any)):
+            kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+            words = " or ".join(kind.__name__ for kind in kinds).replace("NoneType", "None")
+            refuse(f"{target.__qualname__}: {name}", value, f"must be of type {words}")
+
+
+@cache
+def _hints(target: Any) -> dict[str, Any]:
+    given = {name: hint for name, hint in target.__annotations__.items() if name != "return"}
+    scope = vars(import_module(target.__module__))
+    return get_type_hints(SimpleNamespace(__annotations__=given), scope)
+
+
+def _fits(value: object, hint: Any) -> bool:
+    """Whether a value has a type; words and bounds are checked where they are used."""
+    kind, items = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, UnionType):
+        return any(_fits(value, each) for each in items)
+    if kind in (Any, Literal):
+        return True
+    if not isinstance(value, _COUNTS.get(kind, kind)) or isinstance(value, str) > (kind is str):
+        return False  # a text is no sequence of letters
+    if kind is Sequence or kind is Mapping:
+        return all(_fits(each, items[0]) for each in value)  # values of keys have better messages
+    return True
