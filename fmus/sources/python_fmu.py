@@ -13,6 +13,7 @@ import os
 import sys
 import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -57,7 +58,8 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
     files |= {HOST: (SOURCES / HOST).read_bytes(), **(resources or {})}
     options = [("package", package), ("slave", " ".join(slave))]
     if private:  # the names by which the code's modules, or their packages, are imported
-        tops = (path.partition("/")[0].removesuffix(".py") for path in code)
+        modules = (path for path in code if path.endswith(".py"))
+        tops = (path.partition("/")[0].removesuffix(".py") for path in modules)
         options += [("private", name) for name in dict.fromkeys(tops)]
     options += [("need", f"{name} {NEEDS.get(name, '*')}") for name in needs]
     options.append(("minimum", MIN_PYTHON))
@@ -128,7 +130,7 @@ def python_library() -> Path | None:
 
 
 def code_of(path: Path, root: Path) -> dict[str, bytes]:
-    """A module and those below a folder that it imports, directly or not: contents by path."""
+    """A module, those below a folder that it imports, and files that they name, by path."""
     code: dict[str, bytes] = {}
     first = path.relative_to(root).as_posix()
     waiting = [first]
@@ -139,10 +141,21 @@ def code_of(path: Path, root: Path) -> dict[str, bytes]:
             _refuse_late_imports(root, name, tree)
             imports = _imports(name, tree)
             code[name] = (root / name).read_bytes()
+            code |= _data(root, tree)
             for module in imports:
                 stem = module.replace(".", "/")
                 waiting += [f"{stem}.py", f"{stem}/__init__.py"]
     return code
+
+
+def _data(root: Path, tree: ast.Module) -> Iterator[tuple[str, bytes]]:
+    """Yield the files below a folder that a module names in its texts, with their contents."""
+    nodes = ast.walk(tree)
+    texts = {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    for name in sorted(map(os.path.normpath, texts)):
+        with suppress(OSError, ValueError):  # too long, or no path at all
+            if not name.startswith(("/", "..")) and (root / name).is_file():
+                yield name, (root / name).read_bytes()
 
 
 def _refuse_late_imports(root: Path, path: str, tree: ast.Module) -> None:

@@ -39,6 +39,7 @@ def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
     options: Options | None = None,
     *,
     values: Values | None = None,
+    controller: str | type | None = None,
     progress: Callable[[int, int], None] | None = None,
     stop: threading.Event | None = None,
 ) -> Run:
@@ -49,6 +50,8 @@ def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it.
         values: Values to change, by key: see `Scenario.changed`.
+        controller: A law instead of the scenario's, as the key `fmus.controller`: the class itself
+            (also of a script or a notebook), "FILE.py:CLASS", or an .fmu file.
         progress: Called with the completed and the total steps, a few times a second.
         stop: Set in another thread, it stops the run after the step under way.
 
@@ -60,7 +63,8 @@ def run_scenario(  # noqa: PLR0913 - what to run, how, and who is told
         SimulationError: An FMU failed; what was recorded is kept, marked incomplete.
     """
     loaded = load_scenario(scenario)  # read
-    changed = loaded.changed(values or {})  # change
+    law: Values = {} if controller is None else {"fmus.controller": controller}
+    changed = loaded.changed({**(values or {}), **law})  # change
     prepared = prepare(changed, options)  # prepare
     with stopping_on_signals(stop) as request, Execution(prepared, out) as execution:
         execution.advance(stop=request, progress=progress)  # step

@@ -323,7 +323,8 @@ class Scenario:
             scenario.changed({"duration": 3, "plant.block_mass": 0.3, "controller.kp[3]": 7})
 
         Keys are those of `--set`: see `values.py`. A file of `fmus` is relative to the working
-        directory, that of `inputs` to the scenario's folder.
+        directory, or the class itself is given; that of `inputs` is relative to the scenario's
+        folder.
 
         Raises:
             InputError: A key or a value cannot be used; the key is named.

@@ -19,13 +19,14 @@ from typing import Any, Final
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.tables import INTERFACES
+from ..fmus.sources.written_class import file_of
 from .fields import Line, check_keys, field_names
 from .input_table import InputTable
 from .mismatch import Mismatch, default_of
 from .table import QUATERNION_COLUMNS
 
 Scenario = Any  # that of scenario.py, which imports this module
-Values = Mapping[str, ParameterValue]
+Values = Mapping[str, ParameterValue | type]
 # Texts and numbers of a scenario that have no key: they say what it is, not how it is.
 _FIXED: Final = ("name", "purpose", "system", "expect", "expect_reason")
 _SECTIONS: Final = ("table.", "push[", "success.", "mismatch.")
@@ -68,7 +69,7 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
         raise InputError("gains: acts only on the project's own controller; must be left out here")
     given = dict(values)
     for key in parts:
-        given[key] = _from_here(Line().check(key, values[key]))
+        given[key] = _from_here(key, values[key])
     places = _Places(scenario, fmus)
     # The scene and robot of the scenario outrank those of its plant.
     changes: dict[Steps, Any] = {
@@ -82,8 +83,9 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
     return _changed(scenario, changes)
 
 
-def _from_here(text: str) -> str:
-    """A part, relative to the working directory."""
+def _from_here(key: str, given: object) -> str:
+    """A part, relative to the working directory, or a class itself."""
+    text = Line().check(key, file_of(given) if isinstance(given, type) else given)
     file, colon, name = text.rpartition(":")
     has_class = colon and file.endswith(".py")
     return f"{os.path.realpath(file)}:{name}" if has_class else os.path.realpath(text)
