@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from fmu_support import REFERENCE_FMUS
 from panda_cosim import Recording, Session, replay, run_scenario
 
 ARM = """
@@ -129,3 +130,23 @@ def session_of_other_parts(place: str) -> dict[str, object]:
         "same": same_bits(str(folder / "first"), str(folder / "again")),
         "kept": bool((rows["run"] == rows["first"][:301]).all()),
     }
+
+
+def discrete_inputs(folder: str) -> list[float]:
+    """Set a discrete input of an FMU with event mode, go back, and leave it as it was before."""
+    fmu = f'duration = 1.0\nstep = 0.1\n[fmus]\nit = "{REFERENCE_FMUS}/fmi3/Feedthrough.fmu"\n'
+    Path(folder, "scenario.toml").write_text(fmu)
+    seen = []
+    with Session(folder, Path(folder, "run")) as session:
+        session.set("it.Int32_input", 1)
+        session.step(1)
+        saved = session.save()
+        session.set("it.Int32_input", 2)
+        session.step(1)
+        session.restore(saved)
+        session.step(1)
+        seen.append(session.state()["it.Int32_output"])
+        session.set("it.Int32_input", 2)
+        session.step(1)
+        seen.append(session.state()["it.Int32_output"])
+    return seen

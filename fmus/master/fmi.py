@@ -138,6 +138,8 @@ class Fmi3Slave(FmuSlave):
     prefix, state_name, enumeration = "fmi3", "FMUState", "Int64"
 
     def _instantiate(self, instance: Any) -> None:
+        self._sent: list[list[Any]] = []  # last values of discrete inputs
+        self._kept: dict[int, list[list[Any]]] = {}  # these, with a state
         self.has_events = bool(self.fmu.description.coSimulation.hasEventMode)
         # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.
         instance.component = instance.fmi3InstantiateCoSimulation(
@@ -192,6 +194,17 @@ class Fmi3Slave(FmuSlave):
         text = f"its discrete states do not settle in {MOST_UPDATES} updates"
         raise SimulationError(text, time=time, instance=self.name)
 
+    def save_state(self, place: int = 0) -> None:
+        """Keep the present state, and what an input is compared with, which may be an event."""
+        super().save_state(place)
+        self._kept[place] = [[*values] for values in self._sent]
+
+    def restore_state(self, place: int = 0) -> None:
+        """Go back to the state that was kept there."""
+        super().restore_state(place)
+        for values, kept in zip(self._sent, self._kept[place], strict=True):
+            values[:] = kept
+
     def set_values(self, values: Mapping[str, Value]) -> None:
         """Set scalars once; with event mode, in it."""
         if not self.has_events:
@@ -206,6 +219,7 @@ class Fmi3Slave(FmuSlave):
         if not (self.has_events and discrete):
             return put
         last: list[Any] = []
+        self._sent.append(last)
 
         def exchange(row: int) -> None:
             values = block[row, discrete].tolist()

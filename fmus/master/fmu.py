@@ -62,7 +62,7 @@ class FmuSlave(Caller, ABC):
 
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         super().__init__(name, fmu, on_message)
-        self._state = ctypes.c_void_p()  # that was kept, if one was
+        self._states: dict[int, ctypes.c_void_p] = {}  # that were kept, by place
         self.stop = math.inf  # [s] up to which it can be stepped
         self._steps = False  # whether initialization is over
         with _loading:
@@ -200,14 +200,15 @@ class FmuSlave(Caller, ABC):
         cause = self.log.cause.removeprefix("initialization: ")
         return InputError(f"{self.name}: the FMU refuses its start values: {cause}")
 
-    def save_state(self) -> None:
-        """Keep the present state in the one place for it."""
+    def save_state(self, place: int = 0) -> None:
+        """Keep the present state in one of any number of places for it."""
         self.no_going_back = False
-        self._use_state("Get", ctypes.byref(self._state))
+        state = self._states.setdefault(place, ctypes.c_void_p())
+        self._use_state("Get", ctypes.byref(state))
 
-    def restore_state(self) -> None:
-        """Go back to the state that was kept."""
-        self._use_state("Set", self._state)
+    def restore_state(self, place: int = 0) -> None:
+        """Go back to the state that was kept there."""
+        self._use_state("Set", self._states[place])
 
     def _use_state(self, verb: str, state: object) -> None:
         name = f"{self.prefix}{verb}{self.state_name}"
@@ -220,8 +221,8 @@ class FmuSlave(Caller, ABC):
             return  # after a fatal error any call may crash the process
         if self._worst < ERROR:
             with suppress(Exception):  # the run is over; errors no longer matter
-                if self._state:
-                    self._use_state("Free", ctypes.byref(self._state))
+                for state in self._states.values():
+                    self._use_state("Free", ctypes.byref(state))
                 if self._steps:
                     instance.terminate()
         with _loading:

@@ -293,6 +293,21 @@ class Master:
         slaves = (each.slave if isinstance(each, SlowSlave) else each for each in self.slaves)
         return {slave.name: slave.spent for slave in slaves if hasattr(slave, "spent")}
 
+    def save(self, place: int) -> Array:
+        """Keep the slaves' states in a place; returns the present row, which `restore` takes."""
+        self.flush()
+        for slave in self.slaves:
+            slave.save_state(place)
+        self.couple(self.coupling)  # from here on, slaves are told that steps may be undone
+        return self.latest()
+
+    def restore(self, place: int, tick: int, row: Array) -> None:
+        """Go back to a tick at which states were kept; rows after it are for the sink to drop."""
+        for slave in self.slaves:
+            slave.restore_state(place)
+        self.statistics.steps, self._step.ended = tick, None
+        self._buffer.go_back(tick, row)
+
     def latest(self) -> Array:
         """Copy of the present row; inputs and leaders' outputs are those of the last tick."""
         self._buffer.hold(self._row)

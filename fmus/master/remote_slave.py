@@ -150,13 +150,13 @@ class RemoteSlave:
             self._blocks[index].memory[:] = values
         self._is_current = True
 
-    def save_state(self) -> None:
+    def save_state(self, place: int = 0) -> None:
         """Keep the present state, see `FmuSlave.save_state`."""
-        self._call("save_state")
+        self._call("save_state", place)
 
-    def restore_state(self) -> None:
-        """Go back to the state that was kept."""
-        self._call("restore_state")
+    def restore_state(self, place: int = 0) -> None:
+        """Go back to the state that was kept there."""
+        self._call("restore_state", place)
 
     def told(self) -> None:
         """Hear what the FMU has logged; raises the error of its last step, if it has one."""

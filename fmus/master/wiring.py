@@ -35,11 +35,11 @@ class Slave(Protocol):
     def step(self, time: float, step_size: float) -> None:
         """Advance from `time` by `step_size` [s]."""
 
-    def save_state(self) -> None:
-        """Keep the present state; only called for iterated coupling."""
+    def save_state(self, place: int = 0) -> None:
+        """Keep the present state in a place; 0 is that of iterated coupling."""
 
-    def restore_state(self) -> None:
-        """Go back to the state that was kept."""
+    def restore_state(self, place: int = 0) -> None:
+        """Go back to the state that was kept there."""
 
 
 class BoundSlave:
@@ -82,6 +82,7 @@ class SlowSlave:
         self._multiple = multiple
         self._tick = 0  # of the present step
         self._begin, self._is_taken = 0.0, False  # where it begins [s], and whether it was taken
+        self._saved: dict[int, tuple[int, float, bool]] = {}
 
     def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that sets the inputs in the first tick."""
@@ -111,15 +112,15 @@ class SlowSlave:
             self._is_taken = True
         self._tick = (self._tick + 1) % self._multiple
 
-    def save_state(self) -> None:
-        """Keep the present state, and the place in the step."""
-        self.slave.save_state()
-        self._saved = (self._tick, self._begin, self._is_taken)
+    def save_state(self, place: int = 0) -> None:
+        """Keep the present state, and where it is in the step."""
+        self.slave.save_state(place)
+        self._saved[place] = self._tick, self._begin, self._is_taken
 
-    def restore_state(self) -> None:
-        """Go back to the state that was kept."""
-        self.slave.restore_state()
-        self._tick, self._begin, self._is_taken = self._saved
+    def restore_state(self, place: int = 0) -> None:
+        """Go back to the state that was kept there."""
+        self.slave.restore_state(place)
+        self._tick, self._begin, self._is_taken = self._saved[place]
 
 
 def can_step(slave: Slave, time: float, size: float) -> bool:
@@ -317,6 +318,12 @@ class RowBuffer:
         self.rows[0] = self.rows[BLOCK_ROWS]
         self.first += BLOCK_ROWS
         self.filled = self._flushed = 0
+        self._set_times()
+
+    def go_back(self, tick: int, row: Array) -> None:
+        """Make a tick's row the first."""
+        self.rows[0] = row
+        self.first, self.filled, self._flushed = tick, 0, 0
         self._set_times()
 
     def complete(self, row: int) -> None:

@@ -60,9 +60,9 @@ def _literal(name: str, value: Any) -> str:
     try:
         ast.literal_eval(repr(value))
     except (ValueError, SyntaxError):
-        must = "must be a number, a text, an array or a container of them"
-        raise InputError(f"controller: uses {name} of type {type(value).__name__}; {must}, or the class "
-                         "must be in a file of its own") from None  # fmt: skip
+        must = "must be a number, a text, an array or a container of them, or the class in a file"
+        kind = type(value).__name__
+        raise InputError(f"controller: uses {name} of type {kind}; {must}") from None
     return repr(value)
 
 

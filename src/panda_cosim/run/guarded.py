@@ -105,8 +105,8 @@ class GuardedCommands:
     ) -> None:
         self.trajectory = trajectory  # None: a system has none
         self.guards = guards_of(trajectory) if trajectory else []
-        self.ends: list[Early] = before.ends if before else []
-        self._felt: list[float] = before._felt if before else []
+        self.ends: list[Early] = [*before.ends] if before else []
+        self._felt: list[float] = [*before._felt] if before else []
 
     @property
     def path(self) -> Trajectory:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from ..assets import STEP_SIZE
@@ -57,6 +59,13 @@ class Inputs:
         self._inputs_move = scenario.inputs_move
         self._chunk = (-1, 0)  # first tick, and early ends of rows
         self._part = np.empty((0, len(self._columns)))
+
+    def copied(self) -> Inputs:
+        """Return a copy, which later actions and ends of rows do not change."""
+        other = copy(self)
+        other._held = dict(self._held)
+        other.guarded = GuardedCommands(self.guarded.trajectory, self.guarded)
+        return other
 
     def __getitem__(self, ticks: slice, /) -> Array:
         """Return the rows of a range of ticks, cut off at the last one."""

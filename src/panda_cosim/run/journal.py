@@ -21,6 +21,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -232,6 +233,13 @@ class Adjustments:
             for scalar in interface.scalars()
             if scalar.variable.variability == "tunable"
         }
+
+    def copied(self) -> Adjustments:
+        """Return a copy, which later actions do not change."""
+        other = copy(self)
+        other.values = {name: dict(values) for name, values in self.values.items()}
+        other.inputs = self.inputs.copied()
+        return other
 
     def take(self, action: Action) -> Parameters:
         """Take an action; returns the parameters that FMUs are to be given."""

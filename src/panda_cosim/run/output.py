@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
 from contextlib import nullcontext, suppress
@@ -73,6 +74,16 @@ class Output:
         """Write an action to the journal, if there is one."""
         if self._journal:
             append_action(self._journal, action)
+
+    def mark(self) -> tuple[tuple[int, int], int]:
+        """Return how much is recorded and written in the journal, for `go_back`."""
+        return self.recorder.mark(), self._journal.stat().st_size if self._journal else 0
+
+    def go_back(self, mark: tuple[tuple[int, int], int]) -> None:
+        """Drop what was recorded, and written in the journal, after a mark."""
+        self.recorder.go_back(mark[0])
+        if self._journal:
+            os.truncate(self._journal, mark[1])
 
     def count_warnings(self) -> None:
         """Keep how often the engines of models have warned, by FMU and kind."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 import signal
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +25,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..assets import STEP_SIZE
-from ..fmus.errors import InputError
+from ..fmus.errors import InputError, SimulationError
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.plant import FORCES
 from ..fmus.interface.tables import INTERFACES
@@ -42,6 +42,7 @@ from .folder import keep_scenario, refuse_existing
 from .inputs import Inputs
 from .journal import Act, Action, Adjustments, Head, MoveWaypoint, Release, Set, SetCoupling
 from .options import Options
+from .output import Output
 from .prepare import Prepared, prepare
 from .start import start_pose
 from .stopping import stopping_on_signals
@@ -118,6 +119,19 @@ def _time(prepared: Prepared, tick: int) -> str:
     return f"t = {prepared.assembly.start_time + tick * prepared.scenario.step:.3f} s"
 
 
+@dataclass(frozen=True, eq=False)
+class Saved:
+    """A session as it was at a tick, to which `Session.restore` returns."""
+
+    output: Output  # of the run that it belongs to
+    place: int  # of the FMUs' states
+    tick: int
+    row: Array
+    actions: list[Action]
+    adjustments: Adjustments
+    mark: tuple[tuple[int, int], int]  # in recording and journal
+
+
 _REFUSED = ("realtime", "time_limit")  # options: the caller paces, and stops
 
 
@@ -161,6 +175,7 @@ class Session(Execution):
         super().__init__(prepare(scenario, options, interactive=True), out, journals=True)
         self.interfaces = self.prepared.assembly.interfaces
         self._numbers = count(2)  # of the folders after a restart
+        self._places = count(1)  # of saved states
 
     def restart(self) -> None:
         """End this run, keep its folder, and open a new run in a new folder at t = 0."""
@@ -345,6 +360,42 @@ class Session(Execution):
         if self._adjustments.coupling != self.coupling:
             self._master.couple(self._adjustments.coupling)
         self._note(action)
+
+    # Going back.
+
+    def save(self) -> Saved:
+        """Save the session as it is: the FMUs' states, inputs, actions and recording.
+
+        Raises:
+            InputError: An FMU cannot save its state; it is named.
+        """
+        self._check_open()
+        for name, fmu in self._begun.system.fmus.items():
+            fmu.check_restorable(name)
+        place = next(self._places)
+        try:
+            row = self._master.save(place)
+        except SimulationError as error:
+            raise InputError(f"save: {error}") from error
+        adjustments, mark = self._adjustments.copied(), self._begun.mark()
+        return Saved(self._begun, place, self.tick, row, [*self.actions], adjustments, mark)
+
+    def restore(self, saved: Saved) -> None:
+        """Return to what was saved in this run, as often as you like, with the same bits.
+
+        What came after is dropped from recording and journal, as if it had not happened.
+
+        Raises:
+            InputError: It was saved in another run, or this one is over.
+        """
+        self._check_open()
+        if saved.output is not self._begun:
+            raise InputError("restore: was saved in another run; must be of this one")
+        self._adjustments, self.actions = saved.adjustments.copied(), [*saved.actions]
+        with self._guarded():
+            self._master.couple(self._adjustments.coupling)
+            self._master.restore(saved.place, saved.tick, saved.row)
+        self._begun.go_back(saved.mark)
 
     # Keeping it.
 

@@ -59,6 +59,15 @@ class MemoryRecorder:
         self._values[:, self._filled : end] = rows.T
         self._filled = end
 
+    def mark(self) -> tuple[int, int]:
+        """Return the rows and bytes so far, for `go_back`."""
+        return self.rows, 0
+
+    def go_back(self, mark: tuple[int, int]) -> None:
+        """Drop the rows after a mark."""
+        self._dropped = min(self._dropped, mark[0])
+        self._filled = mark[0] - self._dropped
+
     def end(self, *, complete: bool, reason: str | None = None) -> None:
         """Take no more rows; the recording can be read from memory. A second call does nothing."""
         if not self._ended:
@@ -145,6 +154,18 @@ class Recorder(MemoryRecorder):
         if self._filled > storage.BLOCK_ROWS:
             self._is_whole = False
             self._dropped, self._filled = self.rows, 0
+
+    def mark(self) -> tuple[int, int]:
+        """Return the rows and bytes so far, all of them in the file."""
+        self.flush()
+        return self.rows, self._size
+
+    def go_back(self, mark: tuple[int, int]) -> None:
+        """Drop the rows after a mark, in the file, too."""
+        super().go_back(mark)
+        self._saved, self._size = mark
+        self._file.truncate(self._size)
+        self._file.seek(self._size)
 
     def end(self, *, complete: bool, reason: str | None = None) -> None:
         """End the stream; a thread makes the Parquet file meanwhile, which `close` waits for."""
