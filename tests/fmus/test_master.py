@@ -33,15 +33,15 @@ class FakeSlave:
         self.times: list[float] = []
         self._law = law
         self._log = log if log is not None else []
-        self._kept: tuple[dict[str, float], dict[str, float]] = ({}, {})
+        self._kept: dict[int, tuple[dict[str, float], dict[str, float]]] = {}
 
-    def save_state(self) -> None:
+    def save_state(self, place: int = 0) -> None:
         """Keep inputs and outputs."""
-        self._kept = dict(self.inputs), dict(self.outputs)
+        self._kept[place] = dict(self.inputs), dict(self.outputs)
 
-    def restore_state(self) -> None:
+    def restore_state(self, place: int = 0) -> None:
         """Go back to what was kept."""
-        inputs, outputs = self._kept
+        inputs, outputs = self._kept[place]
         self.inputs.update(inputs)
         self.outputs.update(outputs)
 
