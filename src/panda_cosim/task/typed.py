@@ -31,8 +31,11 @@ def typed(target: T) -> T:
     """
     if isinstance(target, type):
         for name, member in [*vars(target).items()]:
-            if isinstance(member, FunctionType) and (name[0] != "_" or name in _METHODS):
+            is_public = name[0] != "_" or name in _METHODS
+            if is_public and isinstance(member, FunctionType):
                 setattr(target, name, typed(member))
+            elif is_public and isinstance(member, classmethod):
+                setattr(target, name, classmethod(typed(member.__func__)))
         return target
     parameters = signature(target).parameters.values()
     single = takewhile(lambda each: each.kind is not Parameter.VAR_POSITIONAL, parameters)

@@ -76,7 +76,6 @@ class Recording:
         self._shapes = shapes_of(self.columns) | shapes_of(self.texts)
 
     @classmethod
-    @typed
     def open(cls, path: str | Path, *, in_order: bool = False) -> Self:
         """Open a recording: a run's folder, a Parquet file, or an interrupted Arrow stream.
 
