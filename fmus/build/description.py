@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from inspect import cleandoc
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import InputError, shown
 from ..interface.units import DISPLAY_UNITS, NOMINALS, OUR_UNITS
-from ..interface.variables import Interface, Scalar, Value, Variable
+from ..interface.variables import Interface, Numbers, Scalar, Value, Variable
 from .engines import DEPENDENCIES
 from .identity import mujoco_package
 from .libraries import NEED_MUJOCO, licences, own_licences
@@ -26,24 +27,12 @@ from .libraries import NEED_MUJOCO, licences, own_licences
 if TYPE_CHECKING:
     from .native import NativeFmu
 
-ABOUT: Final = {
-    "author": "The panda-cosim engineers", "copyright": "Copyright 2026 The panda-cosim engineers",
-    "license": "Apache-2.0",
-}  # fmt: skip
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+ABOUT: Final[Mapping[str, str]] = _TABLES["about"]
+LOG_CATEGORIES: Final[Mapping[str, str]] = _TABLES["log_categories"]
+PICTURES: Final[Mapping[str, str]] = _TABLES["pictures"]
 STOP_TIME = 6.5  # [s] of the shipped scenarios
 DATE: Final = "2026-01-01T00:00:00Z"  # fixed: equal contents, equal bytes
-LOG_CATEGORIES: Final = {
-    "logStatusWarning": "Values that were out of range and have been clamped.",
-    "logStatusDiscard": "Steps that were rejected, with the reason.",
-    "logStatusError": "Failures, with cause and traceback.",
-    "logStatusFatal": "Failures after which the instance cannot be used.",
-    "logAll": "All messages.",
-}
-PICTURES: Final = {
-    "PandaPlant": "plant.png",
-    "PandaController": "controller.png",
-    "PandaTrajectory": "trajectory.png",
-}
 NOTHING: Final = "Nothing: neither Python nor any library that it does not contain."
 _FEW: Final = 12  # most values shown in a table's cell of the documentation
 _PART: Final = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
@@ -72,23 +61,22 @@ class Described:
 def described(interface: Interface, layout: Layout) -> list[Described]:
     """Return the variables as a description has them; two must not get one name."""
     rows: list[Described] = []
-    elements = iter(interface.scalars())
+    elements, has_arrays = iter(interface.scalars()), layout.fmi == 3 and not layout.scalars
     for whole in interface.variables:
         for array in whole.arrays():
             scalars = list(islice(elements, array.size))
-            each = [(array, scalars)]
-            if layout.fmi == 2 or layout.scalars:
-                each = [(scalar.alone(), [scalar]) for scalar in scalars]
-            for variable, own in each:
-                name = variable.name
-                if layout.flat:  # `jac_1_2` for `jac[1,2]`
-                    name = re.sub(r"\W+", "_", name, flags=re.A).strip("_")
-                names, reference = [s.name for s in own], own[0].value_reference
-                rows.append(Described(replace(variable, name=name), reference, whole.name, names))
+            each = [(array, scalars)] if has_arrays else [(s.alone(), [s]) for s in scalars]
+            rows += [_row(whole, *one, is_flat=layout.flat) for one in each]
     counts = Counter(row.variable.name for row in rows)
     for name in (name for name, count in counts.items() if count > 1):
         raise InputError(f"{interface.model}: two variables would have the name {name!r}")
     return rows
+
+
+def _row(whole: Variable, own: Variable, scalars: Sequence[Scalar], *, is_flat: bool) -> Described:
+    name = re.sub(r"\W+", "_", own.name, flags=re.A).strip("_") if is_flat else own.name
+    names, reference = [scalar.name for scalar in scalars], scalars[0].value_reference
+    return Described(replace(own, name=name), reference, whole.name, names)
 
 
 def members(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
@@ -120,29 +108,31 @@ def _model_description(fmu: NativeFmu, fmi: int, rows: Sequence[Described]) -> b
         naming="structured" if all(_STRUCTURED.fullmatch(v.name) for v in variables) else "flat",
         units={name: OUR_UNITS[name].base_units() for name in sorted(map(str, used))},
         display_units=DISPLAY_UNITS,
-        enumerations=[v for v in variables if v.kind == "Enumeration"],
         rows=rows,
-        outputs=[row for row in rows if row.variable.causality == "output"],
-        parameters=[row for row in rows if row.variable.causality == "parameter"],
     )
 
 
 def _type(variable: Variable) -> dict[str, object]:
     """Attributes of a variable's type; bounds of an array are the widest of its elements'."""
-    scalars, unit = list(variable.scalars(0)), str(variable.unit)
-    low = min(-math.inf if s.minimum is None else s.minimum for s in scalars)
-    high = max(math.inf if s.maximum is None else s.maximum for s in scalars)
-    starts = [literal(s, s.start) for s in scalars if s.start is not None]
+    scalars, unit = variable.scalars(0), str(variable.unit)
+    starts = [literal(scalar, scalar.start) for scalar in scalars if scalar.start is not None]
     return {
         # FMI wants a type's name to be different from all variables'.
         "declaredType": f"{variable.name}_type" if variable.kind == "Enumeration" else None,
         "unit": unit or None,
         "displayUnit": DISPLAY_UNITS.get(unit, (None,))[0],
         "nominal": NOMINALS.get(unit) if variable.kind == "Real" else None,
-        "min": None if math.isinf(low) else float(low),
-        "max": None if math.isinf(high) else float(high),
+        "min": _widest(variable.minimum, min),
+        "max": _widest(variable.maximum, max),
         "start": " ".join(starts) if starts else None,
     }
+
+
+def _widest(bounds: Numbers | None, choose: Callable[[Iterable[float]], float]) -> float | None:
+    """Return the widest of some bounds; None: there is none."""
+    each = bounds if isinstance(bounds, tuple) else (bounds,)
+    finite = [float(bound) for bound in each if bound is not None and math.isfinite(bound)]
+    return choose(finite) if len(finite) == len(each) else None
 
 
 def literal(scalar: Scalar, value: Value) -> str:

@@ -20,6 +20,7 @@ from ..fmus.errors import did_you_mean, excerpt, located, refuse
 from .fields import Choice, Line, Quantity, Vector, checked, field_names, key_of
 from .table import POSITION
 
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
 LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
 NEVER: Final = "so that it can never hold"
@@ -98,8 +99,7 @@ class Reduction:
     is_time: bool = False
 
 
-_TABLE: Final = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-REDUCTIONS: Final = {name: Reduction(**row) for name, row in tomllib.loads(_TABLE).items()}
+REDUCTIONS: Final = {name: Reduction(**row) for name, row in _TABLES.items()}
 
 
 @checked
