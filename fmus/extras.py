@@ -25,12 +25,18 @@ def needing(package: str, extra: str, what: str) -> Iterator[None]:
         yield
     except ImportError as error:
         missing = f"{what}: needs {package}"
-        last = last_python(package)
-        if last and sys.version_info[1] > last:
-            must = f"which has no release for Python 3.{sys.version_info[1]}; must be 3.{last}"
-            raise InputError(f"{missing}, {must} or older") from None
+        if reason := no_release(package):
+            raise InputError(f"{missing}, {reason}") from None
         found = f", which is not installed ({error})"
         raise InputError(f"{missing}{found}; pip install 'panda-cosim[{extra}]'") from None
+
+
+def no_release(package: str) -> str:
+    """Say that an optional package has no release for this Python, or ""."""
+    last, version = last_python(package), sys.version_info[1]
+    if last is None or version <= last:
+        return ""
+    return f"which has no release for Python 3.{version}; must be 3.{last} or older"
 
 
 def last_python(package: str) -> int | None:

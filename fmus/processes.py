@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -23,6 +25,17 @@ if TYPE_CHECKING:
 SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
 PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
 STANDARD_ERROR: Final = 2
+# What runs a program that ends with its parent, whose number comes first.
+_LEASHED: Final = """
+import os, sys
+from panda_cosim.fmus.processes import end_with
+end_with(int(sys.argv[1]))
+os.execvp(sys.argv[2], sys.argv[2:])
+"""
+ENTERS: Final = "\n" * 1000  # for programs that ask for the key Enter
+KEPT_LINES: Final = 50  # of a program's output, which fit a traceback
+CLOSING: Final = 1.0  # [s] for the last output of a program that has ended
+LOOKING: Final = 0.01  # [s] between two looks at whether it has
 
 
 class Child:
@@ -68,9 +81,7 @@ class Child:
 
     def kill(self) -> None:
         """Kill it with all that it has started; who waits for its answer gets an EOFError."""
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.kill()
+        _kill_group(self._process)
 
     def end(self) -> int:
         """Kill it, and return how it ended, as `ended` does; may be called again."""
@@ -78,6 +89,73 @@ class Child:
             self.kill()
             self.connection.close()
         return self._process.wait()
+
+
+class Program:
+    """Any program that runs beside this process, and ends with it.
+
+    The client of a scenario is one. `hear` gets each line of its output, in a thread. Its input is
+    empty lines. A Python process with which this one talks is a `Child`; a program that is only run
+    to its end needs `run`.
+    """
+
+    def __init__(self, command: Sequence[str], folder: Path, hear: Callable[[str], None]) -> None:
+        environment = {n: v for n, v in os.environ.items() if n not in SAFE_PATH}
+
+        def start() -> subprocess.Popen[str]:
+            return subprocess.Popen(
+                [sys.executable, "-P", "-c", _LEASHED, str(os.getpid()), *command],
+                cwd=folder,
+                env=environment | {"PYTHONUNBUFFERED": "1"},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                start_new_session=True,
+            )
+
+        self.last: deque[str] = deque(maxlen=KEPT_LINES)  # lines of its output
+        self._hear = hear
+        self._process = _lasting_thread().submit(start).result()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with suppress(OSError), process.stdin as entered:  # it may have ended
+            entered.write(ENTERS)
+        with process.stdout as output:
+            for line in output:
+                self.last.append(line.rstrip())
+                self._hear(line.rstrip())
+
+    def ended(self, limit: float = 0.0) -> int | None:
+        """Wait for its end, for a time [s]; return the exit code, or minus the signal."""
+        # It is not reaped yet, so that the number stays that of its group until `end`.
+        asked, deadline = os.WEXITED | os.WNOHANG | os.WNOWAIT, time.monotonic() + limit
+        while (end := os.waitid(os.P_PID, self._process.pid, asked)) is None:
+            if time.monotonic() >= deadline:
+                return None
+            time.sleep(LOOKING)
+        self._reader.join(CLOSING)
+        return end.si_status if end.si_code == os.CLD_EXITED else -end.si_status
+
+    def end(self) -> None:
+        """Kill it with all that it has started."""
+        if self._process.returncode is None:
+            _kill_group(self._process)
+            self._process.wait()
+            self._reader.join(CLOSING)
+
+
+def _kill_group(process: subprocess.Popen[Any]) -> None:
+    """Kill a process that leads a session, with all that it has started."""
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
 
 
 def listen(descriptor: int, parent: int) -> Connection:

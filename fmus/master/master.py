@@ -66,10 +66,12 @@ class RunStatistics:
 
 
 class RealtimePacer:
-    """Keeps in step with the wall clock."""
+    """Keeps in step with the wall clock; after a late tick, it may go on from there instead."""
 
-    def __init__(self, period: float, statistics: RunStatistics) -> None:
-        self._period, self._statistics = period, statistics
+    def __init__(
+        self, period: float, statistics: RunStatistics, *, catches_up: bool = True
+    ) -> None:
+        self._period, self._statistics, self._catches_up = period, statistics, catches_up
         self._start = clock.perf_counter()
 
     def wait(self, ticks: int) -> None:
@@ -80,6 +82,7 @@ class RealtimePacer:
         else:
             self._statistics.overruns += 1
             self._statistics.worst_lateness = max(self._statistics.worst_lateness, -ahead)
+            self._start -= 0.0 if self._catches_up else ahead
 
 
 class Master:

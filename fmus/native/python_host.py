@@ -245,8 +245,8 @@ class PythonFmu:
         try:
             if not self.slave.do_step(time, size):
                 raise StepError("do_step returned False")
-        finally:  # the slave may have logged why it failed
-            self._take_messages()
+        finally:  # the slave may have logged why it failed, or discards the step
+            self._take_messages(DISCARD)
 
     def outputs(self) -> None:
         """Read all outputs and local variables from the slave."""
@@ -271,10 +271,10 @@ class PythonFmu:
         values: Any = self.texts if kind == "string" else VALUES
         return [convert(values[reference]) for reference in references]
 
-    def _take_messages(self) -> None:
+    def _take_messages(self, kept: int = WARNING) -> None:
         for entry in self.slave.log_queue:
             status = int(getattr(entry.status, "value", entry.status))
-            self.messages.append((min(status, WARNING), str(entry.msg)))
+            self.messages.append((kept if status == kept else min(status, WARNING), str(entry.msg)))
         self.slave.log_queue.clear()
 
     def get_state(self) -> bytes:

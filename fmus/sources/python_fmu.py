@@ -129,8 +129,11 @@ def python_library() -> Path | None:
 # The files that go in.
 
 
-def code_of(path: Path, root: Path) -> dict[str, bytes]:
-    """A module, those below a folder that it imports, and files that they name, by path."""
+def code_of(path: Path, root: Path, *, is_packed: bool = True) -> dict[str, bytes]:
+    """A module, those below a folder that it imports, and files that they name, by path.
+
+    What is packed into an FMU must not import them late.
+    """
     code: dict[str, bytes] = {}
     first = path.relative_to(root).as_posix()
     waiting = [first]
@@ -138,7 +141,8 @@ def code_of(path: Path, root: Path) -> dict[str, bytes]:
         name = waiting.pop()
         if name not in code and (name == first or (root / name).is_file()):
             tree = parse_file(root / name)
-            _refuse_late_imports(root, name, tree)
+            if is_packed:
+                _refuse_late_imports(root, name, tree)
             imports = _imports(name, tree)
             code[name] = (root / name).read_bytes()
             code |= _data(root, tree)

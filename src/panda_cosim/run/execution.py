@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Self
 
@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from ..fmus.errors import CosimError, InputError, SimulationError
 from ..fmus.master.master import Master, RealtimePacer
 from ..result.judging.summary import Summary
+from ..result.judging.verdict import Verdict
 from ..result.judging.verdicts import ENDED, FAILED, STOPPED, TIMEOUT
 from ..task.scenario import Scenario, load_scenario
 from ..task.typed import typed
 from ..task.values import Values
+from .client import Client, addressed
 from .exits import exit_guard
 from .folder import claimed_folder
 from .inputs import Inputs
@@ -101,6 +103,7 @@ class Execution:
         self.actions: list[Action] = []
         self.warnings: list[str] = self.prepared.notes
         self.failure = ""
+        self._client: Client | None = None
         self._summary: Summary | None = None  # of a failed run only if its recording can be read
 
     def open(self) -> Self:
@@ -114,8 +117,8 @@ class Execution:
             raise InputError("session: is already open; `close` or `restart` ends its run")
         if self._output is not None:  # of a run before
             self._reset()
-        prepared = self.prepared
         with self._warnings_told(), ExitStack() as stack:
+            prepared = stack.enter_context(addressed(self.prepared))
             if self._writes:
                 self.folder = stack.enter_context(claimed_folder(self._out, self.scenario.name))
             with exit_guard(self.folder):
@@ -127,6 +130,8 @@ class Execution:
                 self._output.begin()
                 with self._guarded():
                     system.master.begin(self._output.recorder.append)
+                if self.scenario.client:
+                    self._client = stack.enter_context(Client(prepared, tells=self._writes))
             self._stack = stack.pop_all()
         return self
 
@@ -136,8 +141,7 @@ class Execution:
         if not (self.failure or self._summary):  # else it has been judged
             with self._guarded():
                 self._end(reason or stop.text)
-                end = STOPPED if stop.signal else TIMEOUT if stop.is_late else ENDED
-                self._summary = self._begun.judge(end)
+                self._summary = self._begun.judge(_end_by(stop))
 
     def close(
         self,
@@ -172,15 +176,24 @@ class Execution:
 
     def _end(self, reason: str | None) -> None:
         """Record the last row and the end; an FMU may have ended the simulation."""
-        ended = str(self._master.ended or "")
+        ended, left = str(self._master.ended or ""), reason is None and self._has_left
         self._note(Action(self.tick, End(reason=reason or "")))
         self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
         self._begun.count_warnings()
         finished = self.tick == self.ticks
-        if finished and ended:
-            self.warnings.append(ended)
+        if finished and not left:
+            unfinished = self._client.unfinished if self._client else ""
+            self.warnings += filter(None, [ended, unfinished])
         default = ended or f"the session was ended at t = {self.time:.3f} s"
-        self._close_recording(None if finished else reason or default, complete=finished)
+        complete = finished or left
+        self._close_recording(None if complete else reason or default, complete=complete)
+
+    @property
+    def _has_left(self) -> bool:
+        """Whether the client, or a program that an FMU listens to, has ended the run by leaving."""
+        if ended := self._master.ended:
+            return ended.instance in self.prepared.listening
+        return self._client is not None and self._client.left
 
     def _close_recording(self, reason: str | None, *, complete: bool) -> None:
         recorder = self._begun.recorder
@@ -214,7 +227,8 @@ class Execution:
         master, options, pace = self._master, self.prepared.options, None
         if options.realtime:
             period = self.scenario.step / options.realtime
-            pace = RealtimePacer(period, master.statistics).wait
+            waits = bool(self.prepared.listening)  # for a program, which takes its time
+            pace = RealtimePacer(period, master.statistics, catches_up=not waits).wait
 
         def look(done: int) -> None:
             stop.poll()
@@ -222,13 +236,16 @@ class Execution:
                 progress(done, self.ticks)
 
         stop.watch(master, options.time_limit)
-        with self._guarded():
+        with self._guarded(stop):
             inputs = self._adjustments.inputs
-            while self.tick < last and not master.stop_requested:
-                inputs.guarded.look(self.tick, self._value)
-                count = inputs.guarded.unwatched(self.tick, last)
-                master.step(count, inputs, pace=pace, progress=look)
-            master.flush()
+            with self._client.beside(master, stop) if self._client else nullcontext():
+                while self.tick < last and not master.stop_requested:
+                    inputs.guarded.look(self.tick, self._value)
+                    count = inputs.guarded.unwatched(self.tick, last)
+                    master.step(count, inputs, pace=pace, progress=look)
+                master.flush()
+            if self._client and self._has_left and not stop.reason:
+                self._client.check_end(self.time, master.ended)
         if progress is not None:
             progress(self.tick, self.ticks)
 
@@ -280,18 +297,23 @@ class Execution:
             raise InputError(f"session: its run has {how}; `restart` begins another")
 
     @contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """Call into FMUs: if one fails, the run is over; if one calls exit(), it is a failure."""
+    def _guarded(self, stop: StopRequest | None = None) -> Iterator[None]:
+        """Call into FMUs: if one fails, the run is over; if one calls exit(), it is a failure.
+
+        An FMU whose client was killed, since the run is to `stop`, may fail.
+        """
         try:
             with exit_guard(self.folder), self._warnings_told():
                 yield
         except CosimError as error:
-            self.failure = str(error)
+            stopped = stop.text if stop and self._client else None
+            self.failure = "" if stopped else str(error)
             with suppress(CosimError):  # the failure itself says more
-                reason = f"{type(error).__name__}: {error}"
+                reason = stopped or f"{type(error).__name__}: {error}"
                 self._close_recording(reason, complete=False)
-                self._summary = self._begun.judge(FAILED)
-            raise
+                self._summary = self._begun.judge(_end_by(stop) if stop and stopped else FAILED)
+            if not stopped:
+                raise
 
     @contextmanager
     def _warnings_told(self) -> Iterator[None]:
@@ -306,3 +328,8 @@ class Execution:
     def _note(self, action: Action) -> None:
         self.actions.append(action)
         self._begun.note(action)
+
+
+def _end_by(stop: StopRequest) -> Verdict:
+    """What an incomplete run comes to, if this may have stopped it."""
+    return STOPPED if stop.signal else TIMEOUT if stop.is_late else ENDED

@@ -18,7 +18,7 @@ from ..task.files import MODEL_FILE, safe_name
 from ..task.scenario import Scenario
 from ..task.writer import write_scenario
 from .system.assembly import Assembly, assemble
-from .system.parts import part_path
+from .system.parts import WORDS, part_path
 
 RUNS = Path("runs")
 SCENARIO_FOLDER = "scenario"
@@ -67,15 +67,18 @@ def refuse_existing(folder: Path) -> None:
 
 
 def keep_scenario(scenario: Scenario, assembly: Assembly, folder: Path) -> None:
-    """Write the scenario with the files of its FMUs, so that it can be run again."""
+    """Write the scenario with the files of its FMUs and client, so that it can be run again."""
     if scenario.has_own_parts:
         scenario = with_files(scenario, assembly, folder)
     write_scenario(scenario, folder)
 
 
 def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario:
-    """Put the files of a scenario's FMUs into a folder; models as the FMUs built from them."""
+    """Put the files of FMUs and client into a folder; models as the FMUs built from them."""
     folder.mkdir(parents=True, exist_ok=True)
+    for path, content in _client_files(scenario).items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_bytes(content)
     files = assembly.system.fmus
     if scenario.system or "plant" in scenario.fmus:
         # The installed MuJoCo, which draws, has to read the model.
@@ -89,6 +92,9 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
         return replace(scenario, system=path.name)
     kept: dict[str, str] = {}
     for name, text in scenario.fmus.items():
+        if text in WORDS:
+            kept[name] = text
+            continue
         path, class_name = part_path(scenario, text)
         if path.suffix == ".py":
             from ..fmus.sources.law import law_code  # noqa: PLC0415 - few have one
@@ -103,6 +109,20 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
             shutil.copy2(files[name], folder / kept[name])
     still = any(part.is_model and part.name not in kept for part in assembly.parts)
     return replace(scenario, fmus=kept, mujoco=scenario.mujoco if still else "")
+
+
+def _client_files(scenario: Scenario) -> dict[Path, bytes]:
+    """Return the files that a client names, and the modules beside them that they import."""
+    files: dict[Path, bytes] = {}
+    own = scenario.folder or Path()
+    for path in scenario.client.own_files(own) if scenario.client else ():
+        files[path] = (own / path).read_bytes()
+        if path.suffix == ".py":
+            from ..fmus.sources.python_fmu import code_of  # noqa: PLC0415 - few have a client
+
+            code = code_of(own / path, (own / path).parent, is_packed=False)
+            files |= {path.parent / name: content for name, content in code.items()}
+    return files
 
 
 def model_in(fmu: Path) -> bytes:

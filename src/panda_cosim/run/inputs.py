@@ -44,7 +44,7 @@ class Inputs:
 
     def use(self, scenario: Scenario) -> None:
         """Take commands and pushes from a scenario."""
-        if not scenario.is_system:
+        if scenario.is_commanded:
             self.guarded = GuardedCommands(resolve(scenario, self._values), self.guarded)
             outputs = {f"{i}.{n.partition('[')[0]}" for i, names in self._assembly.outputs.items()
                        for n in names}  # fmt: skip
@@ -91,11 +91,10 @@ class Inputs:
         for name, driven in self._assembly.driven.items():
             times = self._from_time + self._step * places.astype(np.float64)
             rows[:, self._columns[".".join(name)]] = driven.sample(times)
+        scenario = [self._forces(STEP_SIZE * ticks.astype(np.float64))]
         if self.guarded.trajectory is not None:
-            times = STEP_SIZE * ticks.astype(np.float64)
-            commands = self.guarded.commands(first, count)
-            scenario = np.hstack((self._forces(times), commands))
-            rows[:, self._to] = scenario[:, self._from]
+            scenario.append(self.guarded.commands(first, count))
+        rows[:, self._to] = np.hstack(scenario)[:, self._from]
         if self._scale != 1.0:
             rows[:, self._of_plant] *= self._scale
         return rows

@@ -35,6 +35,8 @@ class Options:
             steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
         master: What steps the FMUs: "kernel", in C where it can, or "fmpy", by FMPy's methods.
         profile: Measure the time of each FMU by call, for the summary.
+        waits: Whether FMUs that listen wait for ever for a program that somebody starts; else, or
+            if the scenario has a client, for 30 s.
         log: FMUs, by instance, all of whose messages go to standard error as they come.
 
     Raises:
@@ -53,6 +55,7 @@ class Options:
     master: Stepper = "kernel"
     log: Sequence[str] = ()
     profile: bool = False
+    waits: bool = False
 
     def __post_init__(self) -> None:
         """Check values that may come from a command line."""

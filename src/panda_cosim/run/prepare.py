@@ -6,6 +6,7 @@ import sys
 from collections import defaultdict
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,9 @@ from .start import (
 from .system.assembly import Assembly, assemble
 
 MOST_WARNINGS = 100  # of an FMU; some warn at every step
+# Parameters of an FMU that listens for a program: where, and how long without one [s]; 0: for ever.
+LISTENING = frozenset({"address", "port", "connection_timeout"})
+PATIENCE = 30.0  # [s] wall time for which FMUs wait for a program, unless they wait for ever
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +51,31 @@ class Prepared:
     options: Options
     assembly: Assembly
     values: StartValues  # all parameters by instance and scalar variable
+    address: str = ""  # where FMUs listen; "": where their parameters say
+
+    @property
+    def listening(self) -> dict[str, tuple[str, int]]:
+        """Address and port of the FMUs that listen for a program, by instance."""
+        return {
+            name: (self.address or str(values["address"]), int(values["port"]))
+            for name, values in self.values.items()
+            if values.keys() >= LISTENING
+        }
+
+    @property
+    def waiting(self) -> list[str]:
+        """Say which FMUs wait for a program that somebody is to start, and where."""
+        places = self.listening.items() if self.scenario.client is None else ()
+        return [
+            f"{name} waits for a program at {address}, port {port}; Ctrl-C ends the run"
+            for name, (address, port) in places
+        ]
 
     @property
     def notes(self) -> list[str]:
         """What the user should know, such as unconnected inputs, unsuitable gains, late pushes."""
         parts = self.assembly.parts if self.options.kind == "auto" else ()
-        asked = {self.options.master, *(part.name for part in parts if part.file is None)}
+        asked = {self.options.master, *(part.own for part in parts)}
         python = notice(twin for twin in IN_RUNS if twin in asked)
         gains = unsuitable_gains(self.scenario, self.values)
         late = late_pushes(self.scenario)
@@ -70,6 +93,11 @@ class Prepared:
             values[instance] = values.get(instance, {}) | {
                 name: driven.at_start(assembly.start_time)
             }
+        patience = PATIENCE if self.scenario.client or not self.options.waits else 0.0
+        for instance, (address, _) in self.listening.items():
+            values[instance] = values.get(instance, {}) | {"address": address}
+            if "connection_timeout" not in self.scenario.sections.get(instance, {}):
+                values[instance]["connection_timeout"] = patience
         return values
 
     def open(
@@ -88,7 +116,11 @@ class Prepared:
             line = f"{instance}{kind}: {without_traceback(text)}"
             if len(before) == MOST_WARNINGS:
                 line = f"{instance}: further messages are left out"
-            if status != "OK" and line not in before and len(before) <= MOST_WARNINGS:
+            if (
+                status not in ("OK", "Discard")
+                and line not in before
+                and len(before) <= MOST_WARNINGS
+            ):
                 before.add(line)
                 warnings.append(line)
 
@@ -138,6 +170,8 @@ def prepare(
         assembly.recorded()  # refuses columns of the same name
         return Prepared(scenario, options, assembly, values)
 
+    if scenario.client:
+        scenario.client.words(scenario.folder or Path())  # refuses one that cannot be started
     prepared = connected(scenario.changed(options.values))
     if prepared.scenario.route:
         prepared = connected(_routed(prepared))

@@ -10,9 +10,8 @@ from ..fmus.errors import InputError
 
 Scenario = Any  # that of scenario.py, which imports this module
 # Keys that act on the project's plant and controller, or on FMUs that are made of models.
-OF_ARM: Final = (
-    "scene", "robot", "gains", "interpolation", "timing", "timing_share", "align", "push",
-)  # fmt: skip
+OF_HAND: Final = ("interpolation", "timing", "timing_share", "align")  # on its commands
+OF_ARM: Final = ("scene", "robot", "gains", *OF_HAND, "push")
 OF_MODELS: Final = ("mujoco", "input_scale")
 AT_TOP: Final = (
     ("plant", "scene"), ("plant", "robot"), ("controller", "gains"), ("controller", "robot"),
@@ -58,6 +57,9 @@ RULES: Final[Mapping[str, Callable[[Scenario], object]]] = {
     ),
     "{1}: acts only on a scenario with a trajectory.csv; must be left out here, as a system has "
     "none": lambda s: s.is_system and _given(s, OF_ARM),
+    "{1}: acts only on a trajectory.csv or a route; must be left out here": lambda s: (
+        not s.is_commanded and _given(s, OF_HAND)
+    ),
     "{1}: must be left out with system, which has its own FMUs": lambda s: (
         s.system and _given(s, OF_MODELS)
     ),

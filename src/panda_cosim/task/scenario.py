@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
@@ -17,6 +17,8 @@ from ..fmus.build.engines import check_engine
 from ..fmus.errors import InputError, did_you_mean, excerpt, located, refuse
 from ..fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
 from ..fmus.interface.plant import FORCE_MAX, FORCES
+from ..fmus.interface.tables import INTERFACES
+from .client import Client
 from .criteria import Requirements, Success
 from .fields import (
     Choice,
@@ -146,7 +148,10 @@ class Scenario:
         step: The master's step [s]. Only systems choose it: the twins in C and all references
             are of 1 ms.
         fmus: FMUs by instance, "law.py:Class", a model or an .fmu; paths are relative to the
-            folder, so that it can be moved. `plant` and `controller` replace ours.
+            folder, so that it can be moved. `plant` and `controller` replace ours. A word names
+            one of ours: `controller = "franka"`, which may also stand at the top.
+        client: A program that runs beside the FMUs, in the scenario's folder, and ends the run. It
+            is part of the task, as a law is: what it commands decides what comes out.
         connect: Connections by input, as an input has one source while an output may feed many.
             Names that fit are connected without it.
         tolerance: Relative tolerance that FMUs are told; 0 leaves it to each of them, as most
@@ -198,6 +203,7 @@ class Scenario:
     system: Annotated[str, Line()] = ""
     step: Annotated[float, Quantity(1e-9, 1e6, "s")] = STEP_SIZE
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
+    client: Client | None = None
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     tolerance: Annotated[float, Quantity(0.0, 1.0, "1")] = 0.0
     order: tuple[Annotated[str, Line()], ...] = ()
@@ -232,8 +238,13 @@ class Scenario:
 
     @property
     def is_system(self) -> bool:
-        """Whether it is a system of FMUs without a commanded hand."""
-        return self.table is None and not self.route
+        """Whether it is a system of FMUs, without an arm of ours."""
+        return not self.is_commanded and "." in self.fmus.get("controller", "a.file")
+
+    @property
+    def is_commanded(self) -> bool:
+        """Whether there is a commanded hand."""
+        return self.table is not None or bool(self.route)
 
     @property
     def sections(self) -> dict[str, Parameters]:
@@ -248,6 +259,8 @@ class Scenario:
     @property
     def commands(self) -> tuple[str, ...]:
         """The controller's inputs that the table commands."""
+        if not self.is_commanded:
+            return ()
         return (*COMMANDS, *POSTURE_COMMANDS) if self.has_posture else COMMANDS
 
     @property
@@ -272,8 +285,9 @@ class Scenario:
 
     @property
     def has_own_parts(self) -> bool:
-        """Whether it brings FMUs, connections or parameters of its own."""
-        return bool(self.connect or self.parameters or self.fmus) or self.is_system
+        """Whether it brings FMUs, connections, parameters or a client of its own."""
+        brings = self.connect or self.parameters or self.fmus or self.client
+        return bool(brings) or self.is_system
 
     @property
     def is_torque_driven(self) -> bool:
@@ -300,6 +314,7 @@ class Scenario:
         folder = Path(folder)
         path = folder / SCENARIO_FILE
         keys = read_toml(path)
+        _name_parts(keys)
         needs_none = keys.get("system") or keys.get("fmus") or keys.get("route")
         table, driven = None, InputTable()
         if not needs_none or (folder / TABLE_FILE).exists():
@@ -331,6 +346,14 @@ class Scenario:
         """
         new: Scenario = changed(self, values)
         return new
+
+
+def _name_parts(keys: MutableMapping[str, object]) -> None:
+    """Put a word in place of the section of plant or controller, such as "franka", into [fmus]."""
+    for name in INTERFACES:
+        fmus = keys.get("fmus", {})
+        if isinstance(keys.get(name), str) and isinstance(fmus, dict) and name not in fmus:
+            keys["fmus"] = {**fmus, name: keys.pop(name)}
 
 
 # Keys of scenario.toml; the other fields come from the folder.

@@ -75,8 +75,8 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
     changes: dict[Steps, Any] = {
         places.steps(key): given[key] for key in sorted(given, key=lambda key: key not in _OF_SCENE)
     }
-    if scenario.is_system and any(steps[0] == "table" for steps in changes):
-        raise InputError("the scenario is a system, which has no trajectory.csv")
+    if not scenario.is_commanded and any(steps[0] == "table" for steps in changes):
+        raise InputError("the scenario commands no hand, so that it has no trajectory.csv")
     if "inputs.file" in values:
         file = (scenario.folder or Path()) / str(values["inputs.file"])
         changes["input_table",] = InputTable.read(file)
@@ -84,8 +84,10 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
 
 
 def _from_here(key: str, given: object) -> str:
-    """A part, relative to the working directory, or a class itself."""
-    text = Line().check(key, file_of(given) if isinstance(given, type) else given)
+    """A part, relative to the working directory, or a class; a word names one of our own."""
+    text: str = Line().check(key, file_of(given) if isinstance(given, type) else given)
+    if "." not in text:
+        return text
     file, colon, name = text.rpartition(":")
     has_class = colon and file.endswith(".py")
     return f"{os.path.realpath(file)}:{name}" if has_class else os.path.realpath(text)

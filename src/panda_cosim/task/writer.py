@@ -22,10 +22,15 @@ from .trajectory import COMMANDS, POSTURE_COMMANDS
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
 INPUTS_FILE: Final = "inputs.csv"
 FROM_TEMPLATE: Final = {  # files of the template that an option of `new` adds
+    "franka": ("pick.py",),
     "law": ("my_law.py",),
     "plant": ("my_scene.xml", "my_scene.toml"),
     "slave": ("my_slave.py",),
     "sweep": ("sweep.toml",),
+}
+_SETTINGS: Final = {  # by option, those that stand in for the usual ones
+    "law": "scenario_with_law.toml",
+    "franka": "scenario_with_client.toml",
 }
 _FMUS: Final = {  # lines of the section [fmus]
     "plant": 'plant = "my_scene.xml"  # a scene of its own; my_scene.toml says what its FMU has\n',
@@ -59,9 +64,11 @@ def check_name(folder: Path) -> None:
 
 
 def _template(parts: Collection[str]) -> dict[str, str]:
-    """Return settings that name the parts, and the table, by file."""
-    file = "scenario_with_law.toml" if "law" in parts else SCENARIO_FILE
+    """Return settings that name the parts, and the table unless a client moves the arm, by file."""
+    file = next((_SETTINGS[part] for part in parts if part in _SETTINGS), SCENARIO_FILE)
     settings, table = ((TEMPLATE / name).read_text(encoding="utf-8") for name in (file, TABLE_FILE))
+    if "franka" in parts:
+        return {SCENARIO_FILE: settings}
     for part in (part for part in _FMUS if part in parts):
         head = "[fmus]\n"
         settings = settings if head in settings else f"{settings}\n{head}"
@@ -113,6 +120,7 @@ def settings_text(scenario: Scenario) -> str:
         inputs["file"] = INPUTS_FILE
     sections = {
         "inputs": inputs,
+        "client": scenario.client.given if scenario.client else {},
         "mismatch": scenario.mismatch.given,
         "success": {
             **asdict(scenario.success),

@@ -68,8 +68,8 @@ def command(  # noqa: PLR0913 - one for each option
             f"--host {host}: everyone who can reach this address and has the page's token can "
             "watch and control the run; nothing is encrypted"
         )
-    with Session(chosen, out, Options(kind=kind), values=values) as session:
-        for text in session.warnings:
+    with Session(chosen, out, Options(kind=kind, waits=True), values=values) as session:
+        for text in (*session.prepared.waiting, *session.warnings):
             warn(text)
         try:
             simulation = Simulation(session, speed, playing=not paused)

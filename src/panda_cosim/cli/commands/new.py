@@ -22,17 +22,19 @@ def command(  # noqa: PLR0913 - one for each option
     plant: bool = flag("--plant"),
     slave: bool = flag("--slave"),
     sweep: bool = flag("--sweep"),
+    franka: bool = flag("--franka"),
 ) -> None:
     """Create a scenario of your own, ready to run.
 
     A scenario is a folder with a table of waypoints, trajectory.csv, and a file of settings,
-    scenario.toml.
+    scenario.toml. With `--franka`, a program on libfranka moves the arm instead of the table.
 
     ```
     panda-cosim new my-scenarios/lift
     panda-cosim run my-scenarios/lift
     panda-cosim new my-law --law --sweep
     panda-cosim new my-gust --slave
+    panda-cosim new my-robot --franka
     panda-cosim new my-push --from push
     panda-cosim new their-test --from Theirs.fmu
     ```
@@ -44,10 +46,13 @@ def command(  # noqa: PLR0913 - one for each option
         plant: Add a scene of your own with one more body, for you to edit.
         slave: Add a slave for PythonFMU, which blows at the hand.
         sweep: Add a sweep, which `regress` judges, too.
+        franka: Add a program on pylibfranka that picks the block up, for you to edit.
     """
-    if source is not None and (law or plant or slave):
-        raise InputError("--from: cannot be combined with --law, --plant or --slave")
-    options = {"law": law, "plant": plant, "slave": slave, "sweep": sweep}
+    if source is not None and (law or plant or slave or franka):
+        raise InputError("--from: cannot be combined with --law, --plant, --slave or --franka")
+    if franka and (law or plant or slave):
+        raise InputError("--franka: cannot be combined with --law, --plant or --slave")
+    options = {"law": law, "plant": plant, "slave": slave, "sweep": sweep, "franka": franka}
     parts = [part for part, is_asked_for in options.items() if is_asked_for]
     if source is not None and source.endswith(".fmu"):
         if sweep:
@@ -99,7 +104,7 @@ def inputs(
         file: The file to write.
     """
     chosen = find_scenario(scenario).changed(values_of(assignments))
-    if chosen.is_system:
+    if not chosen.is_commanded:
         raise InputError(f"scenario {chosen.name!r}: commands no hand; must have a {TABLE_FILE}")
     times = instants(chosen)
     trajectory = resolve(chosen, start_values(chosen))

@@ -282,7 +282,7 @@ def _show_result(outcomes: list[Outcome]) -> None:
         show(table(("Scenario", "Verdict", "Why*"), rows))
     alone = [outcome for outcome in outcomes if outcome.verdict in ("holds", "missed")]
     judged = [each.name for each in alone if isinstance(each.scenario, Scenario)]
-    show(headline(outcomes), "bold red" if wrong else "bold green")
+    show(headline(outcomes), "bold red" if exit_code(outcomes) else "bold green")
     pairs = [outcome.comparison.engines for outcome in outcomes if outcome.comparison]
     if pairs:
         used, made = (", ".join(sorted(set(each))) for each in zip(*pairs, strict=True))
@@ -312,7 +312,7 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
             reference = candidate(outcome)
         except InputError as error:
             warn(f"{outcome.name}: {error}")
-            refused += 1
+            refused += outcome.verdict != "skipped"
             continue
         lines = changes(outcome, reference)
         for line in lines or ["is unchanged"]:

@@ -17,6 +17,7 @@ from ...run.stopping import stopping_on_signals
 from ...run.system.assembly import assemble, system_scenario
 from ...task.scenario import Scenario
 from ...task.values import Values
+from ..console import tell
 from ..forms import argument, flag, option, scenario_argument
 from ..options import (
     CONTROLLER,
@@ -103,6 +104,7 @@ def command(  # noqa: PLR0913 - one for each option
         master=master,
         log=log or (),
         profile=profile,
+        waits=True,
     )
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:
@@ -116,6 +118,8 @@ def command(  # noqa: PLR0913 - one for each option
 
     def run(folder: Path, update: Progress) -> Run:
         with stopping_on_signals() as stop, Execution(prepared, folder) as execution:
+            for line in prepared.waiting:
+                tell(line)
             execution.advance(stop=stop, progress=update)
             return execution.close(stop=stop, meanwhile=partial(draw_view, output))
 

@@ -14,11 +14,11 @@ from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
 from ...fmus.build.engines import has_engine
 from ...fmus.build.native import NativeFmu
 from ...fmus.errors import InputError, did_you_mean, excerpt, refuse
-from ...fmus.interface.sensors import MEASURED, SENSORS
+from ...fmus.interface.sensors import MEASURED
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
-from ...fmus.sources.targets import Kind, Target, build, build_fmu
+from ...fmus.sources.targets import OWN, Kind, Target, build, build_fmu
 from ...task.fields import check_rules
 from ...task.scenario import Scenario
 
@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 OURS: Final = ("controller", "plant")
 MODELS: Final = (".xml", ".urdf", ".mjb")
-FORMS: Final = "LAW.py:CLASS, an .fmu file, or a model (.xml, .urdf, .mjb)"
+# Words for the project's own FMUs. The trajectory's is made for each table.
+WORDS: Final = tuple(word for word in OWN if word != "trajectory")
+FORMS: Final = f"LAW.py:CLASS, an .fmu file, a model (.xml, .urdf, .mjb), or {', '.join(WORDS)}"
 # Output of a law if the arm has motors.
 TORQUES: Final = Variable(
     "ctrl", (8,), (*["N.m"] * 7, "1"), "input", "continuous", "Torques of seven joints, then the "
@@ -46,6 +48,7 @@ class Part:
     name: str  # of the instance
     file: Path | None  # where it comes from; None: the project's own
     interface: Interface
+    own: str = ""  # which of the project's own it is, by its word; "": none
     source: NativeFmu | None = None  # what it is built from; None: ours, or an .fmu
     target: Target = field(
         default_factory=Target
@@ -57,7 +60,7 @@ class Part:
         chosen = replace(target, mujoco=self.target.mujoco) if target else self.target
         if self.source is not None:
             return build_fmu(self.source, target=chosen)
-        return self.built or build([self.name], target=chosen)[self.name]
+        return self.built or build([self.own], target=chosen)[self.own]
 
     @property
     def is_model(self) -> bool:
@@ -97,9 +100,9 @@ def read_parts(
     # What only reads downloads no engine; the installed one gives the same interfaces.
     here = scenario if run_code or has_engine(scenario.mujoco) else replace(scenario, mujoco="")
     read = {
-        name: _read(here, name, scenario.fmus[name], run_code)
+        name: _given(here, name, kind, run_code)
         if name in scenario.fmus
-        else _own(name, Target(kind, mujoco=here.mujoco), files or {})
+        else _own(name, name, Target(kind, mujoco=here.mujoco), files or {})
         for name in sorted({*ours, *scenario.fmus})
     }
     parts = {name: part for name, part in read.items() if isinstance(part, Part)}
@@ -112,8 +115,8 @@ def read_parts(
 
 def _check_engine(scenario: Scenario, kind: Kind, parts: Mapping[str, Part]) -> None:
     """Refuse keys about MuJoCo and about the plant where no FMU is meant."""
-    ours = [name for name in OURS if name in parts and parts[name].file is None]
-    in_python = any(Target(kind).kind_of(name) != "native" for name in ours)
+    ours = [part.own for part in parts.values() if part.own in OURS]
+    in_python = any(Target(kind).kind_of(word) != "native" for word in ours)
     has_model = any(part.is_model for part in parts.values())
     is_scaled = scenario.input_scale != 1.0
     rules = {
@@ -124,19 +127,27 @@ def _check_engine(scenario: Scenario, kind: Kind, parts: Mapping[str, Part]) -> 
     check_rules({f"{rule}; must be left out": broken for rule, broken in rules.items()})
 
 
-def _own(name: str, own: Target, files: Mapping[str, Path]) -> Part:
-    interface = SENSORS if name == "sensors" else INTERFACES[name]
-    if own.kind_of(name) != "native":
+def _own(name: str, word: str, own: Target, files: Mapping[str, Path]) -> Part:
+    """Return one of the project's own FMUs under a name."""
+    if own.kind_of(word) != "native":
         from ...fmus.sources.python_fmu import require_pythonfmu  # noqa: PLC0415 - few need it
 
         require_pythonfmu()
-    return Part(name, None, interface, target=own, built=files.get(name))
+    return Part(name, None, OWN[word].interface, word, target=own, built=files.get(name))
+
+
+def _given(scenario: Scenario, name: str, kind: Kind, run_code: bool) -> Part | LawFile:
+    """Return what [fmus] names: one of the project's own by its word, or a file."""
+    text = scenario.fmus[name]
+    if text in WORDS:
+        return _own(name, text, Target(kind, mujoco=scenario.mujoco), {})
+    return _read(scenario, name, text, run_code)
 
 
 def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | LawFile:
     path, class_name = part_path(scenario, text)
     if path.suffix not in (".py", ".fmu", *MODELS):
-        refuse(f"[fmus] {name}", text, f"must be {FORMS}")
+        refuse(f"[fmus] {name}", text, f"must be {FORMS}", WORDS)
     if not path.is_file():
         raise InputError(f"[fmus] {name}: {path}: no such file; must be {FORMS}")
     if path.suffix == ".py":
@@ -156,13 +167,14 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | La
         slave = slave_fmu(path, class_name)
         path = build_fmu(slave)
         interface = described_interface(read_fmu(path))
-        return Part(name, path, interface, slave)
+        return Part(name, path, interface, source=slave)
     if path.suffix != ".fmu":
         from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - see above
 
         keyframe = scenario.sections.get(name, {}).get("keyframe", "")
         model = model_part(path, scenario.robot, keyframe)
-        return Part(name, path, model.interface, model, Target(mujoco=scenario.mujoco))
+        engine = Target(mujoco=scenario.mujoco)
+        return Part(name, path, model.interface, source=model, target=engine)
     fmu = read_fmu(path).restructured(scenario.sections.get(name, {}))
     return Part(name, path, described_interface(fmu), built=path)
 
@@ -193,7 +205,7 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     interface = law_interface(law, signal, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
     first = _first_ctrl(scenario) if name == "controller" and not scenario.is_system else None
-    return Part(name, law.path, interface, law_fmu(law, interface, start, first))
+    return Part(name, law.path, interface, source=law_fmu(law, interface, start, first))
 
 
 def _first_ctrl(scenario: Scenario) -> dict[str, Any] | None:

@@ -41,6 +41,7 @@ from ...run.start import (
 from ...run.summary import unrecorded
 from ...run.system.assembly import system_scenario
 from ...run.system.parts import UnreadSlaveError
+from ...task.client import MissingPackageError
 from ...task.files import as_argument
 from ...task.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
 from ...task.timing.demand import LimitViolation, find_violations
@@ -81,6 +82,8 @@ def check_folder(
     except UnreadSlaveError as error:
         text = f"{error}; connections and parameters are checked by a run"
         return _diagnostics("hint", [*_remarks(scenario), text])
+    except MissingPackageError as error:  # which `regress` skips
+        return _diagnostics("hint", [*_remarks(scenario), f"not checked: {error}"])
     except (InputError, ValueError) as error:
         file = folder if folder.suffix == SYSTEM else folder / SCENARIO_FILE
         place = "" if str(error).startswith(str(folder)) else f"{file}: "
@@ -123,6 +126,8 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
     unseen = "no FMU was run; limits, collisions and grip are checked only with our own FMUs"
+    if scenario.client:
+        unseen = f"the client was not started, and {unseen}"
     if scenario.preflight:
         run = f"`panda-cosim run {_name(scenario)} --set preflight={scenario.preflight}`"
         text = f"what {scenario.preflight} refuses is not known before a run: {run}"
@@ -202,7 +207,7 @@ def _remarks(scenario: Scenario) -> Iterator[str]:
         yield f'{SCENARIO_FILE}: timing_share has no effect on a run with timing = "table"'
     if scenario.mismatch.seed and not scenario.mismatch.values:
         yield f"{SCENARIO_FILE}: [mismatch] seed has no effect, as nothing is drawn"
-    last = 0.0 if scenario.is_system else scenario.rows[-1].time
+    last = scenario.rows[-1].time if scenario.rows else 0.0
     if last > scenario.duration:
         yield (
             f"{TABLE_FILE}: the last row is at {last:g} s, after the duration of "

@@ -17,12 +17,13 @@ from ...fmus.atomic import replacing
 from ...fmus.build.description import literal, render
 from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
+from ...fmus.errors import CosimError
 from ...fmus.interface.tables import Connection
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu
 from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...fmus.master.wiring import Name
 from ...run.options import Options
-from ...run.prepare import prepare
+from ...run.prepare import LISTENING, prepare
 from ...task.files import csv_text
 from ...task.scenario import Scenario
 from .diagnosis import rehearse
@@ -82,6 +83,8 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
     fmu = read_fmu(path)
     if (fmu.folder / FOLDER / MANIFEST).is_file():
         return first_of(fmu)
+    if {*LISTENING} <= fmu.variables.keys():
+        raise CosimError("it waits for a program")
     driven = experiment or experiment_of(fmu, "default", {}, Series())
     recording = answer(fmu, driven)
     every = math.ceil(recording.rows / MOST_REFERENCES)

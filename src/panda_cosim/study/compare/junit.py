@@ -24,7 +24,7 @@ class Case:
     name: str
     seconds: float  # wall time
     # Whether it did not run as expected, or did not run, and what kind of it; None: it is good.
-    fault: tuple[Literal["failure", "error"], str] | None = None
+    fault: tuple[Literal["failure", "error", "skipped"], str] | None = None
     message: str = ""  # the fault in one line
     details: str = ""
     properties: Sequence[tuple[str, str]] = ()  # names, which may recur, and values
@@ -71,7 +71,7 @@ def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
         tests=str(len(cases)),
         failures=str(kinds.count("failure")),
         errors=str(kinds.count("error")),
-        skipped="0",
+        skipped=str(kinds.count("skipped")),
         time=f"{sum(case.seconds for case in cases):.3f}",
     )
     for case in cases:

@@ -101,6 +101,8 @@ class JudgedItem(pytest.Item):
         from ...result.judging.criterion import line  # noqa: PLC0415 - only where there is a scenario
 
         outcome = self.outcome()
+        if outcome.verdict == "skipped":
+            pytest.skip(outcome.error)
         if not outcome.ok:
             criteria = [f"  {line(criterion)}" for criterion in outcome.criteria]
             said = f"{outcome.name}: {outcome.verdict}: {outcome.reason}"
@@ -164,6 +166,8 @@ def scenario_run(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[...
     def run(scenario: str | Path, values: Values | None = None) -> TestedRun:
         changed = load_scenario(scenario).changed(values or {})
         outcome = _runs(request.session).run(changed, tmp_path / f"run-{next(numbers)}")
+        if outcome.verdict == "skipped":
+            pytest.skip(outcome.error)
         if outcome.verdict == "failed":
             raise CosimError(f"{outcome.name}: {outcome.error}")
         return TestedRun(outcome)

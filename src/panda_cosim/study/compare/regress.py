@@ -20,6 +20,7 @@ from ...run.execution import run_scenario
 from ...run.options import Options
 from ...run.start import check_criteria, check_tolerances, start_values
 from ...run.system.assembly import assemble
+from ...task.client import MissingPackageError
 from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ...task.tolerances import Tolerances
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
     from ...task.values import Values
 
-Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
+Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference", "skipped"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Meaning:
 
     level: Literal["good", "warn", "bad"]  # its colour; only a good one passes
     exit_code: int = 0  # of `regress`
-    fault: Literal["failure", "error"] | None = None  # in JUnit
+    fault: Literal["failure", "error", "skipped"] | None = None  # in JUnit
 
 
 # The worst first. What ran and differs comes before what could not be judged, so that errors hide
@@ -52,6 +53,7 @@ MEANINGS: Final[Mapping[Verdict, Meaning]] = {
     "missed": Meaning("bad", CosimError.exit_code, "failure"),
     "failed": Meaning("bad", CosimError.exit_code, "error"),
     "no reference": Meaning("warn", InputError.exit_code, "error"),
+    "skipped": Meaning("warn", fault="skipped"),
     "same": Meaning("good"),
     "holds": Meaning("good"),
 }
@@ -91,7 +93,7 @@ class Outcome:
 
     The verdict is `same` as the reference, `differs` from it, or `failed` to run. Without a
     reference it is `holds` or `missed` by the criteria; `no reference` if there are none of these,
-    or the reference is damaged.
+    or the reference is damaged. It is `skipped` if the client needs a package that is not there.
     """
 
     scenario: Scenario | Unusable | Judged
@@ -99,7 +101,7 @@ class Outcome:
     run: Path  # folder of the run
     seconds: float  # wall time of the run [s]
     comparison: Comparison | None = None  # with the reference; None: there is none, or it failed
-    error: str = ""  # why it failed or missed, or why the reference cannot be used
+    error: str = ""  # why it failed, missed or was skipped, or the reference cannot be used
     criteria: tuple[Criterion, ...] = ()  # as judged; empty without a summary
     difference: str = ""  # from the run with the scenario's own MuJoCo, if it is another's
 
@@ -107,6 +109,11 @@ class Outcome:
     def ok(self) -> bool:
         """Whether the run matches its reference, or its verdict is as expected without one."""
         return self.meaning.level == "good"
+
+    @property
+    def has_run(self) -> bool:
+        """Whether it was neither skipped, nor failed to run."""
+        return self.verdict not in ("failed", "skipped")
 
     @property
     def meaning(self) -> Meaning:
@@ -187,6 +194,8 @@ def _outcome(scenario: Scenario | Unusable, *, run: Path, options: Options, exac
     began = time.perf_counter()
     try:
         done = run_scenario(scenario, run, options)
+    except MissingPackageError as error:
+        return replace(_failed(scenario, run, began, str(error)), verdict="skipped")
     except CosimError as error:
         return _failed(scenario, run, began, str(error))
     judged = Outcome(
@@ -286,17 +295,25 @@ def run_suite(
 
 
 def headline(outcomes: Sequence[Outcome]) -> str:
-    """Say in one line how many scenarios pass."""
+    """Say in one line how many scenarios pass, and how many were skipped."""
     is_judged = any(outcome.verdict in ("holds", "missed") for outcome in outcomes)
     words = "pass" if is_judged else "match their references"
     alone = all(isinstance(outcome.scenario, Scenario | Unusable) for outcome in outcomes)
     what = "scenarios" if alone else "scenarios and sweeps"
-    return f"{sum(outcome.ok for outcome in outcomes)} of {len(outcomes)} {what} {words}"
+    skipped = sum(outcome.verdict == "skipped" for outcome in outcomes)
+    left_out = f"; {skipped} skipped" if skipped else ""
+    return f"{sum(outcome.ok for outcome in outcomes)} of {len(outcomes)} {what} {words}{left_out}"
 
 
 def exit_code(outcomes: Iterable[Outcome]) -> int:
-    """Return 0 if all pass, 1 if one does not, 2 if one has neither reference nor criteria."""
-    codes = {outcome.meaning.exit_code for outcome in outcomes}
+    """Return 0 if all pass, 1 if one does not, 2 if one has neither reference nor criteria.
+
+    Skipped ones do not count, but if all are, nothing was compared, which is 2.
+    """
+    judged = {outcome.verdict for outcome in outcomes}
+    if judged == {"skipped"}:
+        return InputError.exit_code
+    codes = {MEANINGS[verdict].exit_code for verdict in judged}
     return 1 if 1 in codes else max(codes, default=0)
 
 
@@ -355,8 +372,8 @@ def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
 
 def candidate(outcome: Outcome) -> Reference:
     """Make a reference from a run."""
-    if outcome.verdict == "failed":
-        raise InputError(f"the run failed, so it cannot become a reference: {outcome.error}")
+    if not outcome.has_run:
+        raise InputError(f"{outcome.verdict}, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)
     assert isinstance(outcome.scenario, Scenario)
     models = models_of(outcome.scenario, recording)

@@ -21,7 +21,7 @@ from .against_reference import Comparison, Deviation, matching_rows
 from .differences import side_by_side
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
-from .regress import MEANINGS, Outcome, headline
+from .regress import MEANINGS, Outcome, exit_code, headline
 from .requirements import proofs
 from .tubes import tube
 from .views import Views, limited, shown_reference
@@ -49,7 +49,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> Non
         sections.insert(0, Section("Requirements", state, [Part("What proves them", [table])]))
     page = Page(
         title=headline(outcomes),
-        state="good" if all(outcome.ok for outcome in outcomes) else "bad",
+        state="bad" if exit_code(outcomes) else "good",
         about=_about(outcomes),
         key=KEY,
         sections=sections,
@@ -68,7 +68,7 @@ def _rank(outcome: Outcome) -> tuple[int, float, str]:
 def _about(outcomes: Sequence[Outcome]) -> str:
     """Return date, duration and versions in one line."""
     facts = [time.strftime("%Y-%m-%d %H:%M"), f"{sum(o.seconds for o in outcomes):.0f} s of runs"]
-    ran = [o for o in outcomes if o.verdict != "failed" and isinstance(o.scenario, Scenario)]
+    ran = [o for o in outcomes if o.has_run and isinstance(o.scenario, Scenario)]
     if ran:
         versions = Recording.open(ran[0].run).metadata.get("versions", {})
         facts += [f"{name} {version}" for name, version in versions.items()]

@@ -150,7 +150,7 @@ def _signals(session: Session) -> list[dict[str, object]]:
 
 def plan(session: Session) -> dict[str, object]:
     """Return the commanded path and its waypoints in the world, as `Plan` in live/link.ts."""
-    if session.scenario.is_system:
+    if not session.scenario.is_commanded:
         return {"time": [], "points": [], "waypoints": []}
     path = session.trajectory
     is_curved = path.interpolation == "spline"  # else straight from row to row

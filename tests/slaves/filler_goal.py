@@ -1,0 +1,3 @@
+"""What `filler.py` imports."""
+
+GOAL = 0.5  # m
