@@ -1,7 +1,6 @@
 """Builds and checks the documentation site: `python .ci/build_site.py [--out site]`.
 
-Pages are in docs/, the menu in zensical.toml. Where a page says `<!-- made: NAME -->`, the function
-NAME puts what the code says.
+Pages are in docs/, the menu in zensical.toml; reference.py puts in what the code says.
 """
 
 from __future__ import annotations
@@ -15,110 +14,16 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, urldefrag, urlsplit
 
 import html5lib
 from gallery import gallery
-
-import panda_cosim
-from panda_cosim.cli.app import load
-from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
-from panda_cosim.cli.commands.info import variables_markdown
-from panda_cosim.fmus.interface.sensors import SENSORS
-from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.result.judging.definitions import DEFINITIONS
-from panda_cosim.task.rules import AT_TOP, OF_ARM, OF_MODELS, RULES
+from reference import MAKERS, filled, table
 
 ROOT = Path(__file__).parents[1]
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def commands() -> str:
-    """Describe every command with its arguments and options, from its help."""
-    order = [*COMMANDS]
-    names = sorted({*COMMANDS, *ELSEWHERE}, key=lambda name: (order.index(name.split()[0]), name))
-    return "\n\n".join(map(_command, names))
-
-
-def _command(name: str) -> str:
-    command = load(name)
-    options = table(["option", "meaning", "default"], [*map(_option, command.params)])
-    return f"## {name}\n\n{command.help}\n\n{options}"
-
-
-def _option(parameter: Any) -> tuple[str, ...]:
-    words = ", ".join(f"`{word}`" for word in (*parameter.opts, *parameter.secondary_opts))
-    if parameter.param_type_name == "argument":
-        words = f"`{parameter.metavar or parameter.name}`"
-    elif parameter.metavar:
-        words += f" {parameter.metavar}"
-    default = parameter.default
-    value = "" if default is None or default is False else "on" if default is True else str(default)
-    cells = (words, parameter.help or "", value)
-    return tuple(re.sub(r"\s+", " ", cell.replace("|", "\\|")) for cell in cells)
-
-
-def definitions() -> str:
-    """What each number of a run's summary is, and what each criterion bounds."""
-    numbers = [
-        (f"`{key}`", d.what, d.window.replace("all rows", ""),
-         ", ".join(f"`{name}`" for name in d.signals), d.unmeasured)
-        for key, d in DEFINITIONS.items() if not key.startswith(("success.", "analysis."))
-    ]  # fmt: skip
-    criteria = [
-        (f"`{d.key.removeprefix('success.')}`", f"`{d.metric}`", d.unit)
-        for d in DEFINITIONS.values()
-        if d.metric
-    ]
-    return "\n\n".join((
-        table(["key", "what it is", "rows", "signals", "null if"], numbers),
-        table(["criterion", "bounds", "unit"], criteria),
-    ))  # fmt: skip
-
-
-def rules() -> str:
-    """Return what keys of a scenario exclude or need each other."""
-    found = iter((", ".join(OF_ARM), ", ".join(OF_MODELS), ", ".join(key for _, key in AT_TOP)))
-    rows = []
-    for text in RULES:
-        said = re.sub(r" value \{0\.[^}]*\};?", "", text)
-        key, _, rule = re.sub(r"\{1\}", lambda _: next(found), said).partition(": ")
-        rows.append((f"`{key}`", rule))
-    return table(["key", "rule"], rows)
-
-
-def margins() -> str:
-    """What each number of an analysis is."""
-    rows = [
-        (f"`{key.removeprefix('analysis.')}`", d.what, d.unmeasured)
-        for key, d in DEFINITIONS.items()
-        if key.startswith("analysis.")
-    ]
-    return table(["key", "what it is", "null if"], rows)
-
-
-def variables() -> str:
-    """Tables of the FMUs' variables."""
-    return "\n\n".join(
-        f"## {it.model}\n\nInstance `{name}`. {it.description}.\n\n{variables_markdown(it)}"
-        for name, it in {**INTERFACES, "sensors": SENSORS}.items()
-    )
-
-
-def python() -> str:
-    """Public names, for mkdocstrings."""
-    modules = panda_cosim._MODULES
-    names = (name for name in panda_cosim.__all__ if not name.startswith("_"))
-    return "\n\n".join(f"::: panda_cosim.{modules[name]}.{name}" for name in names)
 
 
 def history() -> str:
@@ -155,15 +60,11 @@ def build(out: Path, *, with_gallery: bool) -> None:
         work, docs = Path(name), Path(name, "docs")
         shutil.copytree(ROOT / "docs", docs)
         (work / "src").symlink_to(ROOT / "src")
-        made = {
-            f.__name__: f
-            for f in (commands, definitions, history, margins, python, rules, variables)
-        }
-        made["gallery"] = partial(gallery, docs) if with_gallery else str
+        made = {**MAKERS, "history": history, "gallery": partial(gallery, docs)}
+        if not with_gallery:
+            made["gallery"] = str
         for page in docs.rglob("*.md"):
-            text = page.read_text(encoding="utf-8")
-            filled = re.sub(r"<!-- made: (\w+) -->", lambda match: made[match[1]](), text)
-            page.write_text(filled, encoding="utf-8")
+            page.write_text(filled(page.read_text(encoding="utf-8"), made), encoding="utf-8")
         shown = re.findall(r"(gallery/\w+)\.(?:html|md)", (docs / "gallery.md").read_text())
         pages = ["gallery.md", *(f"{page}.md" for page in shown)]
         menu = (ROOT / "zensical.toml").read_text(encoding="utf-8")

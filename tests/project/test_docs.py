@@ -55,10 +55,16 @@ class Block:
     why: str  # it is not run
 
 
+def written(page: Path) -> str:
+    """Return a page's text without what is made of the code."""
+    made = re.compile(r"<!-- made: (\w+) -->.*?<!-- end: \1 -->", re.S)
+    return made.sub("", page.read_text(encoding="utf-8"))
+
+
 def blocks(page: Path) -> list[Block]:
     return [
         Block(it["kind"], it["text"], it["file"] or "", it["why"] or "")
-        for it in BLOCK.finditer(page.read_text(encoding="utf-8"))
+        for it in BLOCK.finditer(written(page))
     ]
 
 
@@ -145,7 +151,7 @@ def test_a_page_runs_as_it_is_written(page, tmp_path):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_each_block_is_run_or_says_why_not(page):
-    assert page.read_text(encoding="utf-8").count("\n```") == 2 * len(blocks(page))
+    assert written(page).count("\n```") == 2 * len(blocks(page))
     assert all(is_run(it) or it.file or it.why or it.kind == "text" for it in blocks(page))
 
 
@@ -179,10 +185,15 @@ def test_every_written_command_and_option_exists(page):
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.stem)
 def test_a_page_says_for_whom_it_is_and_is_short(page):
-    lines = page.read_text(encoding="utf-8").splitlines()
+    lines = written(page).splitlines()
     assert len(lines) <= MOST_LINES
     title = next(number for number, line in enumerate(lines) if line.startswith("# "))
     assert lines[title + 2].startswith("For ")
+
+
+def test_what_pages_take_from_the_code_is_what_it_says():
+    done = ran([sys.executable, str(ROOT / ".ci" / "reference.py"), "--check"])
+    assert done.returncode == 0, done.stdout
 
 
 def test_every_page_is_in_the_menu():

@@ -1,5 +1,7 @@
 """Reads recordings, `recording.parquet` or the `recording.arrows` of a run that was killed."""
 
+from __future__ import annotations
+
 import csv
 import hashlib
 import math
