@@ -156,7 +156,8 @@ def _signature(call: Callable[..., Any]) -> str:
     given = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
     if is_class:
         given = [each.replace(annotation=each.empty) for each in given]
-    shown = [re.sub(r": '([^']*)'", r": \1", str(each)) for each in given]
+    plain = (re.sub(r": '([^']*)'", r": \1", str(each)) for each in given)
+    shown = [each.replace("'", '"') for each in plain]
     named = [each.kind is each.KEYWORD_ONLY for each in given]
     if True in named and not any(each.kind is each.VAR_POSITIONAL for each in given):
         shown.insert(named.index(True), "*")
