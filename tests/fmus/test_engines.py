@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import sys
 import zipfile
@@ -240,9 +241,13 @@ def test_a_folder_with_a_model_is_a_suite_over_engines(engine, arm, tmp_path):
     bits = [python(ALONE, arm / "model.xml", "1.0", path=p).split()[1] for p in (None, engine)]
     rows = [np.frombuffer(bytes.fromhex(each)).reshape(-1, 2) for each in bits]
     first = int(np.argmax((rows[0] != rows[1]).any(axis=1)))
-    assert int(other["difference"].split()[-1]) <= first  # outputs beside qpos may differ before
+    assert (
+        int(re.findall(r"tick (\d+): plant", other["difference"])[0]) <= first
+    )  # outputs beside qpos may differ before
     page = (tmp_path / "report" / "report.html").read_text()
     assert page.count("rounding, tick") >= 1
+
+    assert other["cause"].startswith(f"changed: mujoco {HERE} -> {ENGINE}")
 
     text = cli(*suite, "--mujoco", ENGINE).stdout
     assert f"MuJoCo of the runs: {ENGINE}, {HERE}; of the references: {HERE}" in text
@@ -265,16 +270,16 @@ def test_noise_tells_rounding_from_change(tmp_path):
         return difference_of(*recordings, record(tmp_path / name, values), Tolerances())
 
     assert told("same", 0, 0.0) == "equal"
-    assert told("near", 7, 100 * grown) == "rounding, tick 7"
-    assert told("far", 9, 1e4 * grown + 1e-9) == "changed, tick 9"
+    assert told("near", 7, 100 * grown) == f"rounding, tick 7: {signal}"
+    assert told("far", 9, 1e4 * grown + 1e-9) == f"beyond rounding, tick 9: {signal}"
     # The noise grows beyond a thousandth of a constant 1e-9 later: before, that is a change.
-    assert told("early", 30, 1e-9) == "changed, tick 30"
+    assert told("early", 30, 1e-9) == f"beyond rounding, tick 30: {signal}"
     late = int(np.argmax(1e3 * np.maximum.accumulate(np.abs(noisy[signal] - own[signal])) > 1e-9))
-    assert told("late", late + 1, 1e-9) == f"rounding, tick {late + 1}"
+    assert told("late", late + 1, 1e-9) == f"rounding, tick {late + 1}: {signal}"
     short = {name: column[:-5] for name, column in columns().items()}
     assert (
         difference_of(*recordings, record(tmp_path / "short", short), Tolerances())
-        == f"changed, tick {rows - 5}"
+        == f"beyond rounding, tick {rows - 5}: its length"
     )
 
 

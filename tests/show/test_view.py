@@ -229,6 +229,46 @@ def code_of(built: dict[str, str]) -> bytes:
     return code
 
 
+def luminance(colour: str) -> float:
+    """Relative luminance of WCAG 2."""
+    parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return float(np.dot((0.2126, 0.7152, 0.0722), linear))
+
+
+# By style sheet: of names of colours, the texts on each paper.
+TEXTS = {
+    "view": {"pv-paper": "ink muted accent good bad", "pv-hover": "ink muted",
+             "pv-accent": "on-accent", "pv-good-paper": "good", "pv-bad-paper": "bad",
+             "pv-warn-paper": "warn", "pv-ghost-paper": "accent"},
+    "differences": {"paper": "ink muted good bad warn", "raised": "ink muted bad",
+                    "good-soft": "good", "bad-soft": "ink muted bad", "warn-soft": "warn",
+                    "bad": "paper"},
+    "sweep": {"paper": "ink quiet good bad accent", "back": "ink quiet", "soft": "ink quiet",
+              "good-paper": "good", "bad-paper": "bad"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("sheet", TEXTS)
+def test_texts_are_read_on_their_papers_in_light_dark_and_print(sheet):
+    text = (VIEW / "page" / f"{sheet}.css").read_text(encoding="utf-8")
+    prefix = "pv-" if sheet == "view" else ""
+    found = [dict(re.findall(r"--([\w-]+):\s*(#[0-9a-f]{3,6})\b", block))
+             for block in re.findall(r"\{([^{}]*)\}", text)]  # fmt: skip
+    schemes = [colours for colours in found if f"{prefix}ink" in colours]
+    assert len(schemes) >= 2
+    for scheme in schemes:
+        colours = {**schemes[0], **scheme}
+        full = {
+            n: c if len(c) == 7 else "#" + "".join(2 * d for d in c[1:]) for n, c in colours.items()
+        }
+        for paper, names in TEXTS[sheet].items():
+            for name in names.split():
+                pair = sorted((luminance(full[prefix + name]), luminance(full[paper])))
+                contrast = (pair[1] + 0.05) / (pair[0] + 0.05)
+                assert contrast >= 4.5, (name, paper, scheme, contrast)
+
+
 def test_rebuilding_gives_the_same_code(source, tmp_path):
     node(source, "node", "build.mjs", str(tmp_path))
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(BUILT)

@@ -20,7 +20,7 @@ from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.summary import summarize
 from panda_cosim.show.view.model import describe as describe_model
-from panda_cosim.show.view.page import shown_run, write_view
+from panda_cosim.show.view.page import show_source, shown_run, write_view
 from panda_cosim.show.view.run import Shown
 from view_support import MODEL, run_scenario_outside
 
@@ -209,6 +209,41 @@ def test_the_keyboard_plays_and_steps(page, view):
     page.press("?")
     assert page.value("document.querySelector('.pv-help').open") is True
     page.press("Escape")
+
+
+def test_a_curve_is_reached_by_the_keyboard_named_and_zoomed(page, view):
+    look(page, view)
+    seek(page, 1.0)
+    plot = "document.querySelector('.pv-chart[data-title=\"Joint velocities\"] .pv-plot')"
+    page.value(f"{plot}.focus()")
+    name = page.value(f"{plot}.ariaLabel")
+    assert name.startswith("Joint velocities in rad/s at 1.000 s: plant.qvel[1] ")
+    charts = f"{VIEWER}.curves.charts"
+    page.press("+")
+    spans = page.value(f"{charts}.map(c => [c.plot.scales.x.min, c.plot.scales.x.max])")
+    assert len({tuple(span) for span in spans}) == 1  # of all charts
+    assert spans[0] == pytest.approx([1.0 - 6.5 / 4, 1.0 + 6.5 / 4])
+    page.press("0")
+    assert page.value(f"{charts}[0].plot.scales.x.max") == pytest.approx(6.5)
+    page.press("ArrowRight")
+    assert page.value(NOW) == pytest.approx(1.065)
+    assert "at 1.065 s" in page.value(f"{plot}.ariaLabel")
+
+
+def test_a_run_without_a_model_has_its_curves_alone_also_as_a_ghost(page, run, folder):
+    times = np.linspace(0.0, 2.0, 50)
+    signals = {f"tank.level_{n}": np.sin(n * times) for n in range(6)}
+    metadata = {"complete": True, "fmus": {"tank": {"model": "Tank"}}}
+    alone = show_source(FakeRecording(times, signals, metadata), "tank", summary=Summary())
+    page.open(write_view([alone], folder / "alone.html"))
+    page.wait("document.querySelectorAll('.pv-chart .pv-legend').length === 4")
+    assert page.value("document.querySelector('.pv-picture').checkVisibility()") is False
+    titles = "[...document.querySelectorAll('.pv-chart')].map(c => c.dataset.title)"
+    assert page.value(titles) == list(signals)[:4]
+    recorded = shown_run(run, name="run")
+    show(page, write_view([recorded, alone], folder / "ghost.html"))
+    assert page.value(f"{STAGE}.figures.length") == 1
+    assert page.errors == []
 
 
 def test_a_click_in_a_curve_moves_the_time_and_the_scene(page, view):

@@ -1,6 +1,7 @@
 """Comparison with a reference recording: differences that matter are reported, others are not."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -85,6 +86,20 @@ def test_an_event_may_move_by_the_tolerance_in_time(compared, ticks, ok):
     values["plant.contact_force"] = np.roll(values["plant.contact_force"], ticks)
     values["plant.contact_force"][:ticks] = 0.0
     assert compared(values).ok is ok
+
+
+@pytest.mark.parametrize(("before", "now", "steps", "ok"), [
+    (0.2, 0.203, 3, True), (0.2, 0.197, 3, True), (0.2, 0.204, 3, False), (0.2, 0.196, 3, False),
+    (None, None, 0, True), (0.2, 0.2, 0, True), (0.2, None, 10, False), (None, 0.2, 10, False),
+])  # fmt: skip
+def test_an_event_of_the_summary_may_move_by_so_many_steps(tmp_path, before, now, steps, ok):
+    run = record(tmp_path / "run", columns())
+    made, seen = (replace(SUMMARY, events={"grasp": at}) for at in (before, now))
+    reference = Reference.of(run, made, TOLERANCES)
+    tolerances = replace(TOLERANCES, events=steps)
+    comparison = compare_with_reference(run, seen, reference, tolerances)
+    assert comparison.ok is ok
+    assert ok or f"may move by {steps} steps" in texts(comparison)
 
 
 @settings(max_examples=30, deadline=None)
@@ -255,7 +270,9 @@ def test_a_tolerance_is_of_a_number_that_is_recorded():
         ("time", "a.temperature", "a.q[1]", "a.q[2]")
     )
     for name in ("a.temperatur", "a.q[3]", "time"):
-        with pytest.raises(InputError, match="no such number is recorded; valid: time, scale, a"):
+        with pytest.raises(
+            InputError, match="no such number is recorded; valid: time, scale, events, a"
+        ):
             Tolerances(values={name: 1.0}).check_names(("time", "a.temperature", "a.q[1]"))
 
 

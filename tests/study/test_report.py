@@ -3,6 +3,7 @@
 import json
 import re
 import time
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -156,6 +157,21 @@ def test_a_failing_scenario_is_found_and_zoomed(page, report):
     assert view()[1] - view()[0] < 0.1  # about the worst instant
     page.value(f"{chart}.querySelectorAll('button')[3].click()")
     assert view() == pytest.approx((0.0, 0.4))
+    # Its tube and a criterion are tried, and give the lines for scenario.toml.
+    name = page.value(f"{chart}.closest('figure').querySelector('b').textContent")
+    edit = f"{chart}.querySelector('.edit')"
+    page.value(f"{edit}.open = true")
+    page.wait(f"{edit}.querySelector('.lines').textContent.startsWith('[regression]')")
+    outside = page.value(f"parseInt({edit}.querySelector('.says').textContent.match(/\\d+/)[0])")
+    assert outside > 0
+    typed = "f.value = '1e3'; f.dispatchEvent(new Event('input'))"
+    page.value(f"(f => {{ {typed} }})({edit}.querySelector('input'))")
+    says, lines = (f"{edit}.querySelector('.{part}').textContent" for part in ("says", "lines"))
+    assert page.value(says).startswith("outside at 0 of")
+    assert tomllib.loads(page.value(lines)) == {"regression": {name: 1e3}}
+    page.value(f"{edit}.querySelector('select').dispatchEvent(new Event('input'))")
+    (criterion,) = tomllib.loads(page.value(lines))["success"]["signal"]
+    assert (criterion["signal"], criterion["reduce"]) == (name, "max")
     assert page.errors == []
 
 

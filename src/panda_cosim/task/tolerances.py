@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..fmus.errors import InputError, did_you_mean, excerpt
-from .fields import Quantity
+from .fields import Quantity, Whole
 
+_EVENTS = Whole(0, 1_000_000)
 _TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide real differences
 _SCALE = Quantity(1e-3, 1e6)
 _VALUE = Quantity(1e-15, 1e15)  # in any unit
@@ -35,7 +36,7 @@ EQUAL: Final = 0.5  # of Integers, Booleans and Enumerations; a text is at 0 or 
 OURS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = tomllib.loads(
     Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
 )
-_OWN: Final = ("time", "scale")
+_OWN: Final = ("time", "scale", "events")
 _ELEMENT = re.compile(r"(?P<signal>.+)\[[\d,]+\]", re.A)
 
 
@@ -49,6 +50,7 @@ class Tolerances:
 
     time: float | None = None  # half-width of all tubes in time [s]; None: a step of the scenario
     scale: float = 1.0  # factor on the defaults [1]
+    events: int = 10  # steps by which an event, such as a grasp, may be earlier or later
     # Half-widths in value that replace the defaults, by signal (`plant.hand_xpos`) or element
     # (`plant.qpos[10]`), in the signal's own unit.
     values: Mapping[str, float] = field(default_factory=dict)
@@ -57,6 +59,7 @@ class Tolerances:
         if self.time is not None:
             object.__setattr__(self, "time", _TIME.check("[regression] time", self.time))
         object.__setattr__(self, "scale", _SCALE.check("[regression] scale", self.scale))
+        object.__setattr__(self, "events", _EVENTS.check("[regression] events", self.events))
         checked = {n: _VALUE.check(f"[regression] {n}", value) for n, value in self.values.items()}
         object.__setattr__(self, "values", checked)
 
@@ -70,6 +73,11 @@ class Tolerances:
         values = {name: value for name, value in flattened(section) if name not in _OWN}
         own: dict[str, Any] = {name: section[name] for name in _OWN if name in section}
         return cls(**own, values=values)
+
+    @property
+    def section(self) -> dict[str, float | None]:
+        """What a scenario's file has."""
+        return {**{name: getattr(self, name) for name in _OWN}, **self.values}
 
     def check_names(self, columns: Iterable[str]) -> None:
         """Refuse a tolerance of what is not among the columns of numbers that are recorded."""

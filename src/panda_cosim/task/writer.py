@@ -112,7 +112,7 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
 
 def settings_text(scenario: Scenario) -> str:
     """Return the text of scenario.toml: the keys that differ from their defaults."""
-    values, tolerances = {name: getattr(scenario, name) for name in KEYS}, scenario.regression
+    values = {name: getattr(scenario, name) for name in KEYS}
     # A default that is a mapping is made anew, empty, and the class does not have it.
     given = {name: each for name, each in values.items() if each != getattr(Scenario, name, {})}
     inputs = {name: value for name, value in scenario.inputs.items() if name != "file"}
@@ -127,7 +127,7 @@ def settings_text(scenario: Scenario) -> str:
             "signal": [*map(toml_keys, scenario.success.signal)],
             "body": [*map(asdict, scenario.success.body)],
         },
-        "regression": {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values},
+        "regression": scenario.regression.section,
         "push": [*map(asdict, scenario.push)],
     }
     return "\n".join(_section(given | sections)) + "\n"

@@ -298,8 +298,9 @@ def _show_engines(engines: Sequence[str], rows: list[list[Outcome]]) -> None:
         cells.append([as_cell(row[0].name)])
         for outcome in row:
             first = outcome.comparison.first if outcome.comparison else None
-            left = f"; {first.name} leaves its tube at {first.first:.3f} s" if first else ""
-            cells[-1].append(as_cell(f"{outcome.difference or outcome.verdict}{left}"))
+            left = f"{first.name} leaves its tube at {first.first:.3f} s" if first else ""
+            told = (outcome.verdict, outcome.difference, left, outcome.cause)
+            cells[-1].append(as_cell("; ".join(filter(None, told))))
     if cells:
         show(table(("Scenario", "own", *engines), cells))
 

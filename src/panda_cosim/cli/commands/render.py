@@ -9,6 +9,7 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import InputError
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
+from ...result.recording.logs import is_log, open_log
 from ...run.result import FIGURE_FILE, PLOT_FILE, SHEET_FILE, VIDEO_FILE
 from ...show.pictures.motion import position_columns
 from ...show.pictures.plot import FORMATS, draw, save
@@ -22,7 +23,7 @@ from ...study.compare.views import reference_of, shown_reference
 from ...task.fields import check_choice
 from ..console import show, show_file, tell
 from ..forms import argument, option
-from ..options import MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes
+from ..options import MAP, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes
 from ..outcome import PLOTTING, TILING, draw_video
 
 
@@ -108,6 +109,7 @@ def plot(
 def view(  # noqa: PLR0913 - one for each option
     run: Path = RUN,
     against: str | None = option("--against RUN"),
+    names: Path | None = MAP,
     out: Path | None = option("--out -o FILE.html"),
     meshes: Meshes = MESHES,
     open_page: bool = OPEN_PAGE,
@@ -126,21 +128,24 @@ def view(  # noqa: PLR0913 - one for each option
 
     Args:
         against: Show another run as a ghost: a run's folder, a scenario's folder, a
-            reference.parquet, or the word reference for that of the run's own scenario.
+            reference.parquet, or the word reference for that of the run's own scenario; or the
+            curves of a log: .csv, .parquet or .mcap.
         out: Page to write. Default: in the run's folder.
     """
     path = out if out is not None else (run if run.is_dir() else run.parent) / VIEW_FILE
     check_replaceable(path, overwrite=overwrite)
     first = shown_run(run, meshes=meshes)
-    write_view([first] if against is None else [first, _other(first, against)], path)
+    write_view([first] if against is None else [first, _other(first, against, names)], path)
     show_file(path, open_page=open_page)
 
 
-def _other(first: Shown, against: str) -> Shown:
+def _other(first: Shown, against: str, names: Path | None) -> Shown:
     """Return the run given by `--against`."""
     if against == "reference":
         return shown_reference(reference_of(first.source))
     path = Path(against)
+    if isinstance(first.source, Recording) and is_log(path):
+        return Shown(path.name, open_log(path, names, first.source), None)
     reference = path if path.name == REFERENCE_FILE else path / REFERENCE_FILE
     if reference.is_file():
         return shown_reference(reference)

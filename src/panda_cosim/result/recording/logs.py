@@ -71,7 +71,7 @@ def is_log(path: Path) -> bool:
     with suppress(InputError):
         Recording.open(path)
         return False
-    return path.suffix in SUFFIXES
+    return path.suffix in SUFFIXES and path.is_file()
 
 
 def open_log(path: Path, names: Path | None, run: Recording) -> Recording:

@@ -87,11 +87,16 @@ def poses(recording: Signals, at: FloatArray) -> FloatArray:
     return interpolate_qpos(time[rows], np.column_stack(columns), at)
 
 
-def refuse_without_model(recording: Signals) -> None:
-    """Refuse a run whose plant is not the project's own and has no model."""
+def has_model(recording: Signals) -> bool:
+    """Whether a run's plant is the project's own, or has a model."""
     fmus = recording.metadata.get("fmus", {})
     plant = fmus.get("plant", {}).get("model", "none") if fmus else PLANT_MODEL
-    if plant != PLANT_MODEL and model_file(recording) is None:
+    return plant == PLANT_MODEL or model_file(recording) is not None
+
+
+def refuse_without_model(recording: Signals) -> None:
+    """Refuse a run that cannot be drawn."""
+    if not has_model(recording):
         raise InputError(
             "the run's plant is not the project's own, and its FMU holds no model: nothing can be "
             "drawn but the plot; pictures show the FMU `plant`, if it was made from a MuJoCo model"

@@ -26,7 +26,7 @@ from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.files import model_file
 from ..pictures.meshes import Meshes, load_model
-from ..pictures.motion import DEFAULT_SCENE, refuse_without_model
+from ..pictures.motion import DEFAULT_SCENE, has_model
 from .columns import Json
 from .run import RunData, Shown
 from .run import describe as describe_run
@@ -160,7 +160,7 @@ def contents(runs: Sequence[Shown]) -> tuple[list[Document], dict[str, Json]]:
     documents: list[Document] = []
     for index, run in enumerate(runs):
         key = hashlib.sha256(json.dumps(run.model).encode()).hexdigest()[:12]
-        models[key] = run.model
+        models |= {key: run.model} if run.model else {}
         against = runs[1].source if index == 0 and len(runs) > 1 else None
         documents.append(describe_run(run, key, against))
     return documents, models
@@ -174,13 +174,14 @@ def shown_run(folder: Path | str, *, name: str | None = None, meshes: Meshes = "
 
 
 def show_source(source: RunData, name: str, *, summary: Summary, meshes: Meshes = "never") -> Shown:
-    """Return a run to show, with the model named in its recording."""
+    """Return a run to show, with the model named in its recording, or with curves alone."""
     own = model_file(source)
     if own is not None:
         from .model import describe  # noqa: PLC0415 - imports MuJoCo
 
         return Shown(name, source, describe(load_model(str(own))), summary=summary)
-    refuse_without_model(source)
+    if not has_model(source):
+        return Shown(name, source, None, summary=summary)
     model, masses = plant_model(source.metadata, meshes)
     return Shown(name, source, model, masses, summary)
 

@@ -76,7 +76,7 @@ class Shown:
 
     name: str  # in links and on the page
     source: RunData
-    model: Json  # as `model.describe` returns it
+    model: Json | None  # as `model.describe` returns it; None: curves alone are shown
     # Of the model's bodies [kg]; None: the run may have had others, and no forces are drawn.
     masses: Sequence[float] | None = None
     summary: Summary = field(default_factory=Summary)
@@ -90,7 +90,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     columns = {role: _columns(source, signal) for role, signal in ROLES.items()}
     if not len(source.time):
         raise InputError(f"{run.name}: the recording has no rows; there is nothing to show")
-    if len(columns["qpos"]) != run.model["nq"]:
+    if run.model and len(columns["qpos"]) != run.model["nq"]:
         raise InputError(
             f"{run.name}: {len(columns['qpos'])} columns of {ROLES['qpos']}; the model that it is "
             f"drawn with has {run.model['nq']} positions"
@@ -114,7 +114,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         "title": title,
         "purpose": str(metadata.get("purpose") or ""),
         "facts": [*about.split(" · "), *[f"{part}: {by}" for part, by in ran if by][-PARTS:]],
-        "model": model_key,
+        "model": model_key if run.model else "",
         "verdict": {"state": run.summary.verdict.level, "words": run.summary.brief},
         "criteria": criteria_of(run.summary),
         "limits": limits_of(run.summary),

@@ -46,6 +46,17 @@ def verdict_problems(summary: Summary, reference: Reference) -> list[str]:
     return [f"is {now}, the reference is {before} ({summary.detail})"]
 
 
+def event_problems(summary: Summary, reference: Reference, steps: int) -> Iterator[str]:
+    """Check that the same events happened, earlier or later by so many steps at most."""
+    for name, now in summary.events.items():
+        before = reference.summary.events.get(name, now)
+        times = ["never" if at is None else f"at {instant(at)} s" for at in (now, before)]
+        apart = math.inf if None in (now, before) else abs((now or 0.0) - (before or 0.0))
+        if now != before and apart > (steps + TIME_SLACK) * reference.step_size:
+            told = f"event {name} happens {times[0]}, in the reference {times[1]}"
+            yield f"{told}; may move by {steps} steps"
+
+
 def signal_problems(recording: Recording, reference: Reference) -> Iterator[str]:
     """Check that the signals and their units are those of the reference."""
     missing = _words(name for name in reference.units if name not in recording.types)
@@ -241,6 +252,7 @@ def compare_with_reference(
         *value_problems(recording),
         *time_problems(time, reference),
         *verdict_problems(summary, reference),
+        *event_problems(summary, reference, tolerances.events),
     ]
     rows = matching_rows(time, reference)
     matched = rows >= 0

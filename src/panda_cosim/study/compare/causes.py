@@ -7,11 +7,15 @@ its author writes, by element: `plant: body ball mass`. What no field tells is i
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
+from ...fmus.build.engines import made_with
+from ...fmus.build.identity import mujoco_version
 from ...fmus.interface.tables import INTERFACES
 from ...plant.parameters import PlantParameters
 from ...result.recording import Recording
@@ -71,20 +75,25 @@ def _numbered(name: str, values: Any) -> Elements:
 
 
 def models_of(scenario: Scenario, recording: Recording) -> dict[str, Elements]:
-    """Return the models of a scenario's FMUs, by instance, as they are compiled now."""
-    from ...fmus.sources.model_fmu import load_binary  # noqa: PLC0415 - as above
-    from ...plant.scene import load_scene  # noqa: PLC0415
-    from ...show.view.page import plant_parameters  # noqa: PLC0415
+    """Return the models of a scenario's FMUs, by instance, as its MuJoCo compiles them now."""
+    from ...show.view.page import plant_parameters  # noqa: PLC0415 - as above
 
-    found = {}
-    for name, fmu in assemble(scenario).system.fmus.items():
-        if content := model_in(fmu):
-            found[name] = elements(load_binary(content, f"[fmus] {name}"))
+    fmus, own = assemble(scenario).system.fmus, None
     if not scenario.system and "plant" not in scenario.fmus:
         given = plant_parameters(recording.metadata)  # of which the block is a parameter
         own = PlantParameters(scene=given.scene, robot=given.robot)
-        found["plant"] = elements(load_scene(own))
-    return found
+    make = partial(_compiled, {name: model_in(fmu) for name, fmu in fmus.items()}, own)
+    return dict(json.loads(made_with(scenario.mujoco or mujoco_version(), make)))
+
+
+def _compiled(contents: Mapping[str, bytes], own: PlantParameters | None) -> bytes:
+    """Return the elements of models in FMUs, and of our own plant, as JSON."""
+    from ...fmus.sources.model_fmu import load_binary  # noqa: PLC0415 - as above
+    from ...plant.scene import load_scene  # noqa: PLC0415
+
+    models = {name: load_binary(content, name) for name, content in contents.items() if content}
+    models |= {"plant": load_scene(own)} if own else {}
+    return json.dumps({name: elements(model) for name, model in models.items()}).encode()
 
 
 def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:

@@ -52,25 +52,30 @@ def engine_rows(
 
 def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
     if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
-        return "changed"
+        return ""
     own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
     return difference_of(own_run, noisy_run, run, own.tolerances)
 
 
 def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:
-    """Tell whether rounding explains how a run differs from another, and the first such tick."""
+    """Tell whether rounding explains how a run differs, from which tick on, and in which signal."""
     rows = min(each.rows for each in (own, noisy, run))
-    apart, beyond = np.zeros((2, rows + 1), bool)
-    beyond[rows] = own.rows != run.rows
+    beyond = {} if own.rows == run.rows else {"its length": rows}  # first tick, by column
+    apart: dict[str, int] = {}
     for name, width in widths(own, tolerances).items():
         first, noise, other = (each[name][:rows] for each in (own, noisy, run))
-        apart[:rows] |= first != other
+        differs = np.asarray(first != other)
         if name in own.texts:
-            beyond[:rows] |= (first != other) & (first == noise)
-            continue
-        first, noise, other = (x.astype(float) for x in (first, noise, other))
-        effect = np.maximum.accumulate(np.abs(noise - first))
-        beyond[:rows] |= ~(np.abs(other - first) <= np.maximum(GROWTH * effect, FLOOR * width))
-    if beyond.any():
-        return f"changed, tick {np.argmax(beyond)}"
-    return f"rounding, tick {np.argmax(apart)}" if apart.any() else "equal"
+            wrong = differs & (first == noise)
+        else:
+            first, noise, other = (x.astype(float) for x in (first, noise, other))
+            effect = np.maximum.accumulate(np.abs(noise - first))
+            wrong = ~(np.abs(other - first) <= np.maximum(GROWTH * effect, FLOOR * width))
+        for found, where in ((apart, differs), (beyond, wrong)):
+            if where.any():
+                found[name] = int(where.argmax())
+    for word, found in (("beyond rounding", beyond), ("rounding", apart)):
+        if found:
+            name = min(found, key=found.__getitem__)
+            return f"{word}, tick {found[name]}: {name}"
+    return "equal"

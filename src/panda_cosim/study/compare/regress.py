@@ -152,12 +152,13 @@ class Outcome:
     def cause(self) -> str:
         """What the run was made with differently than its reference, in one line; "": nothing.
 
-        Of a run that matches, only parameters are told.
+        Of a run that matches, only parameters are told, and what another MuJoCo compiles.
         """
         if self.comparison is None:
             return ""
         match = self.comparison.ok
-        told = [row for row in self.comparison.causes if not match or is_parameter(row)]
+        whole = not match or self.difference  # another engine's fields, also where results match
+        told = [row for row in self.comparison.causes if whole or is_parameter(row)]
         return f"changed: {named(told)}{'; results match' * match}" if told else ""
 
     @property
@@ -219,7 +220,8 @@ def _compared(judged: Outcome, summary: Summary, exact: bool) -> Outcome:
             comparison = compare_with_reference(
                 recording, summary, reference, judged.tolerances, exact=exact
             )
-            models = {} if comparison.ok else models_of(judged.scenario, recording)
+            needed = not comparison.ok or judged.scenario.mujoco
+            models = models_of(judged.scenario, recording) if needed else {}
         except CosimError as refused:
             return replace(judged, verdict="no reference", error=str(refused))
         comparison = replace(comparison, causes=_causes(recording, reference, models))

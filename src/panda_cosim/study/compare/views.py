@@ -55,6 +55,8 @@ class Views:
         """Add a run and its ghost, whose names are unique; the columns' curves come first."""
         try:
             run, ghost = runs
+            if run.model is None:
+                raise InputError("its plant has no model")
             (own, other), models = contents([run, ghost])
         except InputError as error:  # no model, or no positions
             return Part("In 3D", note=f"No 3D: {error}")

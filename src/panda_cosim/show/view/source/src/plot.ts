@@ -17,13 +17,15 @@ export function label(value: number, step: number): string {
   return text.replaceAll("-", "−");
 }
 
-/** Return both axes in colours that may change from one drawing to the next. */
-export function axes(colour: () => string, grid: () => string, size: number, unit = ""): [uPlot.Axis, uPlot.Axis] {
+/** Return both axes, with their units, in colours that may change from one drawing to the next. */
+export function axes(colour: () => string, grid: () => string, size: number, unit = "", beside = ""): [uPlot.Axis, uPlot.Axis] {
   const common: uPlot.Axis = { stroke: colour, font: "11px system-ui, sans-serif", ticks: { show: false }, grid: { stroke: grid, width: 1 } };
   const values = (after: string): uPlot.Axis.DynamicValues => (_, ticks, __, ___, step) => ticks.map((tick) => label(tick, step) + after);
+  const last = (after: string): uPlot.Axis.DynamicValues => (_, ticks, __, ___, step) =>
+    ticks.map((tick, index) => (after && index === ticks.length - 1 ? after : label(tick, step))); // the unit instead of the topmost number
   return [
     { ...common, size: 24, gap: 4, values: values(unit && ` ${unit}`) },
-    { ...common, size, gap: 5, values: values("") },
+    { ...common, size, gap: 5, values: last(beside) },
   ];
 }
 

@@ -80,6 +80,10 @@ export class Viewer {
   }
 
   private async openStage(): Promise<void> {
+    if (!this.runs[0].model) {
+      this.root.dataset.alone = ""; // the curves
+      return;
+    }
     const address = keepAddress(() => ({ at: this.clock.time, camera: this.stage?.viewpoint.name ?? "" }));
     const tell = () => {
       this.hud?.update();

@@ -15,6 +15,6 @@ async function read(name: string): Promise<RecordedRun> {
   const run = embedded(`run:${name}`) as RunData | null;
   if (!run) throw new Error(`the page has no run ${name}`);
   const model = embedded(`model:${run.model}`) as ModelData | null;
-  if (!model) throw new Error(`the page has no model for run ${name}`);
+  if (run.model && !model) throw new Error(`the page has no model for run ${name}`);
   return RecordedRun.open(run, model);
 }

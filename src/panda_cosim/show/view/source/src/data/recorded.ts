@@ -18,7 +18,7 @@ export class RecordedRun implements RunSource {
 
   private constructor(
     private readonly data: RunData,
-    readonly model: ModelData,
+    readonly model: ModelData | null,
     private readonly curveTime: Float64Array,
     private readonly poseTime: Float64Array,
     private readonly poses: Columns,
@@ -32,7 +32,7 @@ export class RecordedRun implements RunSource {
     data.signals.forEach(({ columns }, index) => columns.forEach((column) => this.signalOf.set(column, index)));
   }
 
-  static async open(data: RunData, model: ModelData): Promise<RecordedRun> {
+  static async open(data: RunData, model: ModelData | null): Promise<RecordedRun> {
     const curveTime = await decodeTime(data.time);
     const poseTime = data.poses ? await decodeTime(data.poses.time) : curveTime;
     return new RecordedRun(data, model, curveTime, poseTime, await poseColumns(data));

@@ -38,7 +38,8 @@ export interface About {
 export interface RunSource {
   readonly name: string;
   readonly about: About;
-  readonly model: ModelData;
+  /** Null where the run has none, and curves alone are shown. */
+  readonly model: ModelData | null;
   /** Masses of the model's bodies [kg], or null where the run may have had others. */
   readonly masses: readonly number[] | null;
   readonly signals: readonly Signal[];

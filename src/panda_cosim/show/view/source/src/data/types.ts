@@ -125,7 +125,7 @@ export interface RunData {
   title: string;
   purpose: string;
   facts: string[];
-  model: string;
+  model: string; // "": it has none, and curves alone are shown
   verdict: { state: "good" | "bad" | "plain"; words: string };
   criteria: Criterion[];
   limits: Limit[];

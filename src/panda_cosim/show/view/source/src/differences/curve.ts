@@ -25,7 +25,7 @@ export class Curve {
   readonly time: Float64Array;
   readonly baseline: Float32Array;
   readonly runs: readonly Run[];
-  /** Edges of the tube as differences from the baseline: none, or the upper and the lower one. */
+  /** Edges of the tube as differences from the baseline: none, or the lower and the upper one. */
   readonly tube: readonly Float32Array[];
   /** The first and the last row of each stretch in which a run has no difference. */
   readonly gaps: readonly [number, number][];

@@ -4,6 +4,7 @@ import { button, make } from "../dom.ts";
 import { listen } from "../keys.ts";
 import { axes, gap, hearTouch } from "../plot.ts";
 import type { Curve } from "./curve.ts";
+import { editor } from "./edit.ts";
 
 const HEIGHTS = [186, 104]; // of the two plots [px]
 const BESIDE = 62; // [px]
@@ -26,9 +27,11 @@ export class Figure {
     host.replaceChildren();
     this.plots = [
       this.plot(unit, baseline, runs.map(({ values }, i) => ({ values, colour: colours[i] }))),
-      this.plot("difference", zero, runs.map(({ differences: values }, i) => ({ values, colour: colours[i] }))),
+      this.plot(unit ? `difference, ${unit}` : "difference", zero, runs.map(({ differences: values }, i) => ({ values, colour: colours[i] }))),
     ];
     host.append(make("div", "tools", ...this.tools(), this.read));
+    const name = host.closest("figure")?.querySelector("figcaption b")?.textContent ?? "";
+    if (curve.tube.length) host.append(editor(curve, name, (tolerance) => this.widen(tolerance)));
     this.listen();
     this.look(...curve.span);
   }
@@ -36,6 +39,19 @@ export class Figure {
   /** Draw in the page's present colours. */
   redraw(): void {
     for (const plot of this.plots) plot.redraw(false, true);
+  }
+
+  /** Draw the tube with another half-width. */
+  private widen(tolerance: number): void {
+    const { curve } = this;
+    const by = [-1, 1].map((side) => side * (tolerance - (curve.tolerance ?? 0)));
+    const origins = [curve.baseline, new Float32Array(curve.baseline.length)];
+    this.plots.forEach((plot, index) => {
+      const edges = curve.tube.map((edge, side) => Array.from(edge, (value, row) => gap(value + by[side] + origins[index][row])));
+      const [time, , , ...lines] = plot.data;
+      plot.setData([time, ...edges, ...lines] as uPlot.AlignedData, false);
+      plot.redraw(true, true);
+    });
   }
 
   private tools(): HTMLElement[] {

@@ -4,7 +4,7 @@ import { rowAt } from "../data/lookup.ts";
 import type { RunSource, Series } from "../data/source.ts";
 import type { Clock } from "../clock.ts";
 import { PALETTE } from "../colours.ts";
-import { button, hint, icon, make, number } from "../dom.ts";
+import { button, hint, icon, legible, make, number } from "../dom.ts";
 import { axes, gap, hearTouch } from "../plot.ts";
 
 const HEIGHT = 132; // [px]
@@ -45,6 +45,15 @@ export class Chart {
     const close = button(`Remove ${title}`, "pv-close", () => links.removed(this), icon(CROSS));
     this.element = make("section", "pv-chart", make("div", "pv-chart-head", head, close), this.plotPlace);
     this.element.dataset.title = title;
+    this.plotPlace.tabIndex = 0;
+    this.plotPlace.setAttribute("role", "img");
+    this.plotPlace.setAttribute("aria-label", legible(title));
+    this.plotPlace.addEventListener("focus", () => this.name());
+    this.plotPlace.addEventListener("keydown", (event) => {
+      if (!["+", "-", "0"].includes(event.key)) return; // others move the time
+      event.stopPropagation();
+      this.zoomed(event);
+    });
   }
 
   /** Decode the curves and draw them. */
@@ -74,6 +83,26 @@ export class Chart {
     for (const { own, reading } of this.curves) {
       reading.textContent = number(own.values[rowAt(own.time, time)], this.unit);
     }
+    if (document.activeElement === this.plotPlace) this.name();
+  }
+
+  /** Say the curves and their values, for those who hear the page. */
+  private name(): void {
+    const readings = this.curves.map(({ column, reading }) => `${column} ${reading.textContent}`).join(", ");
+    const unit = this.unit && this.unit !== "1" ? ` in ${this.unit}` : "";
+    this.plotPlace.setAttribute("aria-label", legible(`${this.title}${unit} at ${this.links.clock.time.toFixed(3)} s: ${readings}`));
+  }
+
+  /** Zoom in or out about the present, or show all. */
+  private zoomed(event: KeyboardEvent): void {
+    const { clock } = this.links;
+    const { min, max } = this.plot!.scales.x;
+    const half = ((max! - min!) / 2) * (event.key === "+" ? 0.5 : 2);
+    const [begin, end] = clock.span;
+    const whole = event.key === "0" || 2 * half >= end - begin;
+    const [low, high] = whole ? [begin, end] : [clock.time - half, clock.time + half];
+    this.zoom(low, high);
+    this.links.zoomed(this, low, high);
   }
 
   /** Show a time range [s]. */
@@ -141,7 +170,7 @@ export class Chart {
       scales: { x: { time: false, range: ({ data: [times] }, low, high) => (times.length > 1 ? [low, high] : [times[0], times[0] + 1]) } }, // 1 s before a run begins
       series: [{}, ...own, ...other],
       cursor: { sync: { key: "panda-view" }, drag: { x: true, y: false }, points: { size: 6 } },
-      axes: axes(ink("--pv-muted"), ink("--pv-grid"), 48),
+      axes: axes(ink("--pv-muted"), ink("--pv-grid"), 48, "s", this.unit === "1" ? "" : this.unit),
       hooks: { setScale: [(plot, key) => this.scaled(plot, key)], draw: [(plot) => this.drawBounds(plot)] },
     };
   }

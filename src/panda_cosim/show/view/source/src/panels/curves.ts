@@ -6,6 +6,7 @@ import { Chart, type ChartLinks } from "./chart.ts";
 import { Picker } from "./picker.ts";
 
 const MOST = 8; // curves in one chart, when a whole signal is added
+const FIRST = 4; // signals that are drawn where the run comes with no curves
 const INTERVAL = 120; // [ms] between two updates of growing curves
 
 export class Curves {
@@ -38,7 +39,9 @@ export class Curves {
   async open(): Promise<void> {
     const extra = this.run.signals.filter(({ name }) => name === "distance to the other run");
     for (const { name } of extra) await this.add("Distance to the other run", [name]);
-    for (const { title, columns } of this.run.about.curves) await this.add(title, columns);
+    const { curves } = this.run.about;
+    const first = this.run.signals.slice(0, FIRST).map(({ name: title, columns }) => ({ title, columns }));
+    for (const { title, columns } of curves.length ? curves : first) await this.add(title, columns);
   }
 
   /** Add a chart below the others, or on top and scrolled into view. */

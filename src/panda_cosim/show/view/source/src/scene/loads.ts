@@ -22,7 +22,7 @@ export class Loads {
   private readonly qpos: Float64Array;
 
   constructor(private readonly run: RunSource) {
-    const { bodies, nq } = run.model;
+    const { bodies, nq } = run.model!;
     const parents = new Set(bodies.map(({ parent }) => parent));
     this.free = bodies.flatMap(({ joints, com }, index) =>
       run.masses && joints.length === 1 && joints[0].kind === "free" && !parents.has(index)
@@ -44,7 +44,7 @@ export class Loads {
     if (end - start < 2 * step) return [];
     const middle = Math.min(Math.max(time, start + step), end - step);
     const [before, now, after] = [middle - step, middle, middle + step].map((instant) => this.places(instant));
-    const gravity = new Vector3(...this.run.model.gravity);
+    const gravity = new Vector3(...this.run.model!.gravity);
     return this.places(time).map((place, index) => {
       const force = before[index].add(after[index]).addScaledVector(now[index], -2).divideScalar(step * step);
       return { place, force: force.sub(gravity).multiplyScalar(this.free[index].mass) };

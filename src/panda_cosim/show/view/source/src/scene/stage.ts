@@ -77,13 +77,14 @@ export class Stage {
     this.sizes.observe(this.element);
   }
 
-  /** Build the scene of a run, and of another one as its ghost. */
+  /** Build the scene of a run, and of another one as its ghost if that has a model, too. */
   static async build(runs: readonly RunSource[], acts: StageActs): Promise<Stage> {
     const chosen = quality();
-    const actors = runs.map(async (run, index) => ({
+    const drawn = runs.flatMap((run, index) => (run.model ? [{ run, model: run.model, isGhost: index > 0 }] : []));
+    const actors = drawn.map(async ({ run, model, isGhost }) => ({
       run,
-      figure: await Figure.build(run.model, { isGhost: index > 0, anisotropy: chosen.anisotropy }),
-      qpos: new Float64Array(run.model.nq),
+      figure: await Figure.build(model, { isGhost, anisotropy: chosen.anisotropy }),
+      qpos: new Float64Array(model.nq),
     }));
     return new Stage(await Promise.all(actors), acts, chosen);
   }
