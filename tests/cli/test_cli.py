@@ -19,7 +19,7 @@ from forked import command as forked
 from panda_cosim import InputError, Recording, shipped_scenarios
 from panda_cosim.cli import forms
 from panda_cosim.cli.app import app, load
-from panda_cosim.cli.commands import COMMANDS
+from panda_cosim.cli.commands import COMMANDS, RULES
 from panda_cosim.cli.console import progress
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.sources.targets import build
@@ -133,6 +133,16 @@ def test_each_option_has_one_text_and_each_text_an_option():
     ):
         with pytest.raises(TypeError, match="must be an option with one text"):
             forms.described(wrong, f"Do it.\n\nArgs:\n{entries}")
+
+
+@pytest.mark.parametrize("command", RULES)
+def test_rules_of_options_are_about_options_of_the_command(command):
+    options = {name for param in load(command).params for name in param.opts}
+    for rule in RULES[command]:
+        first, *others = re.findall("--[a-z-]+", rule)
+        assert {first, *others} <= options
+        assert others
+        assert re.match(r"--[a-z-]+: (needs|cannot be combined with) ", rule)
 
 
 def test_help_lists_the_exit_codes_and_is_what_no_command_gives():

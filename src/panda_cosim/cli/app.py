@@ -23,7 +23,7 @@ from ..fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..fmus.twins import notice
 from ..show.pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code, startup
-from .commands import COMMANDS, ELSEWHERE
+from .commands import COMMANDS, ELSEWHERE, RULES
 from .console import complain, show, warn
 from .forms import described, flag
 
@@ -60,7 +60,21 @@ class PlainFlags:
 
 
 class Command(PlainFlags, TyperCommand):
-    """One command."""
+    """One command, whose options keep the rules of commands.toml."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Check which options were given together, and call the function."""
+        given = {
+            name
+            for param in self.params
+            for name in param.opts
+            if ctx.params[param.name] not in (param.default, None, ())
+        }
+        for rule in RULES.get(str(self.name), ()):
+            first, *others = re.findall("--[a-z-]+", rule)
+            if first in given and given.isdisjoint(others) == ("needs" in rule):
+                raise InputError(rule)
+        return super().invoke(ctx)
 
 
 class LazyCommand(TyperCommand):

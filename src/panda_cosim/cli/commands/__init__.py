@@ -14,3 +14,4 @@ from typing import Final
 _TABLES: Final = tomllib.loads(Path(__file__).with_name("commands.toml").read_text("utf-8"))
 COMMANDS: Final[Mapping[str, tuple[str, str]]] = _TABLES["commands"]  # panel and summary by name
 ELSEWHERE: Final[Mapping[str, str]] = _TABLES["elsewhere"]
+RULES: Final[Mapping[str, list[str]]] = _TABLES["rules"]

@@ -90,10 +90,6 @@ def command(  # noqa: PLR0913 - one for each option
     """
     target = target_of(kind, fmi, platform, scalars=scalars, names=names)
     if slave:
-        others = {"--scenario": scenario != DEFAULT_SCENARIO, "--kind": kind != "auto",
-                  "--container": container, "--mujoco": mujoco != ""}  # fmt: skip
-        for name in (name for name, is_used in others.items() if is_used):
-            raise InputError(f"{name}: cannot be combined with --slave")
         fmu = _slave(slave)
         build = Build({out / f"{fmu.model}.fmu": _made(fmu, target)})
     else:

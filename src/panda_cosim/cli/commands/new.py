@@ -48,18 +48,13 @@ def command(  # noqa: PLR0913 - one for each option
         sweep: Add a sweep, which `regress` judges, too.
         franka: Add a program on pylibfranka that picks the block up, for you to edit.
     """
-    if source is not None and (law or plant or slave or franka):
-        raise InputError("--from: cannot be combined with --law, --plant, --slave or --franka")
-    if franka and (law or plant or slave):
-        raise InputError("--franka: cannot be combined with --law, --plant or --slave")
-    options = {"law": law, "plant": plant, "slave": slave, "sweep": sweep, "franka": franka}
-    parts = [part for part, is_asked_for in options.items() if is_asked_for]
+    parts = {"law": law, "plant": plant, "slave": slave, "sweep": sweep, "franka": franka}
     if source is not None and source.endswith(".fmu"):
         if sweep:
             raise InputError("--from X.fmu: cannot be combined with --sweep")
         made, judged = import_experiment(Path(source), name)
     else:
-        made, judged = make_scenario(name, parts, source), ""
+        made, judged = make_scenario(name, [part for part in parts if parts[part]], source), ""
     for text in (*map(str, made), *filter(None, [judged])):
         show(text)
     folder = as_argument(name)

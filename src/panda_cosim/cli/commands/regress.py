@@ -23,6 +23,7 @@ from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
 from ...study.compare.qualify import NO_EFFECT, Finding, score, write_findings
 from ...study.compare.qualify import qualify as find
+from ...study.compare.reference import Reference
 from ...study.compare.regress import (
     Outcome,
     Suite,
@@ -39,12 +40,19 @@ from ...study.compare.report import write_report
 from ...study.compare.wording import multiple
 from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores
-from ...task.fields import check_rules
 from ...task.scenario import Scenario
 from ...task.values import Values
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..forms import argument, flag, option
-from ..options import ENGINES, JSON, KIND, OVERWRITE, SETTINGS, announce_python, values_of
+from ..options import (
+    ENGINES,
+    JSON,
+    KIND,
+    OVERWRITE,
+    SETTINGS,
+    announce_python,
+    values_of,
+)
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES = {"good": "green", "warn": "yellow", "bad": "bold red"}  # of the levels of a verdict
@@ -113,19 +121,6 @@ def command(  # noqa: PLR0913 - one for each option
         min_score: With --qualify: the least share of changes to notice.
     """
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
-    check_rules({
-        "--update: cannot be combined with --set, --exact or --json; references are made of "
-        "unchanged scenarios": update and any((assignments, exact, json)),
-        "--yes: needs --update": yes and not update,
-        "--overwrite: needs --report": overwrite and report is None,
-        "--mujoco: cannot be combined with --update, --exact or --kind": (
-            engines and any((update, exact, kind != "auto"))
-        ),
-        "--qualify: cannot be combined with --update or --mujoco": (
-            qualify is not None and any((update, engines))
-        ),
-        "--min-score: needs --qualify": min_score and qualify is None,
-    })  # fmt: skip
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
     runs = list(with_values(variants(given, engines), values))
     suite = Suite(runs, exact, jobs or cores(), kind)
@@ -148,11 +143,7 @@ def command(  # noqa: PLR0913 - one for each option
             stack.callback(replace_kept_runs, report / "runs", outcomes)  # once references are made
         if update:
             return _update(outcomes, yes=yes)
-    if json:
-        show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
-    else:
-        _show_result(outcomes)
-        _show_engines(engines, rows)
+    _show_all(outcomes, engines, rows, json=json)
     raise typer.Exit(exit_code(outcomes))
 
 
@@ -271,22 +262,33 @@ def _described(outcome: Outcome) -> dict[str, object]:
     }
 
 
-def _show_result(outcomes: list[Outcome]) -> None:
-    """Print what differs, and how many match."""
-    wrong = [outcome for outcome in outcomes if not outcome.ok]
+def _show_all(
+    outcomes: list[Outcome], engines: Sequence[str], rows: list[list[Outcome]], *, json: bool
+) -> None:
+    """Print what differs, how many match, and what each MuJoCo changes."""
+    if json:
+        show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
+        return
+    wrong = [
+        (as_cell(o.name), f"[{STYLES[o.meaning.level]}]{o.verdict}", as_cell(o.reason))
+        for o in outcomes
+        if not o.ok
+    ]
     if wrong:
-        rows = [
-            (as_cell(o.name), f"[{STYLES[o.meaning.level]}]{o.verdict}", as_cell(o.reason))
-            for o in wrong
-        ]
-        show(table(("Scenario", "Verdict", "Why*"), rows))
-    alone = [outcome for outcome in outcomes if outcome.verdict in ("holds", "missed")]
-    judged = [each.name for each in alone if isinstance(each.scenario, Scenario)]
+        show(table(("Scenario", "Verdict", "Why*"), wrong))
     show(headline(outcomes), "bold red" if exit_code(outcomes) else "bold green")
+    _show_conditions(outcomes)
+    _show_engines(engines, rows)
+
+
+def _show_conditions(outcomes: list[Outcome]) -> None:
+    """Print which MuJoCo was compared with which, and what no reference has judged."""
     pairs = [outcome.comparison.engines for outcome in outcomes if outcome.comparison]
     if pairs:
         used, made = (", ".join(sorted(set(each))) for each in zip(*pairs, strict=True))
         show(f"MuJoCo of the runs: {used}; of the references: {made}")
+    alone = [outcome for outcome in outcomes if outcome.verdict in ("holds", "missed")]
+    judged = [each.name for each in alone if isinstance(each.scenario, Scenario)]
     if judged:
         show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
 
@@ -307,6 +309,20 @@ def _show_engines(engines: Sequence[str], rows: list[list[Outcome]]) -> None:
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:
     """Show what changes, and overwrite the references."""
+    changed, refused = _changed(outcomes)
+    replaced = sum(outcome.reference_path.exists() for outcome, _ in changed)
+    if replaced and not yes:
+        question = f"Overwrite {replaced} of {len(outcomes)} references?"
+        _ask(question, [outcome for outcome, _ in changed])
+    for outcome, reference in changed:
+        reference.write(outcome.reference_path, Recording.open(outcome.run))
+        show_file(outcome.reference_path)
+    if refused:
+        raise typer.Exit(CosimError.exit_code)
+
+
+def _changed(outcomes: list[Outcome]) -> tuple[list[tuple[Outcome, Reference]], int]:
+    """Show what changes; return new references that differ, and how many cannot be one."""
     changed, refused = [], 0
     for outcome in outcomes:
         try:
@@ -320,22 +336,19 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
             show(f"{outcome.name}: {line}", None if lines else "dim")
         if lines:
             changed.append((outcome, reference))
-    replaced = sum(outcome.reference_path.exists() for outcome, _ in changed)
-    if replaced and not yes:
-        question = f"Overwrite {replaced} of {len(outcomes)} references?"
-        if sys.stdin is None or not sys.stdin.isatty():
-            raise InputError(
-                f"--update: nothing was overwritten: {question} Answer with --yes, as standard "
-                "input is not a terminal"
-            )
-        page = default_folder("update") / REPORT_FILE
-        write_report([outcome for outcome, _ in changed], page, {})
-        show_file(page)  # with the differences from the references, before they are gone
-        if not typer.confirm(question):
-            warn("nothing was overwritten")
-            raise typer.Exit(1)
-    for outcome, reference in changed:
-        reference.write(outcome.reference_path, Recording.open(outcome.run))
-        show_file(outcome.reference_path)
-    if refused:
-        raise typer.Exit(CosimError.exit_code)
+    return changed, refused
+
+
+def _ask(question: str, changed: list[Outcome]) -> None:
+    """Ask whether references are to be overwritten, with a page of what changes; or end."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise InputError(
+            f"--update: nothing was overwritten: {question} Answer with --yes, as standard "
+            "input is not a terminal"
+        )
+    page = default_folder("update") / REPORT_FILE
+    write_report(changed, page, {})
+    show_file(page)  # with the differences from the references, before they are gone
+    if not typer.confirm(question):
+        warn("nothing was overwritten")
+        raise typer.Exit(1)

@@ -28,11 +28,19 @@ from ...study.sweep.report import REPORT_FILE, write_report
 from ...study.sweep.results import missing, share_bounds
 from ...study.sweep.row import STATUSES, UNJUDGED
 from ...study.sweep.store import Store
-from ...task.fields import check_rules
 from ...task.files import as_argument
 from ..console import as_cell, progress, show, show_file, show_json, table, tell, warn
 from ..forms import argument, option
-from ..options import ENGINES, JSON, MAP, OPEN_PAGE, OVERWRITE, ROW, SWEEP, announce_build
+from ..options import (
+    ENGINES,
+    JSON,
+    MAP,
+    OPEN_PAGE,
+    OVERWRITE,
+    ROW,
+    SWEEP,
+    announce_build,
+)
 from ..outcome import write_case
 
 FLIPS = 10  # flipped rows that are shown, of each kind
@@ -91,18 +99,11 @@ def command(  # noqa: PLR0913 - one for each option
             .csv, .parquet or .mcap. With --out, the fitted scenario's folder.
     """
     definition = _definition(sweep, vary, mujoco, min_success=min_success, confidence=confidence)
-    check_rules({
-        "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers": (
-            jobs is not None and dask not in (None, "local")
-        ),
-        "--junit: needs --min-success, without which there is no verdict": (
-            junit is not None and not definition.min_success
-        ),
-        "--fit: cannot be combined with --jobs, --dask, --time-limit, --mujoco or --junit": (
-            log and any((jobs, dask, time_limit, mujoco, junit))
-        ),
-        "--map: needs --fit": names and not log,
-    })  # fmt: skip
+    if jobs is not None and dask not in (None, "local"):
+        cannot = "cannot be combined with --dask ADDRESS, since the cluster has its own workers"
+        raise InputError(f"--jobs: {cannot}")
+    if junit is not None and not definition.min_success:
+        raise InputError("--junit: needs --min-success, without which there is no verdict")
     if log is not None:
         _fit(definition, log, names, out, json=json)
         return
