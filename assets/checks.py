@@ -121,13 +121,9 @@ def touch_measures(
     yield "external_moment", at_hand[:, 3:], most_force[3:], 0.0
 
 
-def hand_velocity_measure(twist: Array, lever: Array, limits: RobotLimits) -> Measure:
-    """Return the end effector's speed, of a hand's twist (n, 6) with the end effector at a lever.
-
-    The lever (n, 3) [m] is in world axes.
-    """
-    speed = lengths(twist[:, :3] + np.cross(twist[:, 3:], lever))
-    return "hand_velocity", speed, limits.translation[:1], 0.0
+def hand_velocity_measure(velocity: Array, limits: RobotLimits) -> Measure:
+    """Return the end effector's speed, of its velocity (n, 3) [m/s]."""
+    return "hand_velocity", lengths(velocity), limits.translation[:1], 0.0
 
 
 def torque_rate_measure(rate: Array, limits: RobotLimits) -> Measure:

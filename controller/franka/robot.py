@@ -9,21 +9,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Final
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 
 from ...assets import STEP_SIZE
 from ...assets.checks import refusals, torque_rate_measure
+from ..limits import clamp
 from ..model import Vector
 from ..signals import Buffer
 from .description import LIMITS, urdf
 from .gripper import Gripper
-from .line import SLICE, Line, LineError, Request, Service
-from .measured import Measured, elbow_of
-from .motions import MOTIONS, Kinematics, Motion
+from .line import Line, Request, Service
+from .measured import Measured
+from .motions import MOTIONS, Motion
 from .signals import INPUTS, OUTPUTS, Settings
-from .torques import CartesianImpedance, JointImpedance, within_limits
+from .torques import CartesianImpedance, JointImpedance
 from .wire import (
     COMMAND,
     ERRORS,
@@ -32,22 +34,22 @@ from .wire import (
     STATE,
     Control,
     Generator,
+    Message,
     Mode,
     MoveStatus,
+    ProgramError,
     Status,
-    Views,
-    columns,
-    matrix,
-    views,
 )
 
 REST: Final = 5e-3  # [rad/s] below which a joint is at rest
 MOST_BRAKING: Final = 1000  # ticks in which the arm comes to rest
 LOOK: Final = 0.0002  # [s] between two looks at whether a program has read a state
 PAUSE: Final = 0.001  # [s] between two states without a motion
+SLICE: Final = 0.1  # [s] of waiting for a command
 GRIPPER_EVERY: Final = 10  # ticks between two states of the gripper
 COUNTED: Final = 100  # commands of which the success rate is told
 BITS: Final = 2.0 ** np.arange(len(ERRORS))  # of the output `errors`
+SHOWN: Final = ("q_c", "dq_c", "O_T_EE_c", "tau_J_d")  # fields of commands, among the outputs
 COMMUNICATION: Final = "communication_constraints_violation"
 
 
@@ -57,76 +59,89 @@ class Delivery:
     def __init__(self, settings: Settings) -> None:
         self._delay, self._dropout = round(settings.delay / STEP_SIZE), settings.dropout
         self._random = np.random.default_rng(round(settings.seed))
-        self._counted: deque[bool] = deque(maxlen=COUNTED)
         self.start()
 
     def start(self) -> None:
         """Begin with nothing on its way."""
-        self._on_way: deque[Views] = deque()
-        self.lost_in_a_row = 0
-        self._counted.clear()
+        self._on_way: deque[Message] = deque()
+        self._came: deque[bool] = deque(maxlen=COUNTED)
+        self.lost = 0  # in a row
 
-    def pass_on(self, command: Views) -> Views | None:
+    def pass_on(self, command: Message) -> Message | None:
         """Send a command; return the one that arrives, if one does."""
         self._on_way.append(command)
         if len(self._on_way) <= self._delay:  # the first one has not arrived
             return None
         arrived = self._on_way.popleft()
-        is_lost = self._dropout > 0.0 and self._random.random() < self._dropout
-        self._counted.append(not is_lost)
-        self.lost_in_a_row = self.lost_in_a_row + 1 if is_lost else 0
-        return None if is_lost else arrived
+        self._came.append(self._dropout == 0.0 or self._random.random() >= self._dropout)
+        self.lost = 0 if self._came[-1] else self.lost + 1
+        return None if self.lost else arrived
 
     @property
     def success_rate(self) -> float:
         """Share of the last commands that have arrived."""
-        return sum(self._counted) / len(self._counted) if self._counted else 0.0
+        return sum(self._came) / max(len(self._came), 1)
 
 
 class Robot:
     """Answers requests, follows motions, and ends them by reflexes; one `tick` per millisecond."""
 
+    _line: Line
+    _service: Service
+
     def __init__(
         self, settings: Settings, inputs: Vector, outputs: Vector, warn: Callable[[str], None]
     ) -> None:
         self._settings, self._warn = settings, warn
-        self._inputs, self._outputs = Buffer(INPUTS, inputs).views, Buffer(OUTPUTS, outputs).views
-        self._message = np.zeros(1, STATE)
-        self._state, self._ticks, self._number = views(self._message), 0, 0
-        self._arm, self._gripper = Kinematics(), Gripper()
-        self._measured = Measured(self._inputs, self._arm)
+        self._outputs, self._gripper = Buffer(OUTPUTS, outputs).views, Gripper()
+        self._measured = Measured(Buffer(INPUTS, inputs).views)
+        self._arm = self._measured.arm
         self._joint_impedance = JointImpedance()
-        self._cartesian_impedance = CartesianImpedance(self._inputs, self._arm)
+        self._cartesian_impedance = CartesianImpedance(self._measured.inputs, self._arm)
         self._delivery = Delivery(settings)
+        self._state: Any = np.zeros(1, STATE)[0]
         self._mode, self._control = Mode.IDLE, Control.OTHER
         self._move: Request | None = None  # of the motion that is under way
-        self._motion: Motion | None = None  # None before the first tick
-        self._torque = np.zeros(7)  # commanded, without gravity
+        self._motion = Motion(self._arm, self._measured.q, self._measured.q)
+        self._torque = np.zeros(7)  # commanded, without what carries the arm
         self._is_told = self._is_opening = False
         self._due = 0  # number of the state whose command comes next
-        self._braking = 0  # ticks that the arm may still take to come to rest
-        self._answers: list[tuple[Request, int]] = []  # given once it is at rest
-        self._line: Line
-        self._service: Service
+        self._ticks = self._braking = 0  # the arm may still take so many to come to rest
+        self._answers: list[Callable[[], None]] = []  # given once it is at rest
+        self._measured.fill_frames(self._state)
+        self._changes: dict[str, Callable[..., None]] = {
+            "automatic_error_recovery": self._recover,
+            "set_collision_behavior": self._measured.set_thresholds,
+            "set_joint_impedance": self._joint_impedance.set_stiffness,
+            "set_cartesian_impedance": self._cartesian_impedance.set_stiffness,
+            "set_guiding_mode": lambda *_: None,  # nobody guides this arm by hand
+            "set_ee_to_k": self._measured.set_stiffness_frame,
+            "set_ne_to_ee": self._measured.set_end_effector,
+            "set_load": self._measured.set_load,
+        }
+        self._write()
 
     def listen(self) -> None:
-        """Wait for programs; raises LineError if that is not possible."""
-        address = self._settings.address
-        ports = round(self._settings.port), round(self._settings.gripper_port)
-        self._service = Service(ROBOT, self, address, ports[0])
-        try:
-            self._gripper.service = Service(GRIPPER, self._gripper, address, ports[1])
-        except LineError:
-            self._service.close()
-            raise
-        services = (self._service, self._gripper.service)
-        self._line = Line(services, self._settings.connection_timeout)
+        """Wait for programs; raises ProgramError if that is not possible."""
+        settings, hand = self._settings, self._gripper
+        self._service = Service(ROBOT, self, settings.address, round(settings.port))
+        hand.service = Service(GRIPPER, hand, settings.address, round(settings.gripper_port))
+        self._line = Line((self._service, hand.service), settings.connection_timeout)
 
     def close(self) -> None:
-        """Close all connections."""
-        self._line.close()
+        """Close all connections; may be called again."""
+        if hasattr(self, "_line"):
+            self._line.close()
 
     # What a program asks for.
+
+    def act(self, request: Request) -> None:
+        """Do it: a method, or a change."""
+        change = self._changes.get(request.name)
+        if change is None:
+            getattr(self, request.name)(request)
+        else:
+            self._set(request, change)
 
     def connect(self, request: Request) -> None:
         """Agree on the version, and send states from now on."""
@@ -135,97 +150,59 @@ class Robot:
 
     def move(self, request: Request) -> None:
         """Start a motion."""
-        control, number = int(request.body["controller"]), int(request.body["generator"]) + 1
+        body = request.body
+        kind, control = MOTIONS.get(body["generator"] + 1), body["controller"]
         if self._move or self._braking or self._mode == Mode.REFLEX:
             request.answer(MoveStatus.NOT_POSSIBLE)
-            return
-        if not _is_valid(control, number) or request.body["is_asynchronous"]:
+        elif kind is None or control >= Control.OTHER or body["is_asynchronous"] or (
+            kind is Motion and control != Control.EXTERNAL
+        ):  # fmt: skip
             request.answer(MoveStatus.INVALID)
-            return
-        self._move, self._mode, self._control = request, Mode.MOVE, Control(control)
-        self._motion = MOTIONS[Generator(number)](self._arm, self._held(), self._measured.q)
-        self._torque = np.zeros(7)
-        self._cartesian_impedance.start(self._motion)
-        self._delivery.start()
-        self._state.reflex_reason[:] = 0
-        self._is_told, self._is_opening = False, True
-        request.answer(MoveStatus.STARTED)
+        else:
+            generator = Generator(body["generator"] + 1)
+            self._motion = kind(self._arm, self._held(), self._measured.q, generator)
+            self._move, self._mode, self._control = request, Mode.MOVE, Control(control)
+            self._torque, self._is_told, self._is_opening = np.zeros(7), False, True
+            self._cartesian_impedance.start(self._motion)
+            self._delivery.start()
+            self._state["reflex_reason"] = 0
+            request.answer(MoveStatus.STARTED)
 
     def stop_move(self, request: Request) -> None:
         """End the motion, if there is one, and answer once the arm is at rest."""
         if self._move:
             self._end(MoveStatus.PREEMPTED)
-            self._answers.append((request, Status.SUCCESS))
+            self._answers.append(partial(request.answer, Status.SUCCESS))
         else:
-            request.answer(Status.SUCCESS)
-
-    def automatic_error_recovery(self, request: Request) -> None:
-        """Forget errors."""
-        if self._is_free(request):
-            self._mode = Mode.IDLE
-            self._state.errors[:] = 0
-            self._send_state()
             request.answer(Status.SUCCESS)
 
     def get_robot_model(self, request: Request) -> None:
         """Tell the arm's model."""
         request.answer(Status.SUCCESS, urdf())
 
-    def set_collision_behavior(self, request: Request) -> None:
-        """Change thresholds, of which only those of constant velocity are in use here."""
-        if self._is_free(request):
-            torques, forces = request.body["torques"], request.body["forces"]
-            self._measured.lower, self._measured.upper = zip(torques, forces, strict=True)
-            request.answer(Status.SUCCESS)
-
-    def set_joint_impedance(self, request: Request) -> None:
-        """Change the joints' springs."""
-        self._set(request, "stiffness", self._joint_impedance.set_stiffness)
-
-    def set_cartesian_impedance(self, request: Request) -> None:
-        """Change the hand's springs."""
-        self._set(request, "stiffness", self._cartesian_impedance.set_stiffness)
-
-    def set_guiding_mode(self, request: Request) -> None:
-        """Agree: nobody guides this arm by hand."""
+    def _set(self, request: Request, change: Callable[..., None]) -> None:
+        """Change something to the fields of a request, unless there is a motion."""
+        if self._move:
+            request.answer(Status.NOT_POSSIBLE)
+            return
+        try:
+            change(*(request.body or ()))
+        except ValueError as error:
+            self._warn(str(error))
+            request.answer(Status.INVALID)
+            return
+        self._measured.fill_frames(self._state)
+        self._send_state()  # before the answer, after which the program may look at it
         request.answer(Status.SUCCESS)
 
-    def set_ee_to_k(self, request: Request) -> None:
-        """Change the frame about which forces are told."""
-        if self._is_free(request):
-            self._measured.set_stiffness_frame(matrix(request.body["frame"]))
-            request.answer(Status.SUCCESS)
-
-    def set_ne_to_ee(self, request: Request) -> None:
-        """Change the end effector's frame."""
-        if self._is_free(request):
-            self._measured.set_end_effector(matrix(request.body["frame"]))
-            request.answer(Status.SUCCESS)
-
-    def set_load(self, request: Request) -> None:
-        """Change the load that the robot carries."""
-        if self._is_free(request):
-            self._measured.set_load(*(request.body[n] for n in ("mass", "centre", "inertia")))
-            request.answer(Status.SUCCESS)
+    def _recover(self) -> None:
+        """Forget errors."""
+        self._mode, self._state["errors"] = Mode.IDLE, 0
 
     def leave(self) -> None:
         """Notice that the program has gone: in a motion, it has died."""
         if self._move:
-            raise LineError("the client has closed its connection in a motion")
-
-    def _set(self, request: Request, field: str, change: Callable[[Vector], None]) -> None:
-        values = request.body[field].copy()
-        if not (np.isfinite(values) & (values > 0.0)).all():
-            request.answer(Status.INVALID)
-        elif self._is_free(request):
-            change(values)
-            request.answer(Status.SUCCESS)
-
-    def _is_free(self, request: Request) -> bool:
-        """Whether there is no motion; if there is one, that is the answer."""
-        if self._move:
-            request.answer(Status.NOT_POSSIBLE)
-        return self._move is None
+            raise ProgramError("the program has closed its connection in a motion")
 
     # What follows in each tick.
 
@@ -233,23 +210,24 @@ class Robot:
         """Take one internal step."""
         with self._line.tick():
             self._measured.update()
-            self._gripper.tick(self._inputs.qpos[7:])
-            self._ticks += 1
-            self._is_told = False
+            if self._ticks == 0:
+                self._motion = Motion(self._arm, self._measured.q, self._measured.q)
+                self._gripper.start(self._measured.fingers)
+            self._gripper.tick(self._measured.fingers)
             if self._ticks % GRIPPER_EVERY == 0:
                 self._tell()
-            if self._motion is None:
-                self._motion = Motion(self._arm, self._measured.q, self._measured.q)
+            self._ticks, self._is_told = self._ticks + 1, False
             self._brake()
-            self._line.serve(0.0)
-            if self._move and not self._is_opening:
+            if self._move is None:
+                self._line.serve(0.0)
+            elif not self._is_opening:
                 self._meet(self._measured.errors())
             command = self._wait()
             if command is not None:
                 self._follow(command)
             self._write()
 
-    def _wait(self) -> Views | None:
+    def _wait(self) -> Message | None:
         """Wait for a motion's command, or until there is something else to do."""
         while True:
             if self._move:
@@ -260,53 +238,46 @@ class Robot:
                 return None
             else:
                 self._tell()
-                self._line.serve(PAUSE if self._service.client else SLICE)
+                self._line.serve(PAUSE)
+                self._received()  # what a motion that has ended has left
 
-    def _exchange(self) -> Views | None:
+    def _exchange(self) -> Message | None:
         """Tell the program the state, and look for the command that answers it."""
         if not self._is_told:
             self._is_told = True
             self._send_state()
-            self._due = self._number
-            if self._is_opening:
-                self._open()
+            self._due = self._state["message_id"]
+            if self._is_opening:  # it reads a first state before that which it answers
+                while self._move and self._service.has_unread():
+                    self._line.serve(LOOK)
+                self._send_state()
+        self._line.serve(SLICE)
         command = self._received()
-        if command is None and self._move:
-            self._line.serve(SLICE)
-            command = self._received()
         self._is_opening = self._is_opening and command is None
         return command
 
-    def _open(self) -> None:
-        """Have the program read a first state, before that which it answers."""
-        client = self._service.client
-        while self._move and client and client.has_unread():
-            self._line.serve(LOOK)
-        self._send_state()
-
-    def _received(self) -> Views | None:
+    def _received(self) -> Message | None:
         """Return the command that is due, if it has come."""
-        client = self._service.client
-        for packet in client.packets(COMMAND.itemsize + 1) if client and self._move else ():
-            if len(packet) == COMMAND.itemsize:
-                command = views(np.frombuffer(packet, COMMAND))
-                if command.message_id >= self._due:
+        for packet in self._service.packets():
+            if self._move and len(packet) == COMMAND.itemsize:
+                command = np.frombuffer(packet, COMMAND)[0]
+                if command["message_id"] >= self._due:
                     return command
             self._line.count(1)
         return None
 
-    def _follow(self, command: Views) -> None:
+    def _follow(self, command: Message) -> None:
         """Follow a command, as far as it arrives and its limits allow."""
         arrived = self._delivery.pass_on(command)
-        assert self._motion is not None
         errors = self._motion.errors(arrived)
-        if self._delivery.lost_in_a_row >= LIMITS.lost_packets:
+        if self._delivery.lost >= LIMITS.lost_packets:
             errors.append(COMMUNICATION)
         is_finished = False
         if arrived is not None:
-            errors += self._take_torque(arrived.tau_J_d)
-            is_finished = bool(arrived.is_finished or arrived.is_torque_finished)
-            self._show(arrived)
+            errors += self._take_torque(arrived["tau_J_d"])
+            is_finished = bool(arrived["is_finished"] or arrived["is_torque_finished"])
+            for name in SHOWN:
+                getattr(self._outputs, name)[:] = arrived[name]
         if is_finished and not errors:
             errors += self._motion.end_errors()
         self._meet(errors)
@@ -317,26 +288,24 @@ class Robot:
         """Take over a commanded torque (7,) [N.m]; return what is refused."""
         if self._control != Control.EXTERNAL:
             return []
-        rate = (torque - self._torque) / STEP_SIZE
-        self._torque = torque
+        rate, self._torque = (torque - self._torque) / STEP_SIZE, torque
         return refusals([torque_rate_measure(rate[None], LIMITS)])
 
     def _meet(self, errors: list[str]) -> None:
         """End the motion by a reflex, if there are errors."""
         if errors:
             self._warn(f"reflex: {', '.join(errors)}")
-            for flags in (self._state.errors, self._state.reflex_reason):
-                flags[[ERRORS.index(error) for error in errors]] = 1
+            for flags in ("errors", "reflex_reason"):
+                self._state[flags][[ERRORS.index(error) for error in errors]] = 1
             self._end(MoveStatus.REFLEX, Mode.REFLEX)
 
     def _end(self, status: MoveStatus, mode: Mode = Mode.IDLE) -> None:
         """End the motion; the answer follows once the arm is at rest."""
-        assert self._move is not None
-        assert self._motion is not None
         stays = status == MoveStatus.SUCCESS and self._control == Control.JOINT_IMPEDANCE
         q = self._motion.q if stays else self._measured.q
         self._motion = Motion(self._arm, q, self._measured.q)
-        self._answers.append((self._move, status))
+        assert self._move is not None
+        self._answers.append(partial(self._move.answer, status))
         self._move, self._mode, self._control = None, mode, Control.OTHER
         self._braking = MOST_BRAKING
         self._send_state()
@@ -344,95 +313,57 @@ class Robot:
     def _brake(self) -> None:
         """Answer the requests that have ended a motion, once the arm is at rest."""
         if self._braking:
-            self._braking -= 1
-            if np.abs(self._measured.dq).max() < REST:
-                self._braking = 0
+            is_moving = bool(np.abs(self._measured.dq).max() >= REST)
+            self._braking = self._braking - 1 if is_moving else 0
             if not self._braking:
                 self._send_state()
-                for request, status in self._answers:
-                    request.answer(status)
+                for answer in self._answers:
+                    answer()
                 self._answers.clear()
 
     def _held(self) -> Vector:
         """Joints (7,) that the arm is held at, unless it has been moved away."""
-        assert self._motion is not None
         away = np.abs(self._motion.q - self._measured.q)
-        is_near = bool((away < LIMITS.velocity * STEP_SIZE).all())
+        is_near = (away < LIMITS.velocity * STEP_SIZE).all()
         return self._motion.q if is_near else self._measured.q
 
     # What it tells.
 
     def _tell(self) -> None:
-        """Send states to who has read the last ones."""
-        client = self._service.client
-        if client and not self._move and not client.has_unread():
+        """Send states to a program that has read the last ones."""
+        if not (self._move or self._service.has_unread()):
             self._send_state()
-        hand = self._gripper.service.client
-        if hand and not hand.has_unread():
+        if not self._gripper.service.has_unread():
             self._gripper.send_state()
 
     def _send_state(self) -> None:
         """Send the present state, if a program takes it."""
-        client = self._service.client
-        if client and client.is_connected:
-            self._fill()
-            client.send(self._message.tobytes())
-
-    def _fill(self) -> None:
-        state, motion = self._state, self._motion
-        self._number += 1
-        state.message_id[...] = self._number
+        state, is_moving = self._state, self._move is not None
+        state["message_id"] += 1
         self._measured.fill(state)
-        if motion is not None:
-            state.q_d[:], state.dq_d[:], state.ddq_d[:] = motion.q, motion.dq, motion.ddq
-            state.O_T_EE_d[:] = state.O_T_EE_c[:] = columns(motion.pose)
-            state.O_dP_EE_d[:] = state.O_dP_EE_c[:] = motion.twist
-            state.O_ddP_EE_c[:] = motion.turn
-            state.elbow_d[:] = elbow_of(motion.q)
-            for field, rate in zip(("elbow_c", "delbow_c", "ddelbow_c"), motion.elbow, strict=True):
-                getattr(state, field)[0] = rate
-            state.elbow_c[1] = state.elbow_d[1]
-        state.tau_J_d[:] = self._torque
-        state.motion_generator_mode[...] = self._generator
-        state.controller_mode[...], state.robot_mode[...] = self._control, self._mode
-        state.success_rate[...] = self._delivery.success_rate if self._move else 0.0
-
-    @property
-    def _generator(self) -> Generator:
-        if self._move is None or self._motion is None:
-            return Generator.IDLE
-        return self._motion.generator
-
-    def _show(self, command: Views) -> None:
-        """Show a command among the outputs."""
-        for name in ("q_c", "dq_c", "O_T_EE_c", "tau_J_d"):
-            getattr(self._outputs, name)[:] = getattr(command, name)
+        self._motion.fill(state)
+        state["tau_J_d"], state["controller_mode"] = self._torque, self._control
+        state["motion_generator_mode"] = self._motion.generator if is_moving else Generator.IDLE
+        state["robot_mode"], state["success_rate"] = self._mode, self._delivery.success_rate
+        self._service.send(state)
 
     def _write(self) -> None:
         """Write the outputs."""
-        y = self._outputs
-        y.ctrl[:7], y.ctrl[7] = within_limits(self._torques()), self._gripper.ctrl
+        y, measured = self._outputs, self._measured
+        torque = measured.bias + self._hold()
+        if self._control == Control.EXTERNAL:
+            torque = self._torque + self._arm.hand(measured.q).bias + measured.carrying()
+        y.ctrl[:7], y.ctrl[7] = clamp(torque, -LIMITS.torque, LIMITS.torque), self._gripper.ctrl
         y.robot_mode[...], y.controller_mode[...] = self._mode, self._control
-        y.motion_generator[...] = self._generator
-        y.errors[...] = self._state.errors @ BITS
+        y.motion_generator[...] = self._state["motion_generator_mode"]
+        y.errors[...] = self._state["errors"] @ BITS
         y.success_rate[...] = self._delivery.success_rate
 
-    def _torques(self) -> Vector:
-        """Return the torques (7,) [N.m] of the motion, or of rest."""
-        measured, motion = self._measured, self._motion
-        assert motion is not None
-        if self._control == Control.EXTERNAL:
-            return self._torque + self._arm.hand(measured.q).bias + measured.carrying()
+    def _hold(self) -> Vector:
+        """Return the torques (7,) [N.m] of the robot's own controllers, which it tells, too."""
         if self._control == Control.CARTESIAN_IMPEDANCE:
-            torque = self._cartesian_impedance.torque(motion) + measured.carrying()
-        else:
-            torque = self._joint_impedance.torque(measured.q, measured.dq, motion) + measured.bias
-        self._torque = torque - measured.bias
-        return torque
-
-
-def _is_valid(control: int, generator: int) -> bool:
-    """Whether a controller can follow a motion generator; torques alone need no other."""
-    if generator == Generator.NONE:
-        return control == Control.EXTERNAL
-    return generator in MOTIONS and control < Control.OTHER
+            self._torque = self._cartesian_impedance.torque(self._motion)
+        elif self._control != Control.EXTERNAL:
+            q, dq = self._measured.q, self._measured.dq
+            self._torque = self._joint_impedance.torque(q, dq, self._motion)
+        return self._torque

@@ -9,10 +9,8 @@ from typing import Final
 import numpy as np
 
 from ...assets import STEP_SIZE
-from ...assets.franka import TORQUE_MAX
 from ..gains import Gains
 from ..impedance import ImpedanceLaw
-from ..limits import clamp
 from ..model import Vector
 from ..signals import OUTPUTS, Buffer, Views
 from .description import ROBOT
@@ -21,7 +19,6 @@ from .motions import Kinematics, Motion
 # Of the joints' springs [N.m/rad] and dampers [N.m.s/rad]: a fast and well damped arm.
 STIFFNESS: Final = np.array([3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0])
 DAMPING: Final = np.array([110.0, 110.0, 80.0, 70.0, 30.0, 25.0, 20.0])
-GRAVITY: Final = 9.81  # [m/s^2]
 
 
 class JointImpedance:
@@ -32,7 +29,8 @@ class JointImpedance:
 
     def set_stiffness(self, stiffness: Vector) -> None:
         """Change the springs (7,) [N.m/rad]; the dampers keep the damping ratio."""
-        self._stiffness, self._damping = stiffness, DAMPING * np.sqrt(stiffness / STIFFNESS)
+        self._stiffness = _positive(stiffness)
+        self._damping = DAMPING * np.sqrt(self._stiffness / STIFFNESS)
 
     def torque(self, q: Vector, dq: Vector, motion: Motion) -> Vector:
         """Return the torques (7,) [N.m], without those that carry the arm."""
@@ -59,7 +57,7 @@ class CartesianImpedance:
 
     def set_stiffness(self, stiffness: Vector) -> None:
         """Change the springs (6,) [N/m, N.m/rad]."""
-        self._gains = replace(self._gains, stiffness=tuple(stiffness.tolist()))
+        self._gains = replace(self._gains, stiffness=tuple(_positive(stiffness).tolist()))
         self._law.set_gains(self._gains)
 
     def start(self, motion: Motion) -> None:
@@ -68,10 +66,10 @@ class CartesianImpedance:
         self._law.start()
 
     def torque(self, motion: Motion) -> Vector:
-        """Return the torques (7,) [N.m], with those that carry the arm."""
+        """Return the torques (7,) [N.m], without those that carry the arm."""
         self._command(motion)
         self._law.update()
-        torque: Vector = self._outputs.motor_torque.copy()
+        torque: Vector = self._outputs.motor_torque - self._inputs.qfrc_bias
         return torque
 
     def _command(self, motion: Motion) -> None:
@@ -82,12 +80,8 @@ class CartesianImpedance:
         inputs.posture_cmd[:] = motion.q
 
 
-def carrying(jac: Vector, mass: float, lever: Vector) -> Vector:
-    """Torques (7,) [N.m] that carry a mass [kg] at a lever (3,) [m] from the hand, world axes."""
-    upwards: Vector = jac[2] + jac[3] * lever[1] - jac[4] * lever[0]
-    return mass * GRAVITY * upwards
-
-
-def within_limits(torque: Vector) -> Vector:
-    """Return torques (7,) [N.m] within what the motors can give."""
-    return clamp(torque, -TORQUE_MAX, TORQUE_MAX)
+def _positive(stiffness: Vector) -> Vector:
+    """Return a copy of stiffnesses; ValueError if one is not positive."""
+    if not (np.isfinite(stiffness) & (stiffness > 0.0)).all():
+        raise ValueError(f"stiffness {stiffness}; must be positive")
+    return stiffness.copy()

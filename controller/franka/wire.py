@@ -11,14 +11,21 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Layout = np.dtype[np.void]
-Views = SimpleNamespace  # fields of a message by name
+Message = Any  # a record: its fields by their names, `message["q"]`
+
+
+NOTHING: Final = np.dtype([])
+LONGEST: Final = 4096  # [byte] of a request; none is nearly as long
+
+
+class ProgramError(ValueError):
+    """A program has died, floods, or sends what is no message; or none has come."""
 
 
 class Generator(IntEnum):
@@ -84,10 +91,22 @@ class Protocol:
         head = self.header.itemsize
         while len(data) >= head:
             number, identity, size = np.frombuffer(data, self.header, 1)[0].item()
-            if len(data) < max(size, head):
+            if not head <= size <= LONGEST:
+                raise ProgramError(f"the program sends {size} bytes, which is no request")
+            if len(data) < size:
                 return
-            yield number, identity, max(size, head), data[head:size]
-            data = data[max(size, head) :]
+            yield number, identity, size, data[head:size]
+            data = data[size:]
+
+    def read(self, number: int, body: bytes) -> tuple[str, Message]:
+        """Return the name of a request and its fields."""
+        name, fields = (*self.requests, ("", NOTHING))[min(number, len(self.requests))]
+        if not name or len(body) != fields.itemsize:
+            raise ProgramError(
+                f"the program sends request {number} of {len(body)} bytes, which version "
+                f"{self.version} of the {self.name} does not have"
+            )
+        return name, np.frombuffer(body, fields)[0] if body else None
 
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -100,12 +119,6 @@ ROBOT, GRIPPER = (
              tuple((request, layout(fields)) for request, fields in each["requests"].items()))
     for name, each in _TABLES["services"].items()
 )  # fmt: skip
-
-
-def views(message: NDArray[np.void]) -> Views:
-    """Return the fields of a message (1,) as arrays of its memory."""
-    names = message.dtype.names or ()
-    return SimpleNamespace(**{n: message[n].reshape(message.dtype[n].shape) for n in names})
 
 
 def matrix(columns: Any) -> NDArray[np.float64]:

@@ -173,7 +173,8 @@ class _Arm:
             external, at_hand, limits.collision_torque, limits.collision_force
         )
         twist = (jac @ qd[:, :, None])[:, :, 0]
-        yield hand_velocity_measure(twist, _fingertips(signals[HAND[1]][-count:]), limits)
+        lever = _fingertips(signals[HAND[1]][-count:])
+        yield hand_velocity_measure(twist[:, :3] + np.cross(twist[:, 3:], lever), limits)
 
 
 def preflight(recording: Recording, robot: str) -> Metrics:

@@ -1,0 +1,358 @@
+"""Programs of a real Franka, run as `python franka_clients.py NAME ADDRESS`; each prints JSON.
+
+They are on pylibfranka or on franky; a process can import only one of these.
+"""
+
+import json
+import os
+import socket
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+TICKS = 800  # of a motion
+WAVE = 0.5 * (1.0 - np.cos(2.0 * np.pi * np.arange(TICKS) / (TICKS - 1)))  # there and back
+SHARES = np.linspace(0.0, 1.0, TICKS)
+RAMP = SHARES**3 * (10.0 - 15.0 * SHARES + 6.0 * SHARES**2)  # there, with no acceleration at an end
+JOINTS = 0.1 * np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0])  # [rad] that a motion goes
+UPWARDS = 0.04  # [m]
+READING, MOVING = 1.0, 0.02  # [rad] far away; in a tick, far above all limits
+THRESHOLD = 100.0  # [N, N.m] above what a motion needs
+
+
+def connected(address: str) -> tuple[Any, Any]:
+    """Return pylibfranka, and a robot."""
+    import pylibfranka  # noqa: PLC0415 - see above
+
+    robot = pylibfranka.Robot(address, pylibfranka.RealtimeConfig.kIgnore)
+    robot.set_collision_behavior(*([THRESHOLD] * n for n in (7, 7, 6, 6)))
+    return pylibfranka, robot
+
+
+def follow(
+    control: Any, command: Callable[[Any, int], Any], ticks: int = TICKS, pause: float = 0.0
+) -> Any:
+    """Send what a function makes of the first state and the tick; return what states told."""
+    states, durations, first = [], set(), None
+    for tick in range(ticks):
+        state, duration = control.readOnce()
+        first = first or state
+        durations.add(round(1e3 * duration.to_sec()))
+        states.append([state.q, state.q_d, state.tau_J_d])
+        time.sleep(pause if tick == ticks // 2 else 0.0)
+        sent = command(first, tick)
+        sent.motion_finished = tick == ticks - 1
+        control.writeOnce(sent)
+    q, q_d, torque = np.array(states).transpose(1, 0, 2)
+    return {
+        "durations": sorted(durations),
+        "lag": np.abs(q - q_d).max(),
+        "way": (q.max(axis=0) - q.min(axis=0)).tolist(),
+        "torque": np.abs(torque).max(),
+    }
+
+
+def joint(address: str, controller: str = "JointImpedance", pause: float = 0.0) -> Any:
+    """Move joints by positions."""
+    franka, robot = connected(address)
+
+    def command(first: Any, tick: int) -> Any:
+        return franka.JointPositions((np.array(first.q_d) + WAVE[tick] * JOINTS).tolist())
+
+    control = robot.start_joint_position_control(getattr(franka.ControllerMode, controller))
+    return follow(control, command, pause=pause)
+
+
+def paused(address: str) -> Any:
+    """Stop for a while in the middle, as under a debugger."""
+    return joint(address, pause=1.5)
+
+
+def compliant(address: str) -> Any:
+    """Move joints behind the hand's impedance."""
+    return joint(address, "CartesianImpedance")
+
+
+def soft(address: str) -> Any:
+    """Move joints on springs that are soft."""
+    franka, robot = connected(address)
+    robot.set_joint_impedance([300.0] * 7)
+    control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
+    return follow(
+        control,
+        lambda first, k: franka.JointPositions((np.array(first.q) + WAVE[k] * JOINTS).tolist()),
+    )
+
+
+def joint_velocity(address: str) -> Any:
+    """Move joints by velocities."""
+    franka, robot = connected(address)
+    speed = np.gradient(WAVE) / 1e-3
+    control = robot.start_joint_velocity_control(franka.ControllerMode.JointImpedance)
+    speed[[0, -1]] = 0.0
+    return follow(control, lambda _, k: franka.JointVelocities((speed[k] * JOINTS).tolist()))
+
+
+def pose(address: str) -> Any:
+    """Lift the end effector by poses, then lower it by twists; tell where it has been."""
+    franka, robot = connected(address)
+    places = [robot.read_once().O_T_EE[14]]
+
+    def lift(first: Any, tick: int) -> Any:
+        columns = list(first.O_T_EE_c)
+        columns[14] += UPWARDS * RAMP[tick]
+        return franka.CartesianPose(columns)
+
+    def lower(_first: Any, tick: int) -> Any:
+        speed = np.diff(RAMP, append=1.0)[tick] / 1e-3
+        return franka.CartesianVelocities([0.0, 0.0, -UPWARDS * speed, 0.0, 0.0, 0.0])
+
+    mode = franka.ControllerMode.CartesianImpedance
+    follow(robot.start_cartesian_pose_control(mode), lift)
+    places.append(robot.read_once().O_T_EE[14])
+    follow(robot.start_cartesian_velocity_control(franka.ControllerMode.JointImpedance), lower)
+    return [*places, robot.read_once().O_T_EE[14]]
+
+
+def torque(address: str) -> Any:
+    """Hold the arm by torques of the client's own law, with its model."""
+    franka, robot = connected(address)
+    model, goal = robot.load_model(), np.array(robot.read_once().q)
+    state = robot.read_once()
+    control = robot.start_torque_control()
+    for tick in range(TICKS):
+        state, _ = control.readOnce()
+        spring = 400.0 * (goal + 0.5 * WAVE[tick] * JOINTS - state.q) - 30.0 * np.array(state.dq)
+        sent = franka.Torques((spring + np.array(model.coriolis(state))).tolist())
+        sent.motion_finished = tick == TICKS - 1
+        control.writeOnce(sent)
+    return {"away": np.abs(np.array(state.q) - goal).max(), "q": list(state.q),
+            "gravity": list(model.gravity(state)), "mass": list(model.mass(state)),
+            "end_effector": list(state.O_T_EE)}  # fmt: skip
+
+
+REFUSED = {  # what is wrong in the 100th command of a motion, by the way it is sent
+    "jump": ("position", lambda tick: MOVING * (tick == 100)),
+    "kink": ("position", lambda tick: 1e-4 * (tick == 100)),
+    "start": ("position", lambda tick: 0.01),
+    "speed": ("velocity", lambda tick: 4.0 * tick * 1e-3),
+    "end": ("velocity", lambda tick: 4.0 * tick * 1e-3),
+    "end of range": ("velocity", lambda tick: -2.0 * min(tick, 500) * 1e-3),
+    "torque": ("torque", lambda tick: 5.0 * (tick == 100)),
+}
+
+
+def refused(address: str, what: str) -> Any:
+    """Ask for what the robot refuses, recover, and move again."""
+    franka, robot = connected(address)
+    kind, wrong = REFUSED[what]
+    mode = franka.ControllerMode.JointImpedance
+    joint_of = 3 if what == "end of range" else 0
+    axis, ticks = np.eye(7)[joint_of], 200 if what == "end" else 3000
+
+    def command(first: Any, tick: int) -> Any:
+        if kind == "position":
+            return franka.JointPositions((np.array(first.q) + wrong(tick) * axis).tolist())
+        make = franka.JointVelocities if kind == "velocity" else franka.Torques
+        return make((wrong(tick) * axis).tolist())
+
+    start = {"position": lambda: robot.start_joint_position_control(mode),
+             "velocity": lambda: robot.start_joint_velocity_control(mode),
+             "torque": robot.start_torque_control}[kind]  # fmt: skip
+    return after_refusal(franka, robot, lambda: follow(start(), command, ticks))
+
+
+def after_refusal(franka: Any, robot: Any, act: Callable[[], Any]) -> Any:
+    """Return the exception's text, that of a motion before recovery, and that it moves after."""
+    told = []
+    for attempt in (act, robot.start_torque_control):
+        try:
+            attempt()
+        except (franka.ControlException, franka.CommandException) as error:
+            told.append(str(error))
+    modes = [str(robot.read_once().robot_mode)]
+    robot.automatic_error_recovery()
+    state = robot.read_once()
+    modes.append(str(state.robot_mode))
+    again = follow(
+        robot.start_joint_position_control(franka.ControllerMode.JointImpedance),
+        lambda first, k: franka.JointPositions((np.array(first.q_d) + WAVE[k] * JOINTS).tolist()),
+    )
+    return {"told": told, "modes": modes, "errors": str(state.current_errors),
+            "again": again["way"]}  # fmt: skip
+
+
+def pressing(address: str) -> Any:
+    """Go down until the block or the table stops the hand."""
+    franka, robot = connected(address)
+    robot.set_collision_behavior(*([20.0] * n for n in (7, 7, 6, 6)))
+
+    def command(_first: Any, tick: int) -> Any:
+        return franka.CartesianVelocities([0.0, 0.0, -0.15 * min(1e-3 * tick, 1.0), 0.0, 0.0, 0.0])
+
+    def act() -> None:
+        mode = franka.ControllerMode.JointImpedance
+        follow(robot.start_cartesian_velocity_control(mode), command, 20 * TICKS)
+
+    return after_refusal(franka, robot, act)
+
+
+def lossy(address: str) -> Any:
+    """Move over a line that loses commands."""
+    franka, robot = connected(address)
+    control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
+    try:
+        return follow(control, lambda first, k: franka.JointPositions(
+            (np.array(first.q_d) + WAVE[k % TICKS] * JOINTS).tolist()), 4 * TICKS)  # fmt: skip
+    except franka.ControlException as error:
+        return str(error)
+
+
+def stopped(address: str) -> Any:
+    """Stop a motion from another thread."""
+    franka, robot = connected(address)
+    control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
+    first, _ = control.readOnce()
+    thread = threading.Thread(target=robot.stop)
+    try:
+        for tick in range(100_000):
+            control.writeOnce(franka.JointPositions(first.q_d))
+            if tick == 100:
+                thread.start()
+            control.readOnce()
+    except franka.ControlException as error:
+        thread.join()
+        return [str(error), str(robot.read_once().robot_mode)]
+    return None
+
+
+def gripper(address: str) -> Any:
+    """Move the fingers, grasp air, and what is 40 mm wide with 60 mm asked for."""
+    import pylibfranka  # noqa: PLC0415 - see above
+
+    hand = pylibfranka.Gripper(address)
+    told = [hand.homing(), hand.move(0.05, 0.1), hand.read_once().width]
+    told += [hand.grasp(0.03, 0.1, 20.0, 0.005, 0.005), hand.read_once().is_grasped]
+    told += [hand.move(0.04, 0.1), hand.grasp(0.0, 0.1, 20.0, 0.005, 0.005)]
+    return [*told, hand.read_once().is_grasped, hand.read_once().width, hand.stop()]
+
+
+def settings(address: str) -> Any:
+    """Set what can be set, and tell what the state says of it."""
+    _, robot = connected(address)
+    before = robot.read_once()
+    turn = [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1, 1.0]
+    robot.set_EE(turn)
+    robot.set_K(turn)
+    robot.set_load(0.5, [0.0, 0.0, 0.1], [1e-3, 0.0, 0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1e-3])
+    robot.set_cartesian_impedance([1000.0] * 3 + [100.0] * 3)
+    after = robot.read_once()
+    names = ("O_T_EE", "F_T_EE", "F_T_NE", "NE_T_EE", "EE_T_K", "m_load", "m_ee", "F_x_Cee")
+    return [{name: np.ravel(getattr(state, name)).tolist() for name in names}
+            for state in (before, after)]  # fmt: skip
+
+
+def twice(address: str) -> Any:
+    """Connect, leave, and connect again."""
+    first = connected(address)[1].read_once().q
+    return [first, connected(address)[1].read_once().q]
+
+
+def dies(address: str) -> Any:
+    """Die in the middle of a motion."""
+    franka, robot = connected(address)
+    control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
+    for _ in range(100):
+        first, _ = control.readOnce()
+        control.writeOnce(franka.JointPositions(first.q_d))
+    print("null", flush=True)
+    os._exit(0)
+
+
+def talk(address: str, data: bytes, answer: int = 0) -> bytes:
+    """Send bytes to the robot's port, and read so many."""
+    with socket.create_connection((address, 1337)) as line:
+        line.sendall(data)
+        return line.recv(answer, socket.MSG_WAITALL) if answer else line.recv(1)
+
+
+def unknown(address: str) -> Any:
+    """Ask for what there is not."""
+    return len(talk(address, struct.pack("<III", 77, 0, 12)))
+
+
+def wrong_size(address: str) -> Any:
+    """Connect with too few bytes."""
+    return len(talk(address, struct.pack("<IIIH", 0, 0, 14, 10)))
+
+
+def nonsense(address: str) -> Any:
+    """Send bytes that are no request."""
+    return len(talk(address, b"\xff" * 100_000))
+
+
+def older(address: str) -> Any:
+    """Speak another version; return status and version of the answer."""
+    return struct.unpack("<BH", talk(address, struct.pack("<IIIHH", 0, 0, 16, 9, 5000), 15)[12:])
+
+
+def floods(address: str) -> Any:
+    """Ask without end, and read no answer."""
+    request = struct.pack("<III", 2, 0, 12) * 1000
+    with socket.create_connection((address, 1337)) as line, suppress(ConnectionError):
+        while True:
+            line.sendall(request)
+            with suppress(BlockingIOError):
+                line.recv(1_000_000, socket.MSG_DONTWAIT)
+    return None
+
+
+def idle(address: str) -> Any:
+    """Stay, without a motion, until the robot closes the connection."""
+    return len(talk(address, struct.pack("<IIIHH", 0, 0, 16, 10, 5000), 15))
+
+
+def with_franky(address: str) -> Any:
+    """Move in all of franky's ways."""
+    from franky import (  # noqa: PLC0415 - see above
+        Affine,
+        CartesianMotion,
+        CartesianVelocityWaypoint,
+        CartesianVelocityWaypointMotion,
+        Duration,
+        Gripper,
+        JointMotion,
+        JointVelocityWaypoint,
+        JointVelocityWaypointMotion,
+        RealtimeConfig,
+        ReferenceType,
+        Robot,
+        Twist,
+    )
+
+    robot = Robot(address, realtime_config=RealtimeConfig.Ignore)
+    robot.relative_dynamics_factor = 0.05
+    robot.set_collision_behavior(THRESHOLD, THRESHOLD)
+    robot.move(JointMotion([0.1, 0.1, 0.0, -1.6, 0.0, 1.7, -0.7]))
+    told = [list(robot.state.q), robot.state.O_T_EE.translation.tolist()]
+    robot.move(CartesianMotion(Affine([0.0, 0.05, -0.05]), ReferenceType.Relative))
+    told.append(robot.state.O_T_EE.translation.tolist())
+    hold = Duration(100)
+    turn = JointVelocityWaypoint([0.1] + [0.0] * 6, hold_target_duration=hold)
+    robot.move(JointVelocityWaypointMotion([turn, JointVelocityWaypoint([0.0] * 7)]))
+    told.append(list(robot.state.q))
+    push = CartesianVelocityWaypoint(Twist([0.05, 0.0, 0.0]), hold_target_duration=hold)
+    rest = CartesianVelocityWaypoint(Twist([0.0, 0.0, 0.0]))
+    robot.move(CartesianVelocityWaypointMotion([push, rest]))
+    hand = Gripper(address)
+    return [*told, hand.move(0.03, 0.1), hand.width]
+
+
+if __name__ == "__main__":
+    print(json.dumps(globals()[sys.argv[1]](*sys.argv[2:])), flush=True)
