@@ -22,7 +22,7 @@ SHARES = np.linspace(0.0, 1.0, TICKS)
 RAMP = SHARES**3 * (10.0 - 15.0 * SHARES + 6.0 * SHARES**2)  # there, with no acceleration at an end
 JOINTS = 0.1 * np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0])  # [rad] that a motion goes
 UPWARDS = 0.04  # [m]
-READING, MOVING = 1.0, 0.02  # [rad] far away; in a tick, far above all limits
+MOVING = 0.02  # [rad] in a tick, far above all limits
 THRESHOLD = 100.0  # [N, N.m] above what a motion needs
 
 
@@ -188,28 +188,30 @@ def after_refusal(franka: Any, robot: Any, act: Callable[[], Any]) -> Any:
             "again": again["way"]}  # fmt: skip
 
 
-def pressing(address: str) -> Any:
-    """Go down until the block or the table stops the hand."""
+def touched(address: str, threshold: str) -> Any:
+    """Stay, while somebody pushes the hand."""
     franka, robot = connected(address)
-    robot.set_collision_behavior(*([20.0] * n for n in (7, 7, 6, 6)))
-
-    def command(_first: Any, tick: int) -> Any:
-        return franka.CartesianVelocities([0.0, 0.0, -0.15 * min(1e-3 * tick, 1.0), 0.0, 0.0, 0.0])
+    robot.set_collision_behavior(*([float(threshold)] * n for n in (7, 7, 6, 6)))
 
     def act() -> None:
         mode = franka.ControllerMode.JointImpedance
-        follow(robot.start_cartesian_velocity_control(mode), command, 20 * TICKS)
+        control = robot.start_joint_position_control(mode)
+        follow(control, lambda first, _: franka.JointPositions(first.q))
 
     return after_refusal(franka, robot, act)
 
 
 def lossy(address: str) -> Any:
-    """Move over a line that loses commands."""
+    """Move gently over a line that loses commands."""
     franka, robot = connected(address)
+
+    def command(first: Any, tick: int) -> Any:
+        way = 0.2 * WAVE[tick % (TICKS - 1)] * JOINTS
+        return franka.JointPositions((np.array(first.q_d) + way).tolist())
+
     control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
     try:
-        return follow(control, lambda first, k: franka.JointPositions(
-            (np.array(first.q_d) + WAVE[k % TICKS] * JOINTS).tolist()), 4 * TICKS)  # fmt: skip
+        return follow(control, command, 2 * TICKS)
     except franka.ControlException as error:
         return str(error)
 

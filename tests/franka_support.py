@@ -42,6 +42,7 @@ def claimed_address() -> Iterator[str]:
             address = f"127.0.1.{i}"
             try:
                 claim.bind((address, CLAIM))
+                socket.create_server((address, 1337)).close()
             except OSError:
                 continue
             yield address

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
+import tomllib
 from collections.abc import Iterable
 from functools import cache
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import mujoco
@@ -15,6 +16,9 @@ from ..model import FINGERTIPS, Vector, load_arm
 
 ROBOT: Final = "fr3"
 LIMITS: Final = ROBOTS[ROBOT]
+_TEXTS: Final[dict[str, str]] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+)
 
 
 class EndEffector(NamedTuple):
@@ -33,15 +37,14 @@ def end_effector() -> EndEffector:
     model = load_arm(robot=ROBOT)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    hand, flange = data.body("hand"), data.body("link7").xmat.reshape(3, 3)
+    hand, axes = data.body("hand"), data.body("link7").xmat.reshape(3, 3)
     each = [model.body(name).id for name in ("hand", "left_finger", "right_finger")]
-    masses, centres = model.body_mass[each], (data.xipos[each] - hand.xpos) @ flange
-    centre = masses @ centres / masses.sum()
-    inertia = np.zeros((3, 3))
+    masses, centres = model.body_mass[each], (data.xipos[each] - hand.xpos) @ axes
+    centre, inertia = masses @ centres / masses.sum(), np.zeros((3, 3))
     for body, mass, away in zip(each, masses, centres - centre, strict=True):
-        inertia += _turned(flange.T @ data.ximat[body].reshape(3, 3), model.body_inertia[body])
+        inertia += _turned(axes.T @ data.ximat[body].reshape(3, 3), model.body_inertia[body])
         inertia += mass * (away @ away * np.eye(3) - np.outer(away, away))
-    pose = transform(flange.T @ hand.xmat.reshape(3, 3))
+    pose = transform(axes.T @ hand.xmat.reshape(3, 3))
     return EndEffector(masses.sum(), centre, inertia, pose, pose @ transform(np.eye(3), FINGERTIPS))
 
 
@@ -68,47 +71,34 @@ def _turned(axes: Vector, inertia: Vector) -> Vector:
 @cache
 def urdf() -> bytes:
     """Return the arm's model without its hand, with the limits that libfranka reads."""
-    model, root = load_arm(robot=ROBOT), ET.Element("robot", name=ROBOT)
-    for i in range(8):
-        body = model.body(f"link{i}")
-        _add_link(root, f"link{i}", body)
-        if i > 0:
-            joint = _add_joint(root, i, "revolute", body.pos, rotation(body.quat))
-            _add_limits(joint, i - 1)
-    _add_joint(root, 8, "fixed", model.body("hand").pos, np.eye(3))
-    ET.SubElement(root, "link", name="link8")
-    return b'<?xml version="1.0"?>' + ET.tostring(root)
+    bodies = [
+        load_arm(robot=ROBOT).body(name) for name in (*(f"link{i}" for i in range(8)), "hand")
+    ]
+    parts = [_link(0, bodies[0])]
+    for i in range(1, 8):
+        ends = {name: values[i - 1] for name, values in LIMITS.approach.items()}
+        limits = _TEXTS["limits"].format(
+            torque=LIMITS.torque[i - 1], velocity=LIMITS.velocity[i - 1], **ends
+        )
+        turn = rotation(bodies[i].quat)
+        parts += [_link(i, bodies[i]), _joint(i, "revolute", bodies[i].pos, turn, limits)]
+    parts += [_TEXTS["flange"], _joint(8, "fixed", bodies[8].pos, np.eye(3), "")]
+    return _TEXTS["document"].format(name=ROBOT, parts="".join(parts)).encode()
 
 
-def _add_link(root: ET.Element, name: str, body: Any) -> None:
-    inertial = ET.SubElement(ET.SubElement(root, "link", name=name), "inertial")
-    ET.SubElement(inertial, "origin", xyz=_words(body.ipos), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=_words(body.mass))
-    matrix = _turned(rotation(body.iquat), body.inertia)
-    places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
-              "izz": (2, 2)}  # fmt: skip
-    ET.SubElement(inertial, "inertia", {n: _words([matrix[at]]) for n, at in places.items()})
+def _link(i: int, body: Any) -> str:
+    inertia = _turned(rotation(body.iquat), body.inertia)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia
+    return _TEXTS["link"].format(i=i, centre=_words(body.ipos), mass=body.mass[0], xx=xx, xy=xy,
+                                 xz=xz, yy=yy, yz=yz, zz=zz)  # fmt: skip
 
 
-def _add_joint(root: ET.Element, i: int, kind: str, position: Vector, turn: Vector) -> ET.Element:
-    joint = ET.SubElement(root, "joint", name=f"joint{i}", type=kind)
+def _joint(i: int, kind: str, position: Vector, turn: Vector, limits: str) -> str:
     pitch = np.arcsin(np.clip(-turn[2, 0], -1.0, 1.0))
     angles = np.arctan2(turn[2, 1], turn[2, 2]), pitch, np.arctan2(turn[1, 0], turn[0, 0])
-    ET.SubElement(joint, "origin", xyz=_words(position), rpy=_words(angles))
-    ET.SubElement(joint, "parent", link=f"link{i - 1}")
-    ET.SubElement(joint, "child", link=f"link{i}")
-    ET.SubElement(joint, "axis", xyz="0 0 1")
-    return joint
-
-
-def _add_limits(joint: ET.Element, i: int) -> None:
-    ends = {name: _words([value[i]]) for name, value in LIMITS.approach.items()}
-    effort, velocity = _words([LIMITS.torque[i]]), _words([LIMITS.velocity[i]])
-    ET.SubElement(joint, "limit", lower=ends["low"], upper=ends["high"], effort=effort,
-                  velocity=velocity)  # fmt: skip
-    ET.SubElement(joint, "position_based_velocity_limits", deceleration_limit=ends["braking"],
-                  velocity_offset=ends["offset"])  # fmt: skip
+    return _TEXTS["joint"].format(i=i, before=i - 1, kind=kind, position=_words(position),
+                                  angles=_words(angles), limits=limits)  # fmt: skip
 
 
 def _words(numbers: Iterable[float]) -> str:
-    return " ".join(repr(float(number)) for number in numbers)
+    return " ".join(str(float(number)) for number in numbers)

@@ -10,7 +10,6 @@ import numpy as np
 
 from ...assets import STEP_SIZE
 from ...assets.franka import (
-    CTRL_OPEN,
     FINGER_SPEED_MAX,
     GRIP_FORCE_MAX,
     GRIP_STIFFNESS,
@@ -50,29 +49,20 @@ class Gripper:
 
     def __init__(self) -> None:
         self._job: Job | None = None
-        self._target = self._width = OPENING_MAX
+        self.target = self._width = OPENING_MAX  # [m]
         self._state = np.zeros(1, GRIPPER_STATE)[0]
         self._state["max_width"], self._state["temperature"] = OPENING_MAX, TEMPERATURE
 
     def start(self, fingers: Vector) -> None:
         """Begin where the fingers (2,) [m] are."""
-        self._target = self._width = float(fingers.sum())
+        self.target = self._width = float(fingers.sum())
 
     @property
     def is_busy(self) -> bool:
         """Whether a command goes on."""
         return self._job is not None
 
-    @property
-    def ctrl(self) -> float:
-        """The servo's target, 0 (closed) to 255 (open)."""
-        return CTRL_OPEN * self._target / OPENING_MAX
-
     # What a program asks for.
-
-    def act(self, request: Request) -> None:
-        """Do it."""
-        getattr(self, request.name)(request)
 
     def connect(self, request: Request) -> None:
         """Agree on the version, and send states from now on."""
@@ -97,7 +87,7 @@ class Gripper:
     def stop(self, request: Request) -> None:
         """Stop where the fingers are."""
         self.leave()
-        self._target = self._width
+        self.target = self._width
         request.answer(GripperStatus.SUCCESS)
 
     def leave(self) -> None:
@@ -123,8 +113,8 @@ class Gripper:
             return
         goal = max(job.goal, width - 2.0 * job.force / GRIP_STIFFNESS)
         step = min(job.speed, MOST_SPEED) * STEP_SIZE
-        self._target += min(max(goal - self._target, -step), step)
-        is_still = abs(width - before) < STILL and abs(goal - self._target) < STILL
+        self.target += min(max(goal - self.target, -step), step)
+        is_still = abs(width - before) < STILL and abs(goal - self.target) < STILL
         job.ticks, job.rest = job.ticks + 1, job.rest + 1 if is_still else 0
         if job.rest == REST or job.ticks == LONGEST:
             self._end(job)

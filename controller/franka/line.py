@@ -32,7 +32,6 @@ class Request:
     """A request of a program, which is answered once or, a `move`, twice."""
 
     protocol: Protocol
-    name: str
     number: int
     identity: int
     body: Message
@@ -45,7 +44,7 @@ class Request:
 
 
 class Service:
-    """Listens on a port for one program at a time; an owner acts on its requests."""
+    """Listens on a port for one program at a time; its requests are methods of an owner."""
 
     def __init__(self, protocol: Protocol, owner: Any, address: str, port: int) -> None:
         self._protocol, self._owner, self.place = protocol, owner, f"{address}:{port}"
@@ -55,9 +54,9 @@ class Service:
             self._listener = socket.create_server((address, port))
         except OSError as error:
             raise ProgramError(f"{protocol.name}: cannot listen on {self.place}: {error}") from None
-        self._udp = socket.socket(type=socket.SOCK_DGRAM)
-        self._udp.bind((address, 0))
-        self._udp.setblocking(False)
+        self.udp = socket.socket(type=socket.SOCK_DGRAM)
+        self.udp.bind((address, 0))
+        self.udp.setblocking(False)
 
     @property
     def is_connected(self) -> bool:
@@ -66,8 +65,8 @@ class Service:
 
     @property
     def sockets(self) -> list[socket.socket]:
-        """What may have something to read."""
-        return [self._listener, self._udp, *([self._tcp] if self._tcp else [])]
+        """What may have a connection or a request."""
+        return [self._listener, *([self._tcp] if self._tcp else [])]
 
     def serve(self, ready: Container[socket.socket]) -> int:
         """Take what has come on sockets; return the number of requests."""
@@ -95,15 +94,15 @@ class Service:
         self._data += received
         for number, identity, size, body in self._protocol.split(self._data):
             self._data, count = self._data[size:], count + 1
-            name, message = self._protocol.read(number, body)
-            self._owner.act(Request(self._protocol, name, number, identity, message, tcp))
+            act = getattr(self._owner, self._protocol.requests[number][0])
+            act(Request(self._protocol, number, identity, body, tcp))
         return count
 
     def agree(self, request: Request) -> None:
         """Answer `connect`: the program speaks our version, or it leaves."""
         version, port = request.body.item()
         if version == self._protocol.version:
-            self._udp.connect((request.tcp.getpeername()[0], port))
+            self.udp.connect((request.tcp.getpeername()[0], port))
             self._port = port
         answer = np.array(self._protocol.version, "<u2").tobytes()
         request.answer(version != self._protocol.version, answer)
@@ -112,13 +111,13 @@ class Service:
         """Send a packet, if a program takes them."""
         if self._port:
             with suppress(OSError):  # it has gone
-                self._udp.send(packet.tobytes())
+                self.udp.send(packet.tobytes())
 
     def packets(self) -> Iterator[bytes]:
         """Yield the packets that have come."""
         with suppress(OSError):  # there is none
             while True:
-                yield self._udp.recv(RECEIVED)
+                yield self.udp.recv(RECEIVED)
 
     def has_unread(self) -> bool:
         """Whether the program has packets to read, as the kernel tells of this machine's."""
@@ -131,7 +130,7 @@ class Service:
 
     def close(self) -> None:
         """Close all sockets."""
-        for each in self.sockets:
+        for each in (*self.sockets, self.udp):
             each.close()
 
 
@@ -157,10 +156,10 @@ class Line:
             if before is not None:
                 signal.set_wakeup_fd(before)
 
-    def serve(self, limit: float) -> None:
-        """Take what comes, for which it waits a time [s]."""
+    def serve(self, limit: float, *more: socket.socket) -> None:
+        """Take what comes, for which it waits a time [s], or until more sockets have something."""
         sockets = [each for service in self._services for each in service.sockets]
-        ready, _, _ = select.select([self._woken, *sockets], [], [], limit)
+        ready, _, _ = select.select([self._woken, *sockets, *more], [], [], limit)
         for number in self._woken.recv(RECEIVED) if self._woken in ready else b"":
             if number != signal.SIGCHLD:
                 raise EndedError(f"{signal.Signals(number).name} while it waited for the program")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from types import MappingProxyType
 from typing import Final
@@ -31,7 +30,6 @@ ELBOW: Final = 2  # the joint whose angle it is
 DAMPING: Final = 1e-3  # of the inverse kinematics
 LEAST_ROOM: Final = 1e-3  # share of the elbow's motion that must be free in the null space
 STARTS: Final = 4  # iterations that bring the joints to a first pose
-OF_JOINTS: Final = re.compile("^joint_(motion_generator_)")  # in names of errors
 
 
 class Kinematics:
@@ -159,25 +157,21 @@ class CartesianMotion(Motion):
             pose = matrix(command["O_T_EE_c"])
             if self._is_first:
                 yield self._start(pose)
-            there, here = pose, self._pose
-            twist = pose_error(there[:3, 3], quaternion(there), here[:3, 3], quaternion(here))
-            twist /= STEP_SIZE
+            here = self._pose[:3, 3], quaternion(self._pose)
+            twist = pose_error(pose[:3, 3], quaternion(pose), *here) / STEP_SIZE
         elif command is not None:
             twist = command["O_dP_EE_c"]
         if command is not None and command["has_elbow"]:
             elbow = float(command["elbow_c"][0])
             yield from self._bend(elbow)
-        yield from self._reach(twist)
+        yield from self._judged(twist)
+        self._twist, self._pose = twist, moved(self._pose, STEP_SIZE * twist)
         q = self._arm.towards(self.q, self._pose, elbow)
-        yield from self._go((q - self.q) / STEP_SIZE)
-
-    def errors(self, command: Message | None) -> list[str]:
-        """Follow a command; what is refused of joints has another name here."""
-        return [OF_JOINTS.sub(r"cartesian_\1joint_", name) for name in super().errors(command)]
+        self._go((q - self.q) / STEP_SIZE)  # as the robot's own inverse kinematics is not known
 
     def end_errors(self) -> list[str]:
         """Return what is refused if the last command was the end."""
-        return [OF_JOINTS.sub(r"cartesian_\1joint_", name) for name in super().end_errors()]
+        return refusals(self._judged(0.0 * self._twist))
 
     def _start(self, pose: Vector) -> Measure:
         """Begin at a pose that is near."""
@@ -187,12 +181,11 @@ class CartesianMotion(Motion):
             self.q = self._arm.towards(self.q, pose, None)
         return start_place_measure(away[None, :3, 3], LIMITS)
 
-    def _reach(self, twist: Vector) -> Iterator[Measure]:
-        """Go on with a twist of the end effector (6,)."""
+    def _judged(self, twist: Vector) -> Iterator[Measure]:
+        """Yield what limits bound of a twist of the end effector (6,) that comes next."""
         turn = (twist - self._twist) / STEP_SIZE
         rates = [rate[None] for rate in (twist, turn, (turn - self._turn) / STEP_SIZE)]
-        assert self._pose is not None
-        self._pose, self._twist, self._turn = moved(self._pose, STEP_SIZE * twist), twist, turn
+        self._turn = turn
         return hand_measures([r[:, :3] for r in rates], [r[:, 3:] for r in rates], LIMITS)
 
     def _bend(self, angle: float) -> Iterator[Measure]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...assets import STEP_SIZE
 from ...assets.checks import refusals, torque_rate_measure
+from ...assets.franka import CTRL_OPEN, OPENING_MAX
 from ..limits import clamp
 from ..model import Vector
 from ..signals import Buffer
@@ -97,7 +98,7 @@ class Robot:
         self._measured = Measured(Buffer(INPUTS, inputs).views)
         self._arm = self._measured.arm
         self._joint_impedance = JointImpedance()
-        self._cartesian_impedance = CartesianImpedance(self._measured.inputs, self._arm)
+        self._cartesian_impedance = CartesianImpedance(self._measured)
         self._delivery = Delivery(settings)
         self._state: Any = np.zeros(1, STATE)[0]
         self._mode, self._control = Mode.IDLE, Control.OTHER
@@ -109,7 +110,7 @@ class Robot:
         self._ticks = self._braking = 0  # the arm may still take so many to come to rest
         self._answers: list[Callable[[], None]] = []  # given once it is at rest
         self._measured.fill_frames(self._state)
-        self._changes: dict[str, Callable[..., None]] = {
+        changes: dict[str, Callable[..., None]] = {
             "automatic_error_recovery": self._recover,
             "set_collision_behavior": self._measured.set_thresholds,
             "set_joint_impedance": self._joint_impedance.set_stiffness,
@@ -119,6 +120,8 @@ class Robot:
             "set_ne_to_ee": self._measured.set_end_effector,
             "set_load": self._measured.set_load,
         }
+        for name, change in changes.items():  # requests, as the methods are
+            setattr(self, name, partial(self._set, change))
         self._write()
 
     def listen(self) -> None:
@@ -134,14 +137,6 @@ class Robot:
             self._line.close()
 
     # What a program asks for.
-
-    def act(self, request: Request) -> None:
-        """Do it: a method, or a change."""
-        change = self._changes.get(request.name)
-        if change is None:
-            getattr(self, request.name)(request)
-        else:
-            self._set(request, change)
 
     def connect(self, request: Request) -> None:
         """Agree on the version, and send states from now on."""
@@ -180,17 +175,12 @@ class Robot:
         """Tell the arm's model."""
         request.answer(Status.SUCCESS, urdf())
 
-    def _set(self, request: Request, change: Callable[..., None]) -> None:
+    def _set(self, change: Callable[..., None], request: Request) -> None:
         """Change something to the fields of a request, unless there is a motion."""
         if self._move:
             request.answer(Status.NOT_POSSIBLE)
             return
-        try:
-            change(*(request.body or ()))
-        except ValueError as error:
-            self._warn(str(error))
-            request.answer(Status.INVALID)
-            return
+        change(*(request.body or ()))
         self._measured.fill_frames(self._state)
         self._send_state()  # before the answer, after which the program may look at it
         request.answer(Status.SUCCESS)
@@ -229,17 +219,14 @@ class Robot:
 
     def _wait(self) -> Message | None:
         """Wait for a motion's command, or until there is something else to do."""
-        while True:
+        command = None
+        while command is None and (self._move or not (self._braking or self._gripper.is_busy)):
             if self._move:
                 command = self._exchange()
-                if command is not None:
-                    return command
-            elif self._braking or self._gripper.is_busy:
-                return None
             else:
                 self._tell()
                 self._line.serve(PAUSE)
-                self._received()  # what a motion that has ended has left
+        return command
 
     def _exchange(self) -> Message | None:
         """Tell the program the state, and look for the command that answers it."""
@@ -251,7 +238,7 @@ class Robot:
                 while self._move and self._service.has_unread():
                     self._line.serve(LOOK)
                 self._send_state()
-        self._line.serve(SLICE)
+        self._line.serve(SLICE, self._service.udp)
         command = self._received()
         self._is_opening = self._is_opening and command is None
         return command
@@ -268,27 +255,27 @@ class Robot:
 
     def _follow(self, command: Message) -> None:
         """Follow a command, as far as it arrives and its limits allow."""
-        arrived = self._delivery.pass_on(command)
+        arrived, is_finished = self._delivery.pass_on(command), False
         errors = self._motion.errors(arrived)
         if self._delivery.lost >= LIMITS.lost_packets:
             errors.append(COMMUNICATION)
-        is_finished = False
         if arrived is not None:
-            errors += self._take_torque(arrived["tau_J_d"])
             is_finished = bool(arrived["is_finished"] or arrived["is_torque_finished"])
-            for name in SHOWN:
-                getattr(self._outputs, name)[:] = arrived[name]
+            errors += self._take(arrived)
         if is_finished and not errors:
             errors += self._motion.end_errors()
         self._meet(errors)
         if is_finished and self._move:
             self._end(MoveStatus.SUCCESS)
 
-    def _take_torque(self, torque: Vector) -> list[str]:
-        """Take over a commanded torque (7,) [N.m]; return what is refused."""
+    def _take(self, command: Message) -> list[str]:
+        """Show a command, and take over its torque; return what is refused of that."""
+        for name in SHOWN:
+            getattr(self._outputs, name)[:] = command[name]
         if self._control != Control.EXTERNAL:
             return []
-        rate, self._torque = (torque - self._torque) / STEP_SIZE, torque
+        rate = (command["tau_J_d"] - self._torque) / STEP_SIZE
+        self._torque = command["tau_J_d"]
         return refusals([torque_rate_measure(rate[None], LIMITS)])
 
     def _meet(self, errors: list[str]) -> None:
@@ -349,21 +336,21 @@ class Robot:
 
     def _write(self) -> None:
         """Write the outputs."""
-        y, measured = self._outputs, self._measured
-        torque = measured.bias + self._hold()
+        y, measured, grip = self._outputs, self._measured, self._gripper.target
+        torque = self._own_torque() + measured.bias
         if self._control == Control.EXTERNAL:
             torque = self._torque + self._arm.hand(measured.q).bias + measured.carrying()
-        y.ctrl[:7], y.ctrl[7] = clamp(torque, -LIMITS.torque, LIMITS.torque), self._gripper.ctrl
+        y.ctrl[:7] = clamp(torque, -LIMITS.torque, LIMITS.torque)
+        y.ctrl[7], y.grip_cmd[...] = CTRL_OPEN * grip / OPENING_MAX, grip
         y.robot_mode[...], y.controller_mode[...] = self._mode, self._control
         y.motion_generator[...] = self._state["motion_generator_mode"]
         y.errors[...] = self._state["errors"] @ BITS
         y.success_rate[...] = self._delivery.success_rate
 
-    def _hold(self) -> Vector:
-        """Return the torques (7,) [N.m] of the robot's own controllers, which it tells, too."""
+    def _own_torque(self) -> Vector:
+        """Return the torques (7,) [N.m] of the robot's own controllers; states tell them, too."""
         if self._control == Control.CARTESIAN_IMPEDANCE:
             self._torque = self._cartesian_impedance.torque(self._motion)
         elif self._control != Control.EXTERNAL:
-            q, dq = self._measured.q, self._measured.dq
-            self._torque = self._joint_impedance.torque(q, dq, self._motion)
+            self._torque = self._joint_impedance.torque(self._measured, self._motion)
         return self._torque

@@ -15,7 +15,7 @@ INPUTS: Final = np.dtype([
     ("jac", float, (6, 7)), ("qfrc_bias", float, 7), ("actuator_force", float, 8),
 ])  # fmt: skip
 OUTPUTS: Final = np.dtype([
-    ("ctrl", float, 8), ("robot_mode", float), ("motion_generator", float),
+    ("ctrl", float, 8), ("grip_cmd", float), ("robot_mode", float), ("motion_generator", float),
     ("controller_mode", float), ("errors", float), ("success_rate", float), ("q_c", float, 7),
     ("dq_c", float, 7), ("O_T_EE_c", float, 16), ("tau_J_d", float, 7),
 ])  # fmt: skip

@@ -1,9 +1,8 @@
-"""The robot's own controllers, which make torques of a motion's reference, and its load."""
+"""The robot's own controllers, which make torques of a motion's reference."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Final
 
 import numpy as np
@@ -12,9 +11,10 @@ from ...assets import STEP_SIZE
 from ..gains import Gains
 from ..impedance import ImpedanceLaw
 from ..model import Vector
-from ..signals import OUTPUTS, Buffer, Views
+from ..signals import INPUTS, OUTPUTS, Buffer
 from .description import ROBOT
-from .motions import Kinematics, Motion
+from .measured import Measured
+from .motions import Motion
 
 # Of the joints' springs [N.m/rad] and dampers [N.m.s/rad]: a fast and well damped arm.
 STIFFNESS: Final = np.array([3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0])
@@ -29,35 +29,31 @@ class JointImpedance:
 
     def set_stiffness(self, stiffness: Vector) -> None:
         """Change the springs (7,) [N.m/rad]; the dampers keep the damping ratio."""
-        self._stiffness = _positive(stiffness)
-        self._damping = DAMPING * np.sqrt(self._stiffness / STIFFNESS)
+        self._stiffness, self._damping = stiffness, DAMPING * np.sqrt(stiffness / STIFFNESS)
 
-    def torque(self, q: Vector, dq: Vector, motion: Motion) -> Vector:
+    def torque(self, measured: Measured, motion: Motion) -> Vector:
         """Return the torques (7,) [N.m], without those that carry the arm."""
-        torque: Vector = self._stiffness * (motion.q - q) + self._damping * (motion.dq - dq)
-        return torque
+        spring: Vector = self._stiffness * (motion.q - measured.q)
+        spring += self._damping * (motion.dq - measured.dq)
+        return spring
 
 
 class CartesianImpedance:
     """The hand on springs and dampers: the project's impedance law."""
 
-    def __init__(self, measured: Views, arm: Kinematics) -> None:
-        self._arm, self._outputs = arm, Buffer(OUTPUTS).views
-        commands = {"pos_cmd": 3, "quat_cmd": 4, "vel_cmd": 3, "omega_cmd": 3, "force_cmd": 3}
-        self._inputs = SimpleNamespace(
-            **vars(measured) | {name: np.zeros(size) for name, size in commands.items()},
-            posture_cmd=np.zeros(7),
-        )
-        self._inputs.qpos = measured.qpos[:7]
-        self._law = ImpedanceLaw(
-            self._inputs, self._outputs, Buffer(ImpedanceLaw.STATE).views, STEP_SIZE
-        )
+    def __init__(self, measured: Measured) -> None:
+        self._arm, x = measured.arm, measured.inputs
+        self._inputs, self._outputs = Buffer(INPUTS).views, Buffer(OUTPUTS).views
+        seen = {name: getattr(x, name) for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias")}
+        vars(self._inputs).update(seen, qpos=measured.q, qvel=measured.dq)
+        state = Buffer(ImpedanceLaw.STATE).views
+        self._law = ImpedanceLaw(self._inputs, self._outputs, state, STEP_SIZE)
         self._gains = Gains(robot=ROBOT, impedance=True, follow_posture=True, limit_share=1.0)
         self._law.set_gains(self._gains)
 
     def set_stiffness(self, stiffness: Vector) -> None:
         """Change the springs (6,) [N/m, N.m/rad]."""
-        self._gains = replace(self._gains, stiffness=tuple(_positive(stiffness).tolist()))
+        self._gains = replace(self._gains, stiffness=tuple(stiffness.tolist()))
         self._law.set_gains(self._gains)
 
     def start(self, motion: Motion) -> None:
@@ -78,10 +74,3 @@ class CartesianImpedance:
         inputs.pos_cmd[:], inputs.quat_cmd[:] = hand.position, hand.orientation
         inputs.vel_cmd[:], inputs.omega_cmd[:] = twist[:3], twist[3:]
         inputs.posture_cmd[:] = motion.q
-
-
-def _positive(stiffness: Vector) -> Vector:
-    """Return a copy of stiffnesses; ValueError if one is not positive."""
-    if not (np.isfinite(stiffness) & (stiffness > 0.0)).all():
-        raise ValueError(f"stiffness {stiffness}; must be positive")
-    return stiffness.copy()

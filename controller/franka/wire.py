@@ -17,11 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Layout = np.dtype[np.void]
-Message = Any  # a record: its fields by their names, `message["q"]`
-
-
-NOTHING: Final = np.dtype([])
-LONGEST: Final = 4096  # [byte] of a request; none is nearly as long
+Message = Any  # a record: its fields by their names, `message["q"]`; None without fields
 
 
 class ProgramError(ValueError):
@@ -86,27 +82,22 @@ class Protocol:
         size = self.header.itemsize + len(body)
         return np.array((number, identity, size), self.header).tobytes() + body
 
-    def split(self, data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
-        """Yield number, identity, size and body of the complete requests that data begin with."""
+    def split(self, data: bytes) -> Iterator[tuple[int, int, int, Message]]:
+        """Yield number, identity, size and fields of the complete requests that data begin with."""
         head = self.header.itemsize
         while len(data) >= head:
             number, identity, size = np.frombuffer(data, self.header, 1)[0].item()
-            if not head <= size <= LONGEST:
-                raise ProgramError(f"the program sends {size} bytes, which is no request")
+            fields = self.requests[number][1] if number < len(self.requests) else None
+            if fields is None or size != head + fields.itemsize:
+                raise ProgramError(
+                    f"the program sends request {number} of {size} bytes, which version "
+                    f"{self.version} of the {self.name} does not have"
+                )
             if len(data) < size:
                 return
-            yield number, identity, size, data[head:size]
+            message = np.frombuffer(data, fields, 1, head)[0] if fields.itemsize else None
+            yield number, identity, size, message
             data = data[size:]
-
-    def read(self, number: int, body: bytes) -> tuple[str, Message]:
-        """Return the name of a request and its fields."""
-        name, fields = (*self.requests, ("", NOTHING))[min(number, len(self.requests))]
-        if not name or len(body) != fields.itemsize:
-            raise ProgramError(
-                f"the program sends request {number} of {len(body)} bytes, which version "
-                f"{self.version} of the {self.name} does not have"
-            )
-        return name, np.frombuffer(body, fields)[0] if body else None
 
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))

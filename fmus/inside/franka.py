@@ -19,25 +19,24 @@ class FrankaSlave(SharedSlave):
     """Translates between FMI and `controller.franka.robot.Robot`; waits for its program."""
 
     interface = FRANKA
-    _robot: Robot | None = None
+    _robot: Robot
 
     def rebuild(self, start_time: float) -> None:
         """Make the robot; it listens once initialization has ended."""
         self.terminate()
         given: dict[str, Any] = {f.name: self.parameter(f.name) for f in fields(Settings)}
-        self._robot = Robot(Settings(**given), self._inputs, self._outputs, self._warn)
 
-    def _warn(self, text: str) -> None:
-        self.messages.append((WARNING, text))
+        def warn(text: str) -> None:
+            self.messages.append((WARNING, text))
+
+        self._robot = Robot(Settings(**given), self._inputs, self._outputs, warn)
 
     def initialized(self) -> None:
         """Let programs connect."""
-        assert self._robot is not None
         self._robot.listen()
 
     def advance(self, count: int) -> None:
         """Take steps; the simulation ends with the program."""
-        assert self._robot is not None
         try:
             for _ in range(count):
                 self._robot.tick()
@@ -49,7 +48,7 @@ class FrankaSlave(SharedSlave):
 
     def terminate(self) -> None:
         """Close all connections."""
-        if self._robot is not None:
+        if hasattr(self, "_robot"):
             self._robot.close()
 
     def get_state(self) -> NoReturn:

@@ -1,0 +1,300 @@
+"""The interface of a real robot, with real clients: motions, reflexes, gripper, and bad clients."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from franka_clients import JOINTS, TICKS, UPWARDS
+from franka_support import MOST_TICKS, Coupled, claimed_address, couple, needs_clients
+from panda_cosim.assets.checks import CHECKS
+from panda_cosim.assets.franka import HOME_Q, ROBOTS
+from panda_cosim.controller.franka import wire
+from panda_cosim.controller.franka.description import end_effector
+from panda_cosim.controller.franka.line import Service
+from panda_cosim.controller.franka.signals import Settings
+from panda_cosim.controller.model import ArmModel
+
+FRICTION = 1.5e-3  # [rad] that the joints' friction keeps a stiff spring from its reference
+PLACE = 1e-3  # [m] within which the end effector follows a slow motion
+LAG = 0.01  # [m] that springs and dampers may be behind a fast one
+SINGLE = 1e-6  # [1] of numbers that are sent as float32
+BRAKING = 20  # ticks at most in which the arm comes to rest after a smooth motion
+pytestmark = [pytest.mark.timeout(120)]
+
+
+@cache
+def after(*words: str) -> Coupled:
+    """What has come of a client; one that has failed itself is an error."""
+    made = couple(*words)
+    assert made.told is not None or not made.errors, made.errors
+    return made
+
+
+# The wire.
+
+
+def test_messages_have_the_sizes_and_offsets_of_libfranka() -> None:
+    layouts = dict(wire.ROBOT.requests)
+    sizes = {name: layout.itemsize + 12 for name, layout in layouts.items()}
+    assert sizes == {
+        "connect": 16, "move": 125, "stop_move": 12, "set_collision_behavior": 428,
+        "set_joint_impedance": 68, "set_cartesian_impedance": 60, "set_guiding_mode": 19,
+        "set_ee_to_k": 140, "set_ne_to_ee": 140, "set_load": 116, "automatic_error_recovery": 12,
+        "get_robot_model": 12,
+    }  # fmt: skip
+    assert [layout.itemsize + 10 for _, layout in wire.GRIPPER.requests] == [14, 10, 50, 26, 10]
+    assert (wire.STATE.itemsize, wire.COMMAND.itemsize, wire.GRIPPER_STATE.itemsize) == (
+        1377,
+        371,
+        23,
+    )
+    names = ("q", "dq", "motion_generator_mode", "errors", "reflex_reason", "robot_mode")
+    offsets = [(wire.STATE.fields or {})[name][1] for name in names]
+    assert offsets == [596, 652, 1288, 1290, 1331, 1372]
+
+
+def test_every_error_of_the_table_of_limits_is_one_of_the_wire() -> None:
+    assert len(wire.ERRORS) == len(set(wire.ERRORS)) == 41
+    assert {check.error for check in CHECKS.values()} <= set(wire.ERRORS)
+
+
+def test_a_request_that_is_not_complete_waits() -> None:
+    ask = np.array((4, 8, 10), wire.GRIPPER.header).tobytes()
+    assert [*wire.GRIPPER.split(ask + ask[:-1])] == [(4, 8, 10, None)]
+    assert wire.GRIPPER.answer(4, 8, 2, b"more") == ask[:6] + b"\x10\0\0\0\2\0more"
+
+
+# Motions.
+
+
+def way(made: Coupled) -> Any:
+    """How far each joint has gone [rad]."""
+    q = made.rows[:, :7]
+    return q.max(axis=0) - q.min(axis=0)
+
+
+@needs_clients
+def test_joints_follow_positions_tick_by_tick() -> None:
+    made = after("joint")
+    assert made.told["durations"] == [0, 1]
+    assert made.told["lag"] < 2.0 * FRICTION
+    np.testing.assert_allclose(way(made), JOINTS, atol=3.0 * FRICTION)
+    assert TICKS <= len(made.rows) <= TICKS + BRAKING
+    assert (made.ended, made.failed, made.warnings) == ("the program has left", False, [])
+    assert made.output("motion_generator")[: TICKS - 1].tolist() == [1.0] * (TICKS - 1)
+    assert made.output("motion_generator")[-1] == 0.0
+    assert abs(made.rows[-1, :7] - HOME_Q).max() < 2.0 * FRICTION
+
+
+@needs_clients
+@pytest.mark.parametrize("again", ["joint", "paused"])
+def test_a_repeat_and_a_pause_give_the_same_bits(again: str) -> None:
+    np.testing.assert_array_equal(couple(again).rows, after("joint").rows)
+
+
+@needs_clients
+def test_joints_follow_velocities() -> None:
+    np.testing.assert_allclose(way(after("joint_velocity")), JOINTS, atol=3.0 * FRICTION)
+
+
+@needs_clients
+def test_the_end_effector_follows_poses_and_twists() -> None:
+    before, lifted, lowered = after("pose").told
+    assert lifted - before == pytest.approx(UPWARDS, abs=PLACE)
+    assert lowered == pytest.approx(before, abs=PLACE)
+
+
+@needs_clients
+def test_springs_are_as_soft_as_the_client_sets_them() -> None:
+    assert after("soft").told["lag"] > 4.0 * after("joint").told["lag"]
+
+
+@needs_clients
+def test_the_hand_s_impedance_follows_the_hand() -> None:
+    def place(q: Any) -> Any:
+        return ArmModel("fr3").hand(q, np.zeros(7)).position.copy()
+
+    made = after("compliant")
+    for tick in range(0, TICKS, TICKS // 8):
+        away = place(made.rows[tick, :7]) - place(made.output("q_c")[tick])
+        assert np.linalg.norm(away) < LAG
+
+
+@needs_clients
+def test_torques_act_and_the_model_is_the_robot_s() -> None:
+    told, arm = after("torque").told, ArmModel("fr3")
+    assert told["away"] < 0.05
+    q = np.array(told["q"])
+    np.testing.assert_allclose(told["gravity"], arm.hand(q, np.zeros(7)).bias, atol=0.02)
+    mass = np.array(told["mass"]).reshape(7, 7)
+    own = arm.inertia(q) - np.diag([0.195] * 4 + [0.074] * 3)  # without the rotors
+    np.testing.assert_allclose(mass, own, atol=2e-3)
+
+
+# Reflexes.
+
+RATES = ["velocity_limits_violation", "velocity_discontinuity", "acceleration_discontinuity"]
+REFLEXES = {
+    "jump": [f"joint_motion_generator_{name}" for name in RATES],
+    "kink": [f"joint_motion_generator_{name}" for name in RATES[1:]],
+    "start": ["joint_position_motion_generator_start_pose_invalid"],
+    "speed": ["joint_motion_generator_velocity_limits_violation"],
+    "end of range": ["joint_motion_generator_velocity_limits_violation"],
+    "end": ["joint_motion_generator_velocity_discontinuity"],
+    "torque": ["controller_torque_discontinuity"],
+}
+
+
+@needs_clients
+@pytest.mark.parametrize("what", REFLEXES)
+def test_what_the_robot_would_refuse_ends_the_motion_until_the_client_recovers(what: str) -> None:
+    made = couple("refused", what)
+    assert made.told, made.errors
+    refusal, rejection = made.told["told"]
+    listed = ", ".join(f'"{name}"' for name in REFLEXES[what])
+    assert f"[{listed}]" in refusal
+    assert 'not possible in the current mode ("Reflex")' in rejection
+    assert made.warnings == [f"reflex: {', '.join(REFLEXES[what])}"]
+    assert made.told["modes"] == ["RobotMode.Reflex", "RobotMode.Idle"]
+    assert made.told["errors"] == "[]"
+    np.testing.assert_allclose(made.told["again"], JOINTS, atol=3.0 * FRICTION)
+    bits = sum(2.0 ** wire.ERRORS.index(name) for name in REFLEXES[what])
+    assert set(made.output("errors")) == {0.0, bits}
+
+
+@needs_clients
+def test_the_velocity_is_refused_at_the_limit() -> None:
+    made = couple("refused", "speed")
+    refused = int(np.flatnonzero(made.output("errors"))[0])
+    commanded = made.output("dq_c")[refused, 0]
+    assert commanded >= ROBOTS["fr3"].velocity[0] > commanded - 4.0e-3
+
+
+@needs_clients
+def test_a_collision_is_found_by_the_client_s_thresholds() -> None:
+    def push(inputs: Any, tick: int) -> None:
+        inputs["push_force"][2] = -40.0 * (300 <= tick < 400)
+
+    soft, hard = (couple("touched", threshold, act=push) for threshold in ("20", "100"))
+    assert "cartesian_reflex" in soft.told["told"][0]
+    assert 300 < int(np.flatnonzero(soft.output("errors"))[0]) < 320
+    assert hard.warnings == []
+
+
+@needs_clients
+def test_lost_commands_keep_the_acceleration_and_twenty_in_a_row_end_the_motion() -> None:
+    some = couple("lossy", dropout=0.2, seed=3.0)
+    assert some.warnings == []
+    assert 0.6 < some.output("success_rate")[TICKS] < 0.95
+    all_lost = couple("lossy", dropout=1.0)
+    assert "communication_constraints_violation" in all_lost.told
+    refused = int(np.flatnonzero(all_lost.output("errors"))[0])
+    assert refused + 1 == ROBOTS["fr3"].lost_packets
+
+
+@needs_clients
+def test_commands_can_arrive_late() -> None:
+    late, prompt = couple("joint", delay=0.005), after("joint")
+    wave = slice(5, TICKS)
+    np.testing.assert_allclose(
+        late.output("q_c")[wave], prompt.output("q_c")[: TICKS - 5], atol=SINGLE
+    )
+
+
+# The rest of the interface.
+
+
+@needs_clients
+def test_a_motion_is_stopped_from_another_thread() -> None:
+    text, mode = after("stopped").told
+    assert ("preempted" in text, mode) == (True, "RobotMode.Idle")
+
+
+@needs_clients
+def test_the_gripper_moves_and_grasps() -> None:
+    told = after("gripper").told
+    homed, moved, width, found, grasped, closed, nothing, grips, narrow, stops = told
+    assert (homed, moved, found, grasped, closed) == (True, True, False, False, True)
+    assert (nothing, grips, stops) == (True, True, True)
+    assert (width, narrow) == (pytest.approx(0.05, abs=1e-4), pytest.approx(0.0, abs=1e-4))
+
+
+@needs_clients
+def test_frames_and_load_are_told_as_they_were_set() -> None:
+    before, later = after("settings").told
+    tool = end_effector()
+    assert before["m_ee"] == [pytest.approx(tool.mass)]
+    matrices = [{n: np.reshape(v, (4, 4)).T for n, v in told.items() if len(v) == 16}
+                for told in (before, later)]  # fmt: skip
+    for told in matrices:
+        np.testing.assert_allclose(told["F_T_EE"], told["F_T_NE"] @ told["NE_T_EE"], atol=SINGLE)
+    moved = matrices[0]["O_T_EE"] @ matrices[1]["NE_T_EE"]
+    np.testing.assert_allclose(matrices[1]["O_T_EE"], moved, atol=SINGLE)
+    np.testing.assert_allclose(matrices[1]["EE_T_K"], matrices[1]["NE_T_EE"], atol=SINGLE)
+    assert later["m_load"] == [0.5]
+
+
+@needs_clients
+def test_a_client_may_leave_and_come_again() -> None:
+    one, other = after("twice").told
+    assert one == other == pytest.approx(HOME_Q, abs=SINGLE)
+
+
+@needs_clients
+def test_franky_moves_in_all_of_its_ways() -> None:
+    q, before, later, turned, is_there, width = after("with_franky").told
+    assert q == pytest.approx([0.1, 0.1, 0.0, -1.6, 0.0, 1.7, -0.7], abs=2.0 * FRICTION)
+    assert np.linalg.norm(np.subtract(later, before)) == pytest.approx(0.05 * 2**0.5, abs=PLACE)
+    assert 0.01 < turned[0] - q[0] < 0.05
+    assert (is_there, width) == (True, pytest.approx(0.03, abs=1e-4))
+
+
+# Clients that do what they should not.
+
+
+@needs_clients
+def test_a_client_that_dies_in_a_motion_is_an_error() -> None:
+    made = couple("dies")
+    assert (made.failed, made.ended) == (True, "the program has closed its connection in a motion")
+
+
+@pytest.mark.parametrize(("client", "message"), [
+    ("unknown", "request 77 of 12 bytes, which version 10 of the robot does not have"),
+    ("wrong_size", "request 0 of 14 bytes, which version 10 of the robot does not have"),
+    ("nonsense", "request 4294967295 of 4294967295 bytes"),
+    ("floods", "floods: more than 10000 requests"),
+])  # fmt: skip
+def test_a_client_that_sends_what_it_should_not_is_an_error(client: str, message: str) -> None:
+    made = couple(client)
+    assert made.failed
+    assert message in made.ended
+    assert "\n" not in made.ended
+
+
+def test_a_client_of_another_version_is_told_ours() -> None:
+    made = couple("older")
+    assert (made.told, made.failed) == ([1, wire.ROBOT.version], False)
+
+
+def test_it_does_not_wait_for_ever_for_a_client() -> None:
+    made = couple(connection_timeout=0.2)
+    assert made.failed
+    assert made.ended.startswith("no program has connected to 127.0.1.")
+    assert made.ended.endswith(":1337 for 0.2 s")
+
+
+def test_a_port_in_use_is_refused() -> None:
+    with claimed_address() as address:
+        service = Service(wire.ROBOT, None, address, 1337)
+        try:
+            with pytest.raises(wire.ProgramError, match=f"cannot listen on {address}:1337"):
+                Service(wire.ROBOT, None, address, 1337)
+        finally:
+            service.close()
+
+
+def test_it_listens_on_this_machine_alone_unless_it_is_asked_for_more() -> None:
+    assert Settings().address == "127.0.0.1"
+    assert MOST_TICKS > TICKS
