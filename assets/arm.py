@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from . import asset_files
 from .franka import DEFAULT_ROBOT
 
+DIGITS: Final = 17  # that tell all numbers apart
 NOT_USED = [float("nan")] * 6  # of `fullinertia`, where a body has principal axes
 
 
@@ -29,6 +32,19 @@ def saved(model: Any) -> bytes:
     buffer = np.empty(mujoco.mj_sizeModel(whole), np.uint8)
     mujoco.mj_saveModel(whole, None, buffer)
     return buffer.tobytes()
+
+
+def written(spec: Any, model: Any) -> str:
+    """Return a compiled spec as MJCF that gives the same model, bit for bit, elsewhere."""
+    for key, row in zip(spec.keys, model.key_qpos, strict=False):  # <size nkey> may add some
+        key.qpos = row
+    library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("*mujoco.*"))))
+    usual = library._mjPRIVATE__get_xml_precision()
+    library._mjPRIVATE__set_xml_precision(DIGITS)
+    try:
+        return str(spec.to_xml())
+    finally:
+        library._mjPRIVATE__set_xml_precision(usual)
 
 
 def change_arm(spec: Any, robot: str, files: Mapping[str, bytes]) -> None:

@@ -22,6 +22,11 @@ def load_arm(load: float = 0.0, robot: str = DEFAULT_ROBOT) -> Any:
     """Compile arm and hand, 9 joints, without geoms, which carry no mass."""
     # `load` is the mass of a point between the fingertips [kg]. Compiling takes 50 ms, and nobody
     # writes to the model: all share it.
+    return arm_spec(load, robot).compile()
+
+
+def arm_spec(load: float = 0.0, robot: str = DEFAULT_ROBOT) -> Any:
+    """Return the arm as `load_arm` compiles it (`mujoco.MjSpec`)."""
     spec = read_spec("panda.xml", robot)
     for shape in [*spec.geoms, *spec.meshes, *spec.materials]:
         spec.delete(shape)
@@ -29,7 +34,7 @@ def load_arm(load: float = 0.0, robot: str = DEFAULT_ROBOT) -> Any:
         spec.body("hand").add_body(
             name="load", pos=FINGERTIPS, mass=load, inertia=[1e-9] * 3, explicitinertial=True
         )
-    return spec.compile()
+    return spec
 
 
 def arm_mjb(robot: str) -> bytes:

@@ -28,7 +28,8 @@ def add_rotors(spec: Any) -> None:
     for number in range(1, 8):
         joint, servo = spec.joint(f"joint{number}"), spec.actuator(f"actuator{number}")
         rotor = spec.worldbody.add_body(name=f"rotor{number}")
-        rotor.mass, rotor.inertia, rotor.explicitinertial = _MASS, [_INERTIA] * 3, True
+        rotor.mass, rotor.inertia, rotor.ipos = _MASS, [_INERTIA] * 3, [0, 0, 0]
+        rotor.explicitinertial = True
         rotor.add_joint(name=f"rotor_joint{number}", axis=[0, 0, 1], armature=joint.armature)
         joint.armature = 0.0
         servo.target = f"rotor_joint{number}"
@@ -54,7 +55,7 @@ def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
     """Compile a scene (`mujoco.MjModel`) and make block and arm what the parameters say."""
     # A `drawn` one has shapes that are only drawn, which cost a sixth of `mj_step` and change no
     # bit of it; it has no rotors, as no output tells where they are.
-    model = _compiled(parameters, drawn=drawn)
+    _, model = compiled_scene(parameters, drawn=drawn)
     body, geom = model.body("obj").id, model.geom("obj_geom").id
     # A box's inertia is proportional to its mass.
     model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]
@@ -67,15 +68,16 @@ def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
     return model
 
 
-def _compiled(parameters: PlantParameters, *, drawn: bool) -> Any:
+def compiled_scene(parameters: PlantParameters, *, drawn: bool = False) -> tuple[Any, Any]:
+    """Compile a scene as its file has it; returns `mujoco.MjSpec` and `mujoco.MjModel`."""
     spec = read_spec(scene_file(parameters.scene), parameters.robot)
     spec.compiler.discardvisual = not drawn
     if drawn or parameters.scene != ELASTIC:
-        return spec.compile()
+        return spec, spec.compile()
     add_rotors(spec)
     model = spec.compile()
     stretch_springs(model)
-    return model
+    return spec, model
 
 
 def _change_arm(model: Any, parameters: PlantParameters) -> None:

@@ -50,7 +50,7 @@ def compile_law(folder: Path) -> Path:
     """Compile the law, without any FMI layer; returns the library."""
     library = folder / "law.so"
     includes = Path(mujoco.__file__).parent / "include"
-    options = (*FLAGS, "-fPIC", "-fvisibility=default", f"-isystem{includes}")
+    options = (*FLAGS, "-shared", "-fPIC", "-fvisibility=default", f"-isystem{includes}")
     command = ["cc", *options, *LAW, "-lm", "-o", str(library)]
     subprocess.run(command, cwd=SOURCES, check=True, timeout=300)
     return library

@@ -21,13 +21,15 @@ from ..atomic import cache_folder, cached, temporary_folder
 from ..errors import CosimError, InputError
 from ..processes import pip, run
 from .identity import digest, mujoco_package, mujoco_version
-from .platforms import PLATFORMS, this_platform
+from .platforms import PAGE, PLATFORMS, TARGETS, this_platform
 
 SOURCES: Final = Path(__file__).parents[1] / "native"
 _MADE_OF: Final = tomllib.loads((SOURCES / "libraries.toml").read_text(encoding="utf-8"))
 FLAGS: Final[list[str]] = _MADE_OF["flags"]
 FMI_LAYER: Final[list[str]] = _MADE_OF["fmi_layer"]
 BACKENDS: Final[Mapping[str, list[str]]] = _MADE_OF["backends"]
+IN_A_PAGE: Final[Mapping[str, str]] = _MADE_OF["in_a_page"]  # files there instead of others
+PLACES: Final[Mapping[str, int]] = _MADE_OF["places"]  # of data in a page's memory [B]
 STEPPER: Final = "stepper"  # no FMU's library, but the master's
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
@@ -42,14 +44,14 @@ def compile_library(backend: str | Path, platform: str | None = None) -> bytes:
             f"machine, a compiler named cc, gcc or clang"
         )
     with temporary_folder(cache_folder()) as folder:
-        compiled = folder / f"fmu{PLATFORMS[name].suffix}"
+        compiled = folder / f"fmu{TARGETS[name].suffix}"
         command = [
             *compiler(name),
             *FLAGS,
             *("-I.", *(f"-isystem{include}" for include in includes())),
-            *(FMI_LAYER if backend != STEPPER else ()),
-            *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),)),
-            *PLATFORMS[name].flags,
+            *_files(backend, name),
+            *TARGETS[name].flags,
+            *([f"-Wl,--global-base={PLACES[str(backend)]}"] if name == PAGE else ()),
             *("-o", str(compiled)),
         ]
         # In the folder of the sources, so that no path gets into the library. The compiler's
@@ -60,6 +62,13 @@ def compile_library(backend: str | Path, platform: str | None = None) -> bytes:
         return compiled.read_bytes()
 
 
+def _files(backend: str | Path, platform: str) -> list[str]:
+    """C files of a library."""
+    layer = FMI_LAYER if backend != STEPPER else []
+    files = [*layer, *(BACKENDS[backend] if isinstance(backend, str) else [str(backend)])]
+    return [IN_A_PAGE.get(file, file) for file in files] if platform == PAGE else files
+
+
 @cache
 def compiler(platform: str) -> tuple[str, ...]:
     """The system's for this machine, or ziglang's for others or if there is none; () without it."""
@@ -68,7 +77,7 @@ def compiler(platform: str) -> tuple[str, ...]:
         return (compiler,)
     if find_spec("ziglang") is None:
         return ()
-    return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform].target)
+    return (sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[platform].target)
 
 
 @cache

@@ -29,9 +29,11 @@ class Platform:
     flags: list[str]
 
 
-PLATFORMS: Final[Mapping[str, Platform]] = {
+PAGE: Final = "wasm32"  # no platform of FMUs, but where pages simulate
+TARGETS: Final[Mapping[str, Platform]] = {
     name: Platform(**row) for name, row in tomllib.loads(_FILE.read_text(encoding="utf-8")).items()
 }
+PLATFORMS: Final = {name: platform for name, platform in TARGETS.items() if name != PAGE}
 
 
 def this_platform() -> str:

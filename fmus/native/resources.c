@@ -1,6 +1,5 @@
-/* The resource location that an importer gives, and files. */
+/* The resource location that an importer gives. */
 #include <ctype.h>
-#include <errno.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -9,11 +8,6 @@
 #include "resources.h"
 
 #include "backend.h"
-#ifdef _WIN32
-#include <windows.h>
-#endif
-
-enum { LONGEST_TOLD = 400 }; /* characters of a path in a message */
 
 char *copy_text(const char *text)
 {
@@ -29,43 +23,6 @@ char *join_path(const char *folder, const char *name)
     char *path = malloc(size);
     if (path) snprintf(path, size, "%s%s%s", folder, length && folder[length - 1] == '/' ? "" : "/", name);
     return path;
-}
-
-/* Paths are UTF-8; Windows wants another encoding. */
-static FILE *open_file(const char *path)
-{
-#ifdef _WIN32
-    wchar_t wide[32768];
-    if (!MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 32768)) return NULL;
-    return _wfopen(wide, L"rb");
-#else
-    return fopen(path, "rb");
-#endif
-}
-
-char *read_file(const char *path, size_t *size, char *why, size_t why_size)
-{
-    char *content = NULL;
-    size_t capacity = 0, got = 1;
-    FILE *file = open_file(path);
-    *size = 0;
-    errno = file ? 0 : errno;
-    while (file && got && !ferror(file)) {
-        if (*size + 1 >= capacity) {
-            capacity = capacity ? 2 * capacity : 65536;
-            char *larger = realloc(content, capacity);
-            if (!larger) break;
-            content = larger;
-        }
-        got = fread(content + *size, 1, capacity - *size - 1, file);
-        *size += got;
-    }
-    const bool whole = file && !got && !ferror(file);
-    if (!whole) snprintf(why, why_size, "%.*s cannot be read: %s", LONGEST_TOLD, path, strerror(errno ? errno : ENOMEM));
-    if (file) fclose(file);
-    if (whole) content[*size] = '\0';
-    else free(content);
-    return whole ? content : NULL;
 }
 
 static bool begins_with(const char *text, const char *lower_case)
@@ -93,10 +50,9 @@ static const char *path_of_uri(const char *uri)
 static bool has_table(const char *folder)
 {
     char *path = join_path(folder, "variables.txt");
-    FILE *file = path ? open_file(path) : NULL;
-    if (file) fclose(file);
+    const bool found = path && is_file(path);
     free(path);
-    return file != NULL;
+    return found;
 }
 
 static void strip_separators(char *path)

@@ -14,6 +14,7 @@ import mujoco
 
 from ...assets import asset_files
 from ...assets.arm import change_arm, saved
+from ...assets.arm import written as written_spec
 from ...assets.franka import DEFAULT_ROBOT
 from ...plant.mujoco_warnings import taken_warnings
 from ..atomic import cache_folder, cached, temporary_folder
@@ -200,12 +201,10 @@ def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> An
             if path.suffix.lower() == MODEL_SUFFIX:
                 model = load_binary(path.read_bytes(), str(path))
             else:  # files beside the model go first: MuJoCo would take those that it is given
-                ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
+                ours = _assets_for(path)
                 model = mujoco.MjModel.from_xml_path(str(path), ours)
                 if robot != DEFAULT_ROBOT:
-                    spec = mujoco.MjSpec.from_file(str(path), include=ours, assets=ours)
-                    change_arm(spec, robot, asset_files())
-                    model = spec.compile()
+                    model = _spec(path, robot).compile()
                 _fill_keyframes(model, path, ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo cannot load it: {one_line(error)}") from error
@@ -213,6 +212,32 @@ def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> An
         for text in texts:
             warn(f"{path}: MuJoCo warns: {one_line(text)}")
     return model
+
+
+def _assets_for(path: Path) -> dict[str, bytes]:
+    return {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
+
+
+def _spec(path: Path, robot: str) -> Any:
+    ours = _assets_for(path)
+    spec = mujoco.MjSpec.from_file(str(path), include=ours, assets=ours)
+    change_arm(spec, robot, asset_files())
+    return spec
+
+
+def mjcf_of(path: Path, robot: str) -> str:
+    """Return a model that `load` loads, in one file, for another version of MuJoCo."""
+    must = "must be MJCF without files of meshes, heights or pictures"
+    if path.suffix.lower() != ".xml":
+        raise InputError(f"{path}: {must}")
+    model, spec = load(path, robot=robot), _spec(path, robot)
+    spec.compile()
+    text = written_spec(spec, model)
+    try:
+        mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise InputError(f"{path}: {must}: {one_line(error)}") from error
+    return text
 
 
 # What a damaged model says is where its parts are can end the process that uses them.

@@ -2,7 +2,8 @@
 
 `session.jsonl` holds one JSON object per line. The first is the head: `format`, `scenario` (its
 name; the scenario itself lies beside the journal in `scenario/`), `kind` and `fmus` (GUID and
-SHA-256 of each). Each other line is an action: `tick`, `action` and its arguments:
+SHA-256 of each); that of a page, which has an engine of its own, also `seen`: values at its end.
+Each other line is an action: `tick`, `action` and its arguments:
 
     {"tick": 1200, "action": "set", "name": "controller.kp", "value": 6.0}
     {"tick": 1300, "action": "release", "name": "plant.push_force"}
@@ -117,11 +118,12 @@ class Head(BaseModel):
     scenario: str  # its name
     kind: Kind
     fmus: dict[str, dict[str, str | None]]  # GUID and SHA-256 of each
+    seen: dict[str, float] = {}  # values at its end, if a page has simulated it
 
 
 def begin_journal(path: Path, head: Head) -> None:
     """Write the first line of a journal, which must not exist."""
-    _write(path, "x", head.model_dump())
+    _write(path, "x", head.model_dump(exclude={"seen"}))
 
 
 def append_action(path: Path, action: Action) -> None:

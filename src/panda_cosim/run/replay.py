@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,10 +53,24 @@ def replay(
         for action in journal.actions:
             session.step(action.tick - session.tick, progress)
             if isinstance(action.act, End):
+                session.warnings += _apart(journal.head.seen, session)
                 return session.close(action.act.reason or None)
             session.act(action.act)
         session.step(session.ticks - session.tick, progress)
         return session.close()
+
+
+def _apart(seen: Mapping[str, float], session: Session) -> Iterator[str]:
+    """Say how far from here a page was at its end, whose engine is another one."""
+    now = session.numbers()
+    apart = {name: abs(now[name] - value) for name, value in seen.items() if name in now}
+    if apart:
+        name = max(apart, key=apart.__getitem__)
+        unit = next(c.unit for c in session.prepared.assembly.recorded() if c.name == name)
+        yield (
+            f"t = {session.time:.3f} s: the page, which has another engine, was {apart[name]:.1e} "
+            f"{unit} from here at most, in {name}"
+        )
 
 
 def read_session(place: str | Path, options: Options) -> tuple[Scenario, Options]:

@@ -7,13 +7,17 @@ from contextlib import nullcontext
 from pathlib import Path
 from shlex import quote
 
+from ...fmus.atomic import cache_folder, temporary_folder, write_whole
 from ...fmus.errors import InputError, SimulationError
 from ...fmus.sources.targets import Kind, Target
 from ...run.options import Options
 from ...run.session import Session
+from ...study.live.alone import engine_of, refuse_outside
 from ...study.live.page import page_of
 from ...study.live.server import LOCAL, LiveServer, opened
 from ...study.live.simulation import Simulation
+from ...task.scenario import Scenario
+from ...task.values import Values
 from .. import ending
 from ..console import show, warn
 from ..forms import flag, option
@@ -38,6 +42,8 @@ def command(  # noqa: PLR0913 - one for each option
     host: str = option("--host", LOCAL),
     kind: Kind = KIND,
     paused: bool = flag("--paused"),
+    duration: float | None = option("--duration SECONDS"),
+    page: Path | None = option("--page FILE.html"),
     open_page: bool = OPEN_PAGE,
 ) -> None:
     """Run a scenario in real time, and interact with it in the browser.
@@ -50,6 +56,7 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     panda-cosim live --paused --open
     panda-cosim live push --speed 0.25 --port 8000
+    panda-cosim live pick_and_place --page page.html
     ```
 
     Args:
@@ -58,9 +65,16 @@ def command(  # noqa: PLR0913 - one for each option
         host: Address to listen on. With any but the default, everyone who has the page's address
             can watch and control the run; nothing is encrypted.
         paused: Start paused, at t = 0 s.
+        duration: Simulated time, instead of the scenario's.
+        page: Write one HTML file that simulates in the browser, without a server, and end.
     """
     chosen = find_scenario(scenario)
     values = values_of(assignments)
+    if duration is not None:
+        values = {**values, "duration": duration}
+    if page is not None:
+        _write(page, chosen, Options(kind=kind), values)
+        return
     if not chosen.is_system:
         announce_build(Target(kind))
     if host != LOCAL:
@@ -83,6 +97,16 @@ def command(  # noqa: PLR0913 - one for each option
     if session.failure:
         raise SimulationError(f"{session.failure}; the recording up to then is in {session.folder}")
     show(f"{session.folder}\npanda-cosim replay {quote(str(session.folder))}  repeats it.")
+
+
+def _write(page: Path, scenario: Scenario, options: Options, values: Values) -> None:
+    """Write a page that simulates by itself."""
+    with temporary_folder(cache_folder()) as folder:
+        session = Session(scenario, folder / "run", options, values=values)
+        refuse_outside(session.prepared)
+        with session:
+            write_whole(page, page_of(session, engine_of(session)))
+    show(str(page))
 
 
 def _serve(server: LiveServer, folder: Path, simulation: Simulation, *, open_page: bool) -> None:

@@ -34,6 +34,9 @@ from .run import describe as describe_run
 Document = Mapping[str, Any]  # of a run, as `run.describe` returns it
 
 TEMPLATE: Final = "template.html"
+# Modules with which a page simulates, and licences of what is in them; .ci/engine.py makes them.
+ENGINE: Final = "engine.json"
+NOTICE: Final = "LICENSES-engine.txt"
 VIEW_FILE: Final = "view.html"
 TITLE: Final = 200  # [character]
 VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &hellip;</p></main>
@@ -41,18 +44,31 @@ VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &h
 The pictures in the run's folder show the run without them.</p></noscript>"""
 
 
-def live_page(title: str, run: Mapping[str, object]) -> str:
-    """Return the page of a running simulation; it connects only to its own server."""
-    return _view(title, data_element("live", run), "; connect-src 'self'")
+def live_page(
+    title: str, run: Mapping[str, object], engine: Mapping[str, object] | None = None
+) -> str:
+    """Return the page of a simulation: of a server, to which alone it connects, or its own."""
+    data = data_element("live", run)
+    if engine is None:
+        return _view(title, data, "; connect-src 'self'")
+    data += data_element("engine", {**engine, "tunables": run["tunables"]})
+    parts = {"worker": _code()["worker"]["deflated"], "licences": _part(NOTICE)}
+    parts |= {f'module="{n}"': each["deflated"] for n, each in json.loads(_part(ENGINE)).items()}
+    for name, text in parts.items():
+        data += f'<script type="text/plain" data-{name}>{text}</script>'
+    return _view(title, data, "; worker-src blob:", ["'wasm-unsafe-eval'"])
 
 
-def _view(title: str, data: str, policy: str = "") -> str:
+def _view(title: str, data: str, policy: str = "", scripts: Sequence[str] = ()) -> str:
     title = legible(title, TITLE)
     body = Template(VIEW).substitute(title=escape(title))
-    return document(title, body, data, ["view"], policy=policy)
+    return document(title, body, data, ["view"], policy=policy, scripts=scripts)
 
 
-def document(title: str, body: str, data: str, code: Sequence[str], *, policy: str = "") -> str:
+def document(  # noqa: PLR0913 - the parts of a page
+    title: str, body: str, data: str, code: Sequence[str], *, policy: str = "",
+    scripts: Sequence[str] = (),
+) -> str:  # fmt: skip
     """Return a page as HTML.
 
     Args:
@@ -61,12 +77,13 @@ def document(title: str, body: str, data: str, code: Sequence[str], *, policy: s
         data: Elements, see `data_element`.
         code: Names of bundles, which run in this order; each has a style sheet.
         policy: Added to the content security policy.
+        scripts: Further sources of scripts in it.
     """
     loader = _code()["loader"]["text"]
     # Inserted text is not searched for further placeholders.
     return Template(_part(TEMPLATE)).substitute(
         title=escape(title),
-        scripts=" ".join(script_sources(*code)),
+        scripts=" ".join((*script_sources(*code), *scripts)),
         more=policy,
         style="\n".join(_part(f"{name}.css") for name in code),
         kind=code[0],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import groupby
 from typing import Any, Final
 
@@ -48,8 +48,8 @@ CURVES: Final = (
 )
 
 
-def page_of(session: Session) -> str:
-    """Return the page of a session as HTML."""
+def page_of(session: Session, engine: Mapping[str, object] | None = None) -> str:
+    """Return the page of a session as HTML; with an `engine_of` it, it simulates by itself."""
     columns, model = list(session.numbers()), _model(session)
     bounds = column_bounds(session.scenario.robot) if session.is_panda else {}
     content = {
@@ -82,7 +82,7 @@ def page_of(session: Session) -> str:
         "pushes": list(_pushes(session, model)),
         "plan": plan(session),
     }
-    return live_page(f"{session.scenario.name} live", content)
+    return live_page(f"{session.scenario.name} live", content, engine)
 
 
 def _pushes(session: Session, model: Any) -> Iterator[dict[str, object]]:

@@ -15,6 +15,7 @@ const pages = {
   view: ["src/main.ts", "PandaView"],
   sweep: ["src/sweep/main.ts", "PandaSweep"],
   differences: ["src/differences/main.ts", "PandaDifferences"],
+  worker: ["src/engine/worker.ts", "PandaWorker"],
 };
 
 const licences = new Map(libraries.map((name) => {

@@ -57,6 +57,15 @@ export function button(label: string, className: string, action: () => void, ...
   return element;
 }
 
+/** Let the browser save bytes as a file. */
+export function download(name: string, bytes: Uint8Array<ArrayBuffer>): void {
+  const link = make("a");
+  link.href = URL.createObjectURL(new Blob([bytes]));
+  link.download = name;
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
 const SVG = "http://www.w3.org/2000/svg";
 
 /** Draw an element of SVG with attributes; its text becomes legible. */

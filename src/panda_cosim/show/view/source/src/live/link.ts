@@ -1,6 +1,7 @@
-// The socket to a live simulation: it receives rows and sends commands.
-
+// The link to a live simulation, behind a socket or in a worker of the page: it receives rows and
+// sends commands.
 import type { Mark } from "../data/types.ts";
+import { inflate } from "../data/codec.ts";
 
 /** What the user can do to the simulation. */
 export type Command =
@@ -11,6 +12,7 @@ export type Command =
   | { do: "release"; name: string }
   | { do: "waypoint"; row: number; position: number[] }
   | { do: "keep"; name: string }
+  | { do: "journal" } // of a worker
   | { do: "coupling"; coupling: string };
 
 /** A tunable parameter. */
@@ -52,30 +54,58 @@ export interface LinkEvents {
   status(status: Status): void;
   plan(plan: Plan): void;
   refused(words: string): void;
+  journal(files: Record<string, string>): void;
   closed(): void;
 }
 
+/** Sends a message. */
+type Post = (message: string) => void;
+
 export class Link {
-  private socket: WebSocket | null = null;
-  private readonly early: Command[] = []; // given before the socket opened
+  /** Whether the page simulates by itself. */
+  readonly isAlone: boolean;
+  private post: Post | null = null;
+  private readonly early: Command[] = []; // given before the link was open
+
+  constructor(private readonly engine: unknown = null) {
+    this.isAlone = engine !== null;
+  }
 
   open(events: LinkEvents): void {
+    if (this.isAlone) this.startWorker(events).catch((error: unknown) => events.refused(`the page cannot simulate: ${String(error)}`));
+    else this.openSocket(events);
+  }
+
+  send(command: Command): void {
+    if (this.post) this.post(JSON.stringify(command));
+    else this.early.push(command);
+  }
+
+  private begin(post: Post): void {
+    this.post = post;
+    this.early.splice(0).forEach((command) => this.send(command));
+  }
+
+  private openSocket(events: LinkEvents): void {
     const address = new URL("live", location.href);
     address.protocol = "ws:";
     address.search = location.search; // the token
     address.hash = "";
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
-    socket.addEventListener("open", () => this.early.splice(0).forEach((command) => this.send(command)));
+    socket.addEventListener("open", () => this.begin((message) => socket.readyState === WebSocket.OPEN && socket.send(message)));
     socket.addEventListener("message", ({ data }) => take(data as ArrayBuffer | string, events));
     socket.addEventListener("close", () => events.closed());
-    this.socket = socket;
   }
 
-  send(command: Command): void {
-    const state = this.socket?.readyState ?? WebSocket.CONNECTING;
-    if (state === WebSocket.CONNECTING) this.early.push(command);
-    else if (state === WebSocket.OPEN) this.socket?.send(JSON.stringify(command));
+  private async startWorker(events: LinkEvents): Promise<void> {
+    const parts = Array.from(document.querySelectorAll<HTMLElement>("script[data-module]"), (part) => [part.dataset.module!, part.textContent!]);
+    const code = await inflate(document.querySelector("script[data-worker]")!.textContent!);
+    const worker = new Worker(URL.createObjectURL(new Blob([code], { type: "text/javascript" })));
+    worker.addEventListener("message", ({ data }) => take(data as ArrayBuffer | string, events));
+    worker.addEventListener("error", ({ message }) => events.refused(`the page cannot simulate: ${message}`));
+    worker.postMessage({ data: this.engine, modules: Object.fromEntries(parts) });
+    this.begin((message) => worker.postMessage(message));
   }
 }
 
@@ -84,8 +114,9 @@ function take(data: ArrayBuffer | string, events: LinkEvents): void {
     events.rows(new Float64Array(data));
     return;
   }
-  const said = JSON.parse(data) as { status: Status } | { plan: Plan } | { refused: string };
+  const said = JSON.parse(data) as { status: Status } | { plan: Plan } | { refused: string } | { journal: Record<string, string> };
   if ("status" in said) events.status(said.status);
   else if ("plan" in said) events.plan(said.plan);
+  else if ("journal" in said) events.journal(said.journal);
   else events.refused(said.refused);
 }

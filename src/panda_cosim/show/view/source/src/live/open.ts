@@ -1,4 +1,5 @@
 // Opens the page of a live simulation.
+import { download } from "../dom.ts";
 import { embedded } from "../embedded.ts";
 import { Viewer } from "../viewer.ts";
 import { Drag } from "./drag.ts";
@@ -6,15 +7,16 @@ import { Link, type Command } from "./link.ts";
 import { Bar, Parameters } from "./panel.ts";
 import { type LiveData, LiveRun } from "./source.ts";
 import { Waypoints } from "./waypoints.ts";
+import { zip } from "./zip.ts";
 
 /** Return the viewer of the page's live simulation, or null if the page has none. */
 export async function openLive(into: HTMLElement): Promise<Viewer | null> {
   const data = embedded("live") as LiveData | null;
   if (!data) return null;
-  const link = new Link();
+  const link = new Link(embedded("engine"));
   const send = (command: Command) => link.send(command);
   const run = new LiveRun(data);
-  const bar = new Bar(send);
+  const bar = new Bar(send, link.isAlone);
   const parameters = new Parameters(send, data.tunables, data.couplings);
   const viewer = await Viewer.open([run], into, {}, true, {
     footer: bar.element,
@@ -56,6 +58,7 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
       waypoints?.use(plan);
     },
     refused: (words) => bar.say(words),
+    journal: (files) => download("session.zip", zip(files)),
     closed: () => bar.say("the simulation has ended; its folder holds the run and session.jsonl"),
   });
   return viewer;

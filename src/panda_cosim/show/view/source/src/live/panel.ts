@@ -3,6 +3,7 @@ import { button, hint, joined, legible, make, number, option } from "../dom.ts";
 import type { Command, Status, Tunable, Value } from "./link.ts";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
+const JOURNAL = "Download the scenario and the journal of your actions; panda-cosim replay repeats them";
 const REACH = 4; // a slider spans at most this multiple of the start value
 
 type Send = (command: Command) => void;
@@ -16,19 +17,32 @@ export class Bar {
   private readonly says = make("output", "pv-says");
   private playing = false;
 
-  constructor(private readonly send: Send) {
+  constructor(
+    private readonly send: Send,
+    isAlone: boolean, // without a server, which keeps scenarios and journals
+  ) {
     this.play = button("Run or pause (space)", "pv-text pv-run", () => this.toggle(), "Run");
     this.speed.setAttribute("aria-label", "Speed");
     for (const factor of SPEEDS) this.speed.append(option(String(factor), `${factor}×`));
     this.speed.addEventListener("change", () => send({ do: "speed", factor: Number(this.speed.value) }));
     const step = button("One step forward (.)", "pv-text pv-tick-on", () => this.step(), "1 tick");
     const restart = button("Start a new run from t = 0", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
+    const actions = make("span", "pv-actions", ...(isAlone ? [this.written()] : [this.keeper(), this.kept()]));
+    this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, this.says, actions);
+  }
+
+  /** A link to the journal that the server keeps. */
+  private kept(): HTMLElement {
     const journal = make("a", "pv-text pv-journal", "Journal");
     journal.href = `session.zip${location.search}`; // with the token
     journal.download = "session.zip";
-    journal.title = "Download the scenario and the journal of your actions; panda-cosim replay repeats them";
-    const actions = make("span", "pv-actions", this.keeper(), journal);
-    this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, this.says, actions);
+    journal.title = JOURNAL;
+    return journal;
+  }
+
+  /** A button that asks the page's own simulation for the journal. */
+  private written(): HTMLElement {
+    return button(JOURNAL, "pv-text pv-journal", () => this.send({ do: "journal" }), "Journal");
   }
 
   /** A button that asks for a name, and saves the session as a scenario. */

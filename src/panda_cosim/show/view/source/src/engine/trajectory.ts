@@ -1,0 +1,215 @@
+// The controller's commands at any time, as src/panda_cosim/task/trajectory.py has them.
+//
+// Only operations that round alike everywhere are used, so that all browsers compute the same bits:
+// of `Math`, that are `sqrt`, `min` and `max`.
+
+import { rowAt } from "../data/lookup.ts";
+
+type Quat = readonly number[]; // w, x, y, z
+
+export interface TrajectoryData {
+  times: number[]; // [s], increasing
+  positions: number[][]; // of the hand, world frame [m]
+  orientations: Quat[]; // hand to world, each of the sign nearest to the one before
+  turns: number[][]; // rotation vector to the next row, world axes [rad]
+  grips: number[]; // [m]
+  postures: number[][] | null; // joint positions [rad]
+  interpolation: string;
+}
+
+const TOLERANCE = 1e-9; // [s]; k * dt reaches a row's time even if rounding makes it a little less
+
+export class Trajectory {
+  readonly positions: number[][];
+  private spline: number[][] | null = null; // by row, see `hermite`
+
+  private readonly instants: Float64Array;
+
+  constructor(private readonly data: TrajectoryData) {
+    this.instants = Float64Array.from(data.times);
+    this.positions = data.positions.map((place) => [...place]);
+    this.use();
+  }
+
+  get times(): readonly number[] {
+    return this.data.times;
+  }
+
+  /** Move a row's position [m]. */
+  move(row: number, place: readonly number[]): void {
+    this.positions[row] = [...place];
+    this.use();
+  }
+
+  /** Return the commands: position, orientation, both velocities, grip, then posture and its velocity. */
+  sample(time: number): number[] {
+    const row = rowAt(this.instants, time + TOLERANCE);
+    return this.spline ? this.onSpline(time, row) : this.onSegment(time, row);
+  }
+
+  private use(): void {
+    const { interpolation, orientations, postures } = this.data;
+    const rows = this.positions.map((place, row) => [...place, ...orientations[row], ...(postures?.[row] ?? [])]);
+    this.spline = interpolation === "spline" && rows.length > 1 ? derivatives(this.times, rows) : null;
+  }
+
+  private onSegment(time: number, row: number): number[] {
+    const { times, positions } = this;
+    const { orientations, turns, grips, postures, interpolation } = this.data;
+    const next = Math.min(row + 1, times.length - 1);
+    const duration = next > row ? times[next] - times[row] : 1;
+    const u = Math.min(Math.max((time - times[row]) / duration, 0), 1);
+    const isLinear = interpolation === "linear";
+    const share = isLinear ? u : u * u * u * (10 + u * (6 * u - 15));
+    const rate = isLinear ? 0 : (30 * u * u * (1 - u) * (1 - u)) / duration;
+    const way = less(positions[next], positions[row]);
+    const turn = turns[row];
+    const change = postures ? less(postures[next], postures[row]) : [];
+    return [
+      ...plus(positions[row], way, share),
+      ...times4(exponential(scaled(turn, share)), orientations[row]),
+      ...scaled(way, rate),
+      ...scaled(turn, rate),
+      grips[row],
+      ...(postures ? [...plus(postures[row], change, share), ...scaled(change, rate)] : []),
+    ];
+  }
+
+  private onSpline(time: number, row: number): number[] {
+    const { times } = this;
+    const last = times.length - 1;
+    const within = Math.min(Math.max(time, times[0]), times[last]);
+    const from = Math.min(row, last - 1);
+    const isMoving = time >= times[0] && time <= times[last];
+    const [values, rates] = hermite(this.spline!, times, from, within);
+    const moved = isMoving ? rates : rates.map(() => 0);
+    // The parts of the quaternion leave the unit sphere between rows: q = p / |p|.
+    const [p, change] = [values.slice(3, 7), moved.slice(3, 7)];
+    const square = p.reduce((sum, part) => sum + part * part, 0);
+    const spin = times4(change, inverse(p)).slice(1);
+    return [
+      ...values.slice(0, 3),
+      ...scaled(p, 1 / Math.sqrt(square)),
+      ...moved.slice(0, 3),
+      ...scaled(spin, 2 / square),
+      this.data.grips[row],
+      ...values.slice(7),
+      ...moved.slice(7),
+    ];
+  }
+}
+
+const plus = (a: readonly number[], b: readonly number[], factor = 1): number[] => a.map((value, i) => value + factor * b[i]);
+const less = (a: readonly number[], b: readonly number[]): number[] => plus(a, b, -1);
+const scaled = (a: readonly number[], factor: number): number[] => a.map((value) => factor * value);
+
+// Rotations: unit quaternions and rotation vectors.
+
+const inverse = ([w, ...v]: Quat): Quat => [w, ...scaled(v, -1)];
+
+function times4([aw, ax, ay, az]: Quat, [bw, bx, by, bz]: Quat): number[] {
+  return [
+    aw * bw - ax * bx - ay * by - az * bz,
+    aw * bx + ax * bw + ay * bz - az * by,
+    aw * by - ax * bz + ay * bw + az * bx,
+    aw * bz + ax * by - ay * bx + az * bw,
+  ];
+}
+
+/** Return the quaternion of a rotation by less than a turn. */
+function exponential(vector: readonly number[]): number[] {
+  const square = vector.reduce((sum, part) => sum + part * part, 0) / 4;
+  return [series(square, 0), ...scaled(vector, series(square, 1) / 2)];
+}
+
+const TERMS = 30; // beyond which they are below rounding, up to half a turn
+
+/** Return cos(x), or sin(x) / x if the first term is 1, by its power series; the square is x^2. */
+function series(square: number, first: 0 | 1): number {
+  let [term, sum] = [1, 1];
+  for (let k = 2 + first; k < TERMS + first; k += 2) sum += term *= -square / (k * (k - 1));
+  return sum;
+}
+
+// Splines of degree 5 with four continuous derivatives, from rest to rest: between two rows a
+// polynomial with the values, velocities and accelerations of both.
+
+// Derivatives of the polynomial's basis, times its coefficients, at the begin and the end of a segment
+// of length 1: third and fourth, of value, velocity, acceleration at the begin, then at the end.
+const THIRD = [[-60, -36, -9, 60, -24, 3], [-60, -24, -3, 60, -36, 9]];
+const FOURTH = [[360, 192, 36, -360, 168, -24], [-360, -168, -24, 360, -192, 36]];
+
+const power = (base: number, exponent: number): number => Array.from({ length: exponent }, () => base).reduce((product, factor) => product * factor, 1);
+
+/** Return the rows with their velocities and accelerations, which make the spline smooth. */
+function derivatives(times: readonly number[], rows: readonly number[][]): number[][] {
+  const inner = rows.length - 2;
+  const width = rows[0].length;
+  const system = Array.from({ length: 2 * inner }, () => new Array<number>(2 * inner + width).fill(0));
+  for (let row = 1; row <= inner; row++) {
+    [THIRD, FOURTH].forEach((parts, which) => {
+      const equation = system[2 * (row - 1) + which];
+      [0, 1].forEach((side) => {
+        // The segment before the row ends with the derivative that the segment after it begins with.
+        const first = row - 1 + side;
+        const length = times[first + 1] - times[first];
+        const sign = side ? -1 : 1;
+        parts[1 - side].forEach((part, k) => {
+          const [at, order] = [first + Math.floor(k / 3), k % 3];
+          const factor = (sign * part) / power(length, 3 + which - order);
+          if (order === 0) rows[at].forEach((value, c) => (equation[2 * inner + c] -= factor * value));
+          else if (at >= 1 && at <= inner) equation[2 * (at - 1) + order - 1] += factor;
+        });
+      });
+    });
+  }
+  solve(system);
+  const rest = new Array<number>(2 * width).fill(0);
+  return rows.map((row, at) => {
+    const found = at >= 1 && at <= inner ? [2 * at - 2, 2 * at - 1].flatMap((i) => system[i].slice(2 * inner)) : rest;
+    return [...row, ...found];
+  });
+}
+
+const BELOW = 3; // rows below the diagonal in which a column has numbers
+const RIGHT = 6; // columns on the right of it in which a row has them, once rows have been swapped
+
+/** Solve linear equations in place, whose right sides become the solution: Gauss, within the band. */
+function solve(system: number[][]): void {
+  const n = system.length;
+  const width = system[0]?.length ?? n;
+  const subtract = (row: number[], other: readonly number[], first: number, factor: number): void => {
+    for (let c = first; c < Math.min(first + RIGHT + 1, n); c++) row[c] -= factor * other[c];
+    for (let c = n; c < width; c++) row[c] -= factor * other[c];
+  };
+  for (let column = 0; column < n; column++) {
+    const end = Math.min(column + BELOW + 1, n);
+    let pivot = column;
+    for (let row = column; row < end; row++) if (Math.abs(system[row][column]) > Math.abs(system[pivot][column])) pivot = row;
+    [system[column], system[pivot]] = [system[pivot], system[column]];
+    for (let row = column + 1; row < end; row++) subtract(system[row], system[column], column, system[row][column] / system[column][column]);
+  }
+  for (let row = n - 1; row >= 0; row--) {
+    for (let c = row + 1; c < Math.min(row + RIGHT + 1, n); c++) {
+      for (let k = n; k < width; k++) system[row][k] -= system[row][c] * system[c][k];
+    }
+    for (let k = n; k < width; k++) system[row][k] /= system[row][row];
+  }
+}
+
+/** Return values and rates of all parts at a time between a row and the next. */
+function hermite(rows: readonly number[][], times: readonly number[], from: number, time: number): [number[], number[]] {
+  const width = rows[0].length / 3;
+  const length = times[from + 1] - times[from];
+  const u = (time - times[from]) / length;
+  const values = new Array<number>(width);
+  const rates = new Array<number>(width);
+  for (let c = 0; c < width; c++) {
+    const [p, q] = [rows[from], rows[from + 1]].map((row) => [row[c], row[c + width] * length, row[c + 2 * width] * length * length]);
+    const [d, dv, da] = [q[0] - p[0] - p[1] - p[2] / 2, q[1] - p[1] - p[2], q[2] - p[2]];
+    const [c3, c4, c5] = [10 * d - 4 * dv + da / 2, -15 * d + 7 * dv - da, 6 * d - 3 * dv + da / 2];
+    values[c] = p[0] + u * (p[1] + u * (p[2] / 2 + u * (c3 + u * (c4 + u * c5))));
+    rates[c] = (p[1] + u * (p[2] + u * (3 * c3 + u * (4 * c4 + 5 * u * c5)))) / length;
+  }
+  return [values, rates];
+}
