@@ -39,7 +39,7 @@ def claimed_address() -> Iterator[str]:
     """Claim an address of this machine that no other test has."""
     with socket.socket() as claim:
         for i in range(1, 255):
-            address = f"127.0.1.{i}"
+            address = f"127.0.2.{i}"
             try:
                 claim.bind((address, CLAIM))
                 socket.create_server((address, 1337)).close()

@@ -112,6 +112,8 @@ class Gripper:
         if job is None:
             return
         goal = max(job.goal, width - 2.0 * job.force / GRIP_STIFFNESS)
+        if job.force < math.inf:  # a grasp only closes
+            goal = min(goal, self.target)
         step = min(job.speed, MOST_SPEED) * STEP_SIZE
         self.target += min(max(goal - self.target, -step), step)
         is_still = abs(width - before) < STILL and abs(goal - self.target) < STILL

@@ -6,11 +6,11 @@ import select
 import signal
 import socket
 import time
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -27,20 +27,11 @@ class EndedError(Exception):
     """There is no more to do: the program has left in good order, or a signal came."""
 
 
-@dataclass(frozen=True)
-class Request:
+class Request(NamedTuple):
     """A request of a program, which is answered once or, a `move`, twice."""
 
-    protocol: Protocol
-    number: int
-    identity: int
     body: Message
-    tcp: socket.socket
-
-    def answer(self, status: int, more: bytes = b"") -> None:
-        """Answer it, unless the program has gone."""
-        with suppress(OSError):  # which is noticed where it is read from
-            self.tcp.sendall(self.protocol.answer(self.number, self.identity, status, more))
+    answer: Callable[..., None]  # with a status and, maybe, more bytes
 
 
 class Service:
@@ -95,14 +86,21 @@ class Service:
         for number, identity, size, body in self._protocol.split(self._data):
             self._data, count = self._data[size:], count + 1
             act = getattr(self._owner, self._protocol.requests[number][0])
-            act(Request(self._protocol, number, identity, body, tcp))
+            act(Request(body, partial(self._answer, tcp, number, identity)))
         return count
+
+    def _answer(
+        self, tcp: socket.socket, number: int, identity: int, status: int, more: bytes = b""
+    ) -> None:
+        with suppress(OSError):  # the program has gone, which is noticed where it is read from
+            tcp.sendall(self._protocol.answer(number, identity, status, more))
 
     def agree(self, request: Request) -> None:
         """Answer `connect`: the program speaks our version, or it leaves."""
         version, port = request.body.item()
         if version == self._protocol.version:
-            self.udp.connect((request.tcp.getpeername()[0], port))
+            assert self._tcp is not None
+            self.udp.connect((self._tcp.getpeername()[0], port))
             self._port = port
         answer = np.array(self._protocol.version, "<u2").tobytes()
         request.answer(version != self._protocol.version, answer)
@@ -119,14 +117,15 @@ class Service:
             while True:
                 yield self.udp.recv(RECEIVED)
 
-    def has_unread(self) -> bool:
-        """Whether the program has packets to read, as the kernel tells of this machine's."""
+    @property
+    def is_read(self) -> bool:
+        """Whether a program has read all packets, as the kernel tells of this machine's."""
         with suppress(OSError):
             for line in PACKETS.read_text(encoding="ascii").splitlines()[1:]:
                 words = line.split()
                 if words[1].endswith(f":{self._port:04X}"):
-                    return not words[4].endswith(":00000000")
-        return False
+                    return words[4].endswith(":00000000")
+        return self._port > 0
 
     def close(self) -> None:
         """Close all sockets."""

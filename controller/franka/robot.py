@@ -235,7 +235,7 @@ class Robot:
             self._send_state()
             self._due = self._state["message_id"]
             if self._is_opening:  # it reads a first state before that which it answers
-                while self._move and self._service.has_unread():
+                while self._move and not self._service.is_read:
                     self._line.serve(LOOK)
                 self._send_state()
         self._line.serve(SLICE, self._service.udp)
@@ -299,14 +299,12 @@ class Robot:
 
     def _brake(self) -> None:
         """Answer the requests that have ended a motion, once the arm is at rest."""
-        if self._braking:
-            is_moving = bool(np.abs(self._measured.dq).max() >= REST)
-            self._braking = self._braking - 1 if is_moving else 0
-            if not self._braking:
-                self._send_state()
-                for answer in self._answers:
-                    answer()
-                self._answers.clear()
+        is_moving = (np.abs(self._measured.dq) >= REST).any()
+        self._braking = self._braking - 1 if self._braking and is_moving else 0
+        if self._answers and not self._braking:
+            self._send_state()
+            while self._answers:
+                self._answers.pop(0)()
 
     def _held(self) -> Vector:
         """Joints (7,) that the arm is held at, unless it has been moved away."""
@@ -318,9 +316,9 @@ class Robot:
 
     def _tell(self) -> None:
         """Send states to a program that has read the last ones."""
-        if not (self._move or self._service.has_unread()):
+        if not self._move and self._service.is_read:
             self._send_state()
-        if not self._gripper.service.has_unread():
+        if self._gripper.service.is_read:
             self._gripper.send_state()
 
     def _send_state(self) -> None:
@@ -341,7 +339,7 @@ class Robot:
         if self._control == Control.EXTERNAL:
             torque = self._torque + self._arm.hand(measured.q).bias + measured.carrying()
         y.ctrl[:7] = clamp(torque, -LIMITS.torque, LIMITS.torque)
-        y.ctrl[7], y.grip_cmd[...] = CTRL_OPEN * grip / OPENING_MAX, grip
+        y.ctrl[7], y.grip_cmd[...] = CTRL_OPEN * min(grip / OPENING_MAX, 1.0), grip
         y.robot_mode[...], y.controller_mode[...] = self._mode, self._control
         y.motion_generator[...] = self._state["motion_generator_mode"]
         y.errors[...] = self._state["errors"] @ BITS

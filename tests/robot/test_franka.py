@@ -281,7 +281,7 @@ def test_a_client_of_another_version_is_told_ours() -> None:
 def test_it_does_not_wait_for_ever_for_a_client() -> None:
     made = couple(connection_timeout=0.2)
     assert made.failed
-    assert made.ended.startswith("no program has connected to 127.0.1.")
+    assert made.ended.startswith("no program has connected to 127.0.2.")
     assert made.ended.endswith(":1337 for 0.2 s")
 
 
