@@ -5,6 +5,7 @@ FMUs of FMI 2.0 make an SSP 1.0. With one of FMI 3.0 it is an SSP 2.0, whose con
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -18,29 +19,14 @@ from ..interface.variables import Scalar, Value, Variable, by_array
 from .description import ABOUT, literal, render
 from .native import archive
 
-_SSP: Final = "http://ssp-standard.org/SSP1/SystemStructure"
-PREFIXES: Final = {
-    "ssd": f"{_SSP}Description",
-    "ssc": f"{_SSP}Common",
-    "ssv": f"{_SSP}ParameterValues",
-    "ssm": f"{_SSP}ParameterMapping",
-    # Some importers read the master's step size from annotations of these names.
-    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
-    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
-    "panda": "urn:panda-cosim:ssp",  # our master's coupling
-}
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+PREFIXES: Final[dict[str, str]] = _TABLES["prefixes"]
+SYSTEM_OUTPUTS: Final[Mapping[str, Sequence[str]]] = _TABLES["system_outputs"]
 STRUCTURE_FILE: Final = "SystemStructure.ssd"
 # The same system with outputs of its own. It is a second file, which SSP allows, because libcosim
 # and Ecos fail on connections to the system itself. FMU containers look for these connections
 # anywhere in the first file, so it holds them in an annotation, which the others pass over.
 CONNECTORS_FILE: Final = "SystemConnectors.ssd"
-
-# Outputs of the whole system, if it has them: pose of the hand, centre of the block's top, servo
-# targets. Any other system has all outputs of its FMUs.
-SYSTEM_OUTPUTS: Final = {
-    "plant": ("hand_xpos", "hand_xquat", "target_xpos", "target_xmat"),
-    "controller": ("ctrl",),
-}
 Name = tuple[str, str]  # component and scalar variable
 
 

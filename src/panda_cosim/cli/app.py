@@ -23,7 +23,7 @@ from ..fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..fmus.twins import notice
 from ..show.pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code, startup
-from .commands import COMMANDS, ELSEWHERE, RULES
+from .commands import COMMANDS, ELSEWHERE, EPILOG, RULES
 from .console import complain, show, warn
 from .forms import described, flag
 
@@ -32,19 +32,6 @@ HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
 # Errors of the operating system that are due to a limit of the machine or the user.
 AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM,
             errno.EAGAIN}  # fmt: skip
-
-HELP = """
-FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
-
-Start with `panda-cosim run`: it builds the two FMUs, couples them, prints the verdict and writes
-the results to a new folder in runs/. Open view.html in that folder to see the run.
-"""
-
-EPILOG = (
-    "Exit codes: 0 done; 1 the simulation failed, or `regress` found a difference; 2 bad input; "
-    "3 it ran, but missed a success criterion; 130 and 143 stopped by Ctrl-C or "
-    "SIGTERM."
-)
 
 
 class PlainFlags:
@@ -194,7 +181,6 @@ def _usage_message(error: Any) -> str:
 app = typer.Typer(
     name="panda-cosim",
     cls=Program,
-    help=HELP,
     epilog=EPILOG,
     invoke_without_command=True,
     rich_markup_mode="markdown",
@@ -203,17 +189,19 @@ app = typer.Typer(
 )
 
 
-@app.callback()
 def program(  # noqa: D417 - the context is no option
     context: typer.Context, version: bool = flag("--version"), debug: bool = flag("--debug")
 ) -> None:
-    """Show the version, or the help if no command is given; `Program.main` takes `--debug`.
+    """FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
+
+    Start with `panda-cosim run`: it builds the two FMUs, couples them, prints the verdict and
+    writes the results to a new folder in runs/. Open view.html in that folder to see the run.
 
     Args:
         version: Show the version.
         debug: Show the traceback of an error. Can stand anywhere in a command.
     """
-    del debug
+    del debug  # `Program.main` takes it
     if version:
         from importlib.metadata import version as installed_version  # noqa: PLC0415 - slow
 
@@ -223,7 +211,7 @@ def program(  # noqa: D417 - the context is no option
         typer.echo(context.get_help())
 
 
-help_of(program)
+app.callback(help=help_of(program))(program)
 
 
 def run_program() -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict
+import tomllib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,36 +22,33 @@ from .trajectory import COMMANDS, POSTURE_COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
 INPUTS_FILE: Final = "inputs.csv"
-FROM_TEMPLATE: Final = {  # files of the template that an option of `new` adds
-    "franka": ("pick.py",),
-    "law": ("my_law.py",),
-    "plant": ("my_scene.xml", "my_scene.toml"),
-    "slave": ("my_slave.py",),
-    "sweep": ("sweep.toml",),
-}
-_SETTINGS: Final = {  # by option, those that stand in for the usual ones
-    "law": "scenario_with_law.toml",
-    "franka": "scenario_with_client.toml",
-}
-_FMUS: Final = {  # lines of the section [fmus]
-    "plant": 'plant = "my_scene.xml"  # a scene of its own; my_scene.toml says what its FMU has\n',
-    "slave": 'gust = "my_slave.py:Gust"  # a slave for PythonFMU\n',
-}
-_GUST: Final = '\n[connect]\n"plant.push_force[2]" = "convert(gust.force)"\n'
-
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What an option adds to a new scenario; writer.toml says what the fields are."""
+
+    files: Sequence[str]
+    settings: str = ""
+    fmus: str = ""
+    end: str = ""
+
+
+ADDITIONS: Final = {name: Addition(**row) for name, row in _TABLES.items()}
 
 
 def make_scenario(
     folder: Path, parts: Collection[str] = (), copied: str | None = None
 ) -> list[Path]:
     """Make the files of a new scenario, which can be run without changes, and return them."""
-    # The folder's name becomes the scenario's. `parts` of `FROM_TEMPLATE` are added to the
+    # The folder's name becomes the scenario's. `parts` of `ADDITIONS` are added to the
     # template, or a sweep to the shipped scenario that is copied, without its reference.
     check_name(folder)
     sources = _template(parts) if copied is None else _shipped(copied)
     contents = {folder / name: text for name, text in sources.items()}
-    for name in (name for part in parts for name in FROM_TEMPLATE[part]):
+    for name in (name for part in parts for name in ADDITIONS[part].files):
         contents[folder / name] = (TEMPLATE / name).read_text(encoding="utf-8")
     write_all(contents)
     return list(contents)
@@ -65,15 +63,15 @@ def check_name(folder: Path) -> None:
 
 def _template(parts: Collection[str]) -> dict[str, str]:
     """Return settings that name the parts, and the table unless a client moves the arm, by file."""
-    file = next((_SETTINGS[part] for part in parts if part in _SETTINGS), SCENARIO_FILE)
+    added = [each for name, each in ADDITIONS.items() if name in parts]
+    file = next((each.settings for each in added if each.settings), SCENARIO_FILE)
     settings, table = ((TEMPLATE / name).read_text(encoding="utf-8") for name in (file, TABLE_FILE))
     if "franka" in parts:
         return {SCENARIO_FILE: settings}
-    for part in (part for part in _FMUS if part in parts):
-        head = "[fmus]\n"
-        settings = settings if head in settings else f"{settings}\n{head}"
-        settings = settings.replace(head, head + _FMUS[part])
-    settings += _GUST if "slave" in parts else ""
+    head, fmus = "[fmus]\n", "".join(each.fmus for each in added)
+    if fmus and head not in settings:
+        settings = f"{settings}\n{head}"
+    settings = settings.replace(head, head + fmus) + "".join(each.end for each in added)
     return {SCENARIO_FILE: settings, TABLE_FILE: table}
 
 

@@ -15,3 +15,4 @@ _TABLES: Final = tomllib.loads(Path(__file__).with_name("commands.toml").read_te
 COMMANDS: Final[Mapping[str, tuple[str, str]]] = _TABLES["commands"]  # panel and summary by name
 ELSEWHERE: Final[Mapping[str, str]] = _TABLES["elsewhere"]
 RULES: Final[Mapping[str, list[str]]] = _TABLES["rules"]
+EPILOG: Final[str] = _TABLES["epilog"]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from textwrap import fill
@@ -33,17 +34,8 @@ from ..options import (
 )
 
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s] of our own controller
-_COLUMNS = {  # heading and unit: attribute of a loop
-    "joint": "joint",
-    "gain\nup\n[dB]": "gain_up_db",
-    "gain\ndown\n[dB]": "gain_down_db",
-    "phase\nmargin\n[deg]": "phase_margin_deg",
-    "delay\nmargin\n[ms]": "delay_margin_ms",
-    "cross-\nover\n[Hz]": "crossover_hz",
-    "band-\nwidth\n[Hz]": "bandwidth_hz",
-    "step\npeak": "peak_ratio",
-    "settling\n[ms]": "settling_ms",
-}
+_TABLE = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+_COLUMNS: Mapping[str, str] = tomllib.loads(_TABLE)["columns"]
 LEFT_OUT = "larger signals, at which limits are met or contacts change; noise; other poses"
 NUMBERS_FILE, PLOT_FILE, MODEL_FILE = "analysis.json", "loops.png", "analysis.npz"
 
