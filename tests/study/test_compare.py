@@ -217,9 +217,7 @@ def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared):
     values["plant.jac[1,1]"][5] = np.nextafter(values["plant.jac[1,1]"][5], 2.0)
     other = {"versions": {"numpy": "2"}, "platform": "y"}
     comparison = compared(values, exact=True, metadata=other)
-    assert texts(comparison) == (
-        "bits differ: plant.jac (recorded with another platform, another numpy)"
-    )
+    assert texts(comparison) == ("bits differ: plant.jac")
 
 
 @settings(max_examples=40, deadline=None)

@@ -14,7 +14,8 @@ from browser import Page, find_browser
 from panda_cosim import Recording, Scenario, TableRow, TrajectoryTable, load_scenario
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.study.compare.against_reference import compare_with_reference
-from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.compare.causes import changed
+from panda_cosim.study.compare.reference import Reference, kept_metadata
 from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.compare.report import write_report
 from regress_support import CONTENT, MISSED_CONTENT, SUMMARY, columns, record
@@ -42,6 +43,8 @@ def outcome(folder: Path, name: str, *, offset: float, nan: bool = False) -> Out
         Recording.open(run), Summary.read(summary), reference, scenario.regression
     )
     assert recording.complete
+    causes = changed(reference.metadata, kept_metadata(recording))
+    compared = replace(compared, causes=tuple(causes))
     return Outcome(scenario, "same" if compared.ok else "differs", run, 1.5, compared)
 
 

@@ -62,7 +62,7 @@ def test_a_sweep_goes_by_the_scenario_as_it_was_swept_and_by_the_same_code(tmp_p
     content = json.loads(text)
     content["origin"]["code"]["panda-cosim"] = "0123456789abcdef"
     (out / "sweep.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"code of panda-cosim \(was '0123456789abcdef', is"):
+    with pytest.raises(InputError, match=r"code\.panda-cosim 0123456789abcdef -> "):
         sweep(definition, out, jobs=1)
     (out / "sweep.json").write_text(text)
     edit(folder, ("20.0", "90.0"))

@@ -87,7 +87,7 @@ def test_rows_are_paired_by_what_varies_and_what_is_constant_is_the_treatment(sw
     found = pair(sweeps["before"], sweeps["after"])
     assert FORCE in found.keys
     assert "controller.kp" not in found.keys
-    assert found.treatment[0] == "controller.kp (was 8.0, is 3.0)"
+    assert found.treatment[0] == "controller.kp 8 -> 3"
     assert len(found.pairs) == 8
     for a, b in found.pairs:
         assert a[FORCE] == b[FORCE]
@@ -106,6 +106,6 @@ def test_sweeps_of_other_values_are_no_pairs(sweeps, tmp_path):
 def test_the_command_prints_rates_and_the_rows_that_flip(sweeps, capsys):
     compare(sweeps["before"], sweeps["after"], not_worse=1.0, json=False)
     said = capsys.readouterr().out
-    assert "treatment: controller.kp (was 8.0, is 3.0)" in said
+    assert "treatment: controller.kp 8 -> 3" in said
     assert "8 pairs: success" in said
     assert "McNemar's p = " in said

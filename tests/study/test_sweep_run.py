@@ -160,9 +160,9 @@ def test_ctrl_c_keeps_what_was_done_and_leaves_no_process_and_no_folder(tmp_path
 
 def test_a_changed_definition_is_refused_and_named(whole):
     for keys, named in (
-        ({"samples": 41}, r"samples \(was 40, is 41\)"),
+        ({"samples": 41}, r"samples 40 -> 41"),
         ({"seed": 4}, "seed"),
-        ({"vary": {FORCE: {"uniform": [0.0, 101.0]}}}, r"vary push\[1\].force\[2\]"),
+        ({"vary": {FORCE: {"uniform": [0.0, 101.0]}}}, r"vary\.push\[1\]\.force\[2\]"),
     ):
         definition = short_sweep(whole, **{"samples": 40, "keep": "failures", **keys})
         with pytest.raises(InputError, match=f"holds another sweep: .*{named}"):

@@ -88,7 +88,7 @@ def open_log(path: Path, names: Path | None, run: Recording) -> Recording:
         if name not in found:
             refuse(f"{path}: column", name, f"must be one of its {len(found)} in use", found)
     times = given.seconds * found[given.time]
-    if given.start is not None:
+    if given.start is not None and times.size:
         times += given.start - times[0]
     columns = {name: found[column] for name, column in own.items() if column in found}
     log = Recording.of_columns({TIME: times, **columns}, {"complete": True}, run.units, path=path)
@@ -142,15 +142,13 @@ def messages(path: Path) -> Iterator[tuple[str, float, Any]]:
     with needing("mcap-ros2-support", "logs", str(path)):
         from mcap.reader import make_reader  # noqa: PLC0415 - an extra
         from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
-    ros, decoders = DecoderFactory(), dict[int, Any]()
+    ros = DecoderFactory()
     with open_regular(path) as file:
         try:
             for schema, channel, message in make_reader(file).iter_messages():
-                if channel.id not in decoders:
-                    encoding = channel.message_encoding
-                    other = ros.decoder_for(encoding, schema)
-                    decoders[channel.id] = json.loads if encoding == "json" else other
-                if decode := decoders[channel.id]:
+                encoding = channel.message_encoding
+                decode = json.loads if encoding == "json" else ros.decoder_for(encoding, schema)
+                if decode:
                     yield channel.topic, NS * message.log_time, _plain(decode(message.data))
         except Exception as error:  # its reader raises many types for damaged files
             raise InputError(f"{path}: is no whole MCAP file: {one_line(error)}") from error

@@ -147,46 +147,35 @@ def _parts(names: str, values: Any) -> dict[str, float]:
 
 def _shapes(model: Any) -> Any:
     """Return the shapes of all bodies but planes and meshes, which move with the bodies' frames."""
-    import mujoco  # noqa: PLC0415 - slow to import
     from foxglove import messages as fox  # noqa: PLC0415 - an extra
 
-    entities: dict[int, Any] = {}
-    for geom in map(model.geom, range(model.ngeom)):
-        kind, size = mujoco.mjtGeom(geom.type[0]), geom.size
-        common: dict[str, Any] = {
-            "pose": fox.Pose(
-                position=fox.Vector3(**_parts("xyz", geom.pos)),
-                orientation=fox.Quaternion(**_parts("wxyz", geom.quat)),
-            ),
-            "color": fox.Color(**_parts("rgba", _colour(model, geom))),
-        }
-        shape: tuple[str, Any] | None = None
-        if kind == mujoco.mjtGeom.mjGEOM_BOX:
-            shape = "cubes", fox.CubePrimitive(size=_size(2 * size), **common)
-        elif kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-            half = size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else np.repeat(size[0], 3)
-            shape = "spheres", fox.SpherePrimitive(size=_size(2 * half), **common)
-        elif kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
-            whole = (2 * size[0], 2 * size[0], 2 * size[1])  # of a capsule, without its ends
-            ends: dict[str, Any] = {"bottom_scale": 1.0, "top_scale": 1.0}
-            shape = "cylinders", fox.CylinderPrimitive(size=_size(whole), **ends, **common)
-        if shape is not None:
-            shapes = entities.setdefault(int(geom.bodyid[0]), {})
-            shapes.setdefault(shape[0], []).append(shape[1])
-    return fox.SceneUpdate(entities=[
-        fox.SceneEntity(
-            id=_name(model.body(body)), frame_id=_name(model.body(body)) if body else WORLD,
-            frame_locked=True, **shapes,
-        )
-        for body, shapes in entities.items()
-    ])  # fmt: skip
+    from .model import describe  # noqa: PLC0415 - imports MuJoCo
 
-
-def _size(values: Any) -> Any:
-    from foxglove.messages import Vector3  # noqa: PLC0415 - an extra
-
-    return Vector3(**_parts("xyz", values))
-
-
-def _colour(model: Any, geom: Any) -> Any:
-    return model.mat_rgba[geom.matid[0]] if geom.matid[0] >= 0 else geom.rgba
+    round_ends: dict[str, Any] = {"bottom_scale": 1.0, "top_scale": 1.0}
+    kinds: dict[str, tuple[str, Any, Sequence[int], dict[str, Any]]] = {
+        "box": ("cubes", fox.CubePrimitive, (0, 1, 2), {}),  # axes of its size
+        "sphere": ("spheres", fox.SpherePrimitive, (0, 0, 0), {}),
+        "ellipsoid": ("spheres", fox.SpherePrimitive, (0, 1, 2), {}),
+        "cylinder": ("cylinders", fox.CylinderPrimitive, (0, 0, 1), round_ends),
+        "capsule": ("cylinders", fox.CylinderPrimitive, (0, 0, 1), round_ends),  # without its ends
+    }
+    entities = []
+    bodies: Any = describe(model)["bodies"]
+    for number, body in enumerate(bodies):
+        shapes: dict[str, Any] = {}
+        for shape in (each for each in body["shapes"] if each["kind"] in kinds):
+            name, primitive, axes, ends = kinds[shape["kind"]]
+            size = fox.Vector3(**_parts("xyz", [2.0 * shape["size"][axis] for axis in axes]))
+            position = fox.Vector3(**_parts("xyz", shape["pos"]))
+            turn = fox.Quaternion(**_parts("wxyz", shape["quat"]))
+            pose, colour = (
+                fox.Pose(position=position, orientation=turn),
+                _parts("rgba", shape["rgba"]),
+            )
+            shapes.setdefault(name, []).append(
+                primitive(size=size, pose=pose, color=fox.Color(**colour), **ends)
+            )
+        frame = _name(model.body(number)) if number else WORLD
+        if shapes:
+            entities.append(fox.SceneEntity(id=frame, frame_id=frame, frame_locked=True, **shapes))
+    return fox.SceneUpdate(entities=entities)

@@ -15,23 +15,8 @@ from .columns import Json, pack
 GROUPS: Final = 3  # the groups that MuJoCo's own viewer shows: 0, 1, 2
 TEXTURE_SIDE: Final = 128  # [px] largest texture; larger ones are scaled down
 RGB: Final = 3  # channels
-SHAPES: Final = {
-    mujoco.mjtGeom.mjGEOM_PLANE: "plane",
-    mujoco.mjtGeom.mjGEOM_HFIELD: "mesh",
-    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
-    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
-    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
-    mujoco.mjtGeom.mjGEOM_BOX: "box",
-    mujoco.mjtGeom.mjGEOM_MESH: "mesh",
-    mujoco.mjtGeom.mjGEOM_SDF: "mesh",
-}
-JOINTS: Final = {
-    mujoco.mjtJoint.mjJNT_FREE: "free",
-    mujoco.mjtJoint.mjJNT_BALL: "ball",
-    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
-    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
-}
+SHAPES: Final = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+MESHES: Final = {"hfield": "mesh", "sdf": "mesh"}  # drawn as such
 _PLAIN = (0.5, 0.5, 0.5, 1.0)  # a geom's default colour
 
 
@@ -57,6 +42,11 @@ def describe(model: Any) -> Json:
         "center": _floats(model.stat.center),
         "extent": float(model.stat.extent),
     }
+
+
+def _word(kind: Any) -> str:
+    """Return the word of MJCF for a type of MuJoCo: "box" for mjGEOM_BOX."""
+    return str(kind.name).rpartition("_")[2].lower()
 
 
 def _floats(values: Any, digits: int = 5) -> list[float]:
@@ -85,7 +75,7 @@ def _body(model: Any, index: int, shapes: _Shapes) -> Json:
 def _joint(joint: Any) -> Json:
     return {
         "name": joint.name,
-        "kind": JOINTS[mujoco.mjtJoint(joint.type.item())],
+        "kind": _word(mujoco.mjtJoint(joint.type.item())),
         "address": joint.qposadr.item(),
         "axis": _floats(joint.axis, 9),
         "pos": _floats(joint.pos, 9),
@@ -115,15 +105,15 @@ class _Shapes:
 
     def shape(self, drawn: Any) -> Json | None:
         """Return a geom or site, or None if it is not shown."""
-        kind = SHAPES.get(mujoco.mjtGeom(drawn.type.item()))
+        own = _word(mujoco.mjtGeom(drawn.type.item()))
+        kind = MESHES.get(own, own)
         look, rgba = self._look(drawn.matid.item(), drawn.rgba)
-        if kind is None or drawn.group.item() >= GROUPS or rgba[3] == 0.0:
+        if kind not in SHAPES or drawn.group.item() >= GROUPS or rgba[3] == 0.0:
             return None
         frame = {"pos": _floats(drawn.pos), "quat": _floats(drawn.quat, 7)}
         shape = {"kind": kind, "size": _floats(drawn.size), **frame, "rgba": rgba, **look}
         if kind == "mesh":
-            is_field = drawn.type.item() == mujoco.mjtGeom.mjGEOM_HFIELD
-            shape["mesh"] = self._mesh((is_field, drawn.dataid.item()))
+            shape["mesh"] = self._mesh((own == "hfield", drawn.dataid.item()))
         return shape
 
     def _look(self, index: int, own: Any) -> tuple[Json, list[float]]:

@@ -22,7 +22,7 @@ from ...assets.checks import ARMS, CHECKS
 from ...assets.franka import JOINT_DAMPING
 from ...controller.model import ArmModel
 from ...controller.touch import ROTOR
-from ...fmus.errors import InputError, excerpt, located, one_line
+from ...fmus.errors import InputError, excerpt, located
 from ...result.judging.advice import refusals
 from ...result.judging.preflight import preflight
 from ...result.recording import Recording
@@ -59,20 +59,6 @@ class Motion:
         speeds = np.column_stack([columns[name] for name in SPEEDS]) if has_speeds else None
         return cls(times, joints, speeds)
 
-    @classmethod
-    def of_message(cls, content: Any) -> Motion:
-        """Make one of a JointTrajectory, whose joints are in the order of their names."""
-        order = np.argsort(content["joint_names"])
-        if len(order) != len(JOINTS):
-            raise InputError(f"{len(order)} joints; must be {len(JOINTS)}")
-        points = content["points"]
-        after = [each["time_from_start"] for each in points]
-        times = np.array([each["sec"] + 1e-9 * each["nanosec"] for each in after])
-        joints, speeds = (
-            np.array([each[name] for each in points], float) for name in ("positions", "velocities")
-        )
-        return cls(times, joints[:, order], speeds[:, order] if speeds.size else None)
-
     def __post_init__(self) -> None:
         """Refuse what no robot could follow."""
         if len(self.times) < 2:
@@ -105,22 +91,30 @@ def motions(path: Path) -> list[Motion]:
     Raises:
         InputError: There is none; the message names file, place and column.
     """
-    is_log = path.suffix == MCAP
-    contents = [*_trajectories(path)] if is_log else [read_columns(path, (TIME, *JOINTS, *SPEEDS))]
-    make = Motion.of_message if is_log else Motion.of
+    if path.suffix != MCAP:
+        tables = [read_columns(path, (TIME, *JOINTS, *SPEEDS))]
+    else:
+        tables = [_columns(each) for _, _, each in messages(path) if is_trajectory(each)]
     with located(path):
-        if not contents:
+        if not tables:
             raise InputError("no message in it is a JointTrajectory")
-        try:
-            return [make(content) for content in contents]
-        except (KeyError, TypeError) as error:
-            raise InputError(f"is no JointTrajectory: {one_line(error)}") from None
+        return [Motion.of(table) for table in tables]
 
 
-def _trajectories(path: Path) -> Iterator[Any]:
-    for _, _, content in messages(path):
-        if isinstance(content, dict) and {"joint_names", "points"} <= content.keys():
-            yield content
+def is_trajectory(content: Any) -> bool:
+    """Whether a message is a JointTrajectory."""
+    return isinstance(content, dict) and {"joint_names", "points"} <= content.keys()
+
+
+def _columns(content: dict[str, Any]) -> dict[str, Array]:
+    """Return a JointTrajectory as a table; joints are in the order of their names."""
+    order = np.argsort(content["joint_names"])
+    rows = []
+    for point in content["points"]:
+        after, speeds = point["time_from_start"], point["velocities"]
+        values = [np.array(each, float)[order] for each in (point["positions"], speeds) if each]
+        rows.append(np.concatenate(([after["sec"] + 1e-9 * after["nanosec"]], *values)))
+    return dict(zip((TIME, *JOINTS, *SPEEDS), np.transpose(rows), strict=False))
 
 
 def followed(motion: Motion, arm: str) -> Recording:
@@ -179,28 +173,19 @@ def retimed(path: Path, robot: str, share: float, *, keep_times: bool) -> tuple[
     motion, *others = motions(path)
     if others:
         raise InputError(f"{path}: {1 + len(others)} motions; must be one")
-    factor = 1.0
+    factor, own = 1.0, {k: c for k, c in CHECKS.items() if c.interface in ("joint", "arm")}
     for _ in range(ROUNDS):
         found = preflight(followed(motion.stretched(factor), ARMS[robot]), robot)
-        used = {key: max(found[f"{key}_share"] or (0.0,)) for key in CHECKS}
-        with located(path):
-            needed = max(_needed(key, used[key], share) for key in CHECKS)
+        used = {key: max(found[f"{key}_share"] or (0.0,)) for key in own if own[key].necessary}
+        for key in [*used]:
+            if own[key].remedy in ("elsewhere", "start") and used.pop(key) >= 1.0:
+                raise InputError(f"{path}: {key}: is beyond its limit at any speed")
+        powers = {key: POWERS.get(key.rpartition("_")[2], 2) for key in used}
+        needed = max((used[key] / share) ** (1.0 / powers[key]) for key in used)
         if needed < 1.0 and (needed > ENOUGH or (keep_times and factor == 1.0)):
             return motion.stretched(factor), factor
         factor *= needed * (1.0 + ENOUGH) / 2.0 / ENOUGH
     raise InputError(f"{path}: no times were found within {share:.0%} of the limits")
-
-
-def _needed(key: str, used: float, share: float) -> float:
-    """Return the factor of all times at which a limit is used up to a share, by its own power."""
-    check = CHECKS[key]
-    if check.interface not in ("joint", "arm") or not check.necessary:
-        return 0.0
-    if check.remedy in ("elsewhere", "start"):  # no time changes it
-        if used >= 1.0:
-            raise InputError(f"{key}: is beyond its limit at any speed")
-        return 0.0
-    return float((used / share) ** (1.0 / POWERS.get(key.rpartition("_")[2], 2)))
 
 
 def motion_text(motion: Motion) -> str:

@@ -29,7 +29,7 @@ from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, signal_of
 from .differences import LEAST_SHARE, Row
-from .reference import Reference, column_digest, kept_metadata
+from .reference import Reference, column_digest
 from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, widths
 from .wording import instant, measure, multiple, precise, signal_names
 
@@ -112,20 +112,13 @@ def time_problems(time: Array, reference: Reference) -> list[str]:
 
 
 def bit_problems(recording: Recording, reference: Reference) -> list[str]:
-    """Check that all columns have the same bits; add possible causes of a difference."""
+    """Check that all columns have the same bits."""
     differing = [
         name
         for name, bits in reference.digests.items()
         if name in recording.types and column_digest(recording[name]) != bits
     ]
-    if not differing:
-        return []
-    before, now = reference.metadata, kept_metadata(recording)
-    changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
-    old, new = before.get("versions", {}), now.get("versions", {})
-    changes += [name for name in new if old.get(name) != new[name]]
-    causes = f" (recorded with another {', another '.join(changes)})" if changes else ""
-    return [f"bits differ: {signal_names(differing)}{causes}"]
+    return [f"bits differ: {signal_names(differing)}"] if differing else []
 
 
 COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes

@@ -26,7 +26,7 @@ from ...task.typed import typed
 from . import differences
 from .differences import Extent, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
-from .wording import DASH, multiple, numbers, percent, precise
+from .wording import DASH, multiple, numbers, percent, precise, unit_of
 
 Names = tuple[str, ...]
 
@@ -50,7 +50,7 @@ class RunComparison:
         rows: Their number.
         columns: Number of compared columns.
         parameters: Parameters that differ.
-        criteria: All criteria.
+        criteria: All criteria, those that only later runs miss first.
         metrics: Metrics that differ, the largest difference first.
         signals: Columns of all runs that differ, the most default tolerances apart first.
         missing: Columns that only some runs have.
@@ -72,7 +72,8 @@ class RunComparison:
         settings = [differences.parameters_of(run) for run in runs]
         self.parameters = _differing(settings)
         judged = [{each.name: each for each in summary.criteria} for summary in summaries]
-        self.criteria = tuple(differences.side_by_side(judged))
+        newly = sorted(differences.side_by_side(judged), key=lambda row: not _newly_missed(row))
+        self.criteria = tuple(newly)
         metrics = _differing([dict(summary.numbers()) for summary in summaries])
         self.metrics = tuple(sorted(metrics, key=lambda row: -row.relative))
         self.signals = differences.signals_apart(compared, runs, instants, own)
@@ -124,16 +125,17 @@ class RunComparison:
             for row in self.signals
         ]
         parameters, metrics = (
-            [(row.name, *numbers(row.values)) for row in rows]
+            [(row.name, *(f"{text} {unit_of(row.name)}".rstrip() for text in numbers(row.values)))
+             for row in rows]
             for rows in (self.parameters, self.metrics)
-        )
+        )  # fmt: skip
         names = self.names
         return {
             "Recorded": Table(("Recorded", *names), recorded),
             "Parameters that differ": Table(("Parameter", *names), parameters),
             "Success criteria": Table(("Criterion", "Required", *names), criteria),
             SIGNALS: Table(("Signal", "x tolerance", "of its range", *names[1:]), signals),
-            "Metrics that differ": Table(("Metric", *names), metrics),
+            "Metrics that differ": Table(("Metric", *names), metrics, f"{len(metrics)} metrics"),
         }
 
     @property
@@ -205,6 +207,11 @@ def _opened(
         return open_log(Path(run), names, like), Summary()
     recording = Recording.open(run, in_order=True)
     return recording, Summary.of(recording)
+
+
+def _newly_missed(row: differences.Row) -> bool:
+    first, *others = row.values
+    return bool(first and first.ok) and any(other and not other.ok for other in others)
 
 
 def _judged(criterion: Criterion | None) -> str:

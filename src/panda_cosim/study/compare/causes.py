@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from ...fmus.build.engines import made_with
 from ...fmus.build.identity import mujoco_version
-from ...fmus.interface.tables import INTERFACES
 from ...plant.parameters import PlantParameters
 from ...result.recording import Recording
 from ...run.folder import model_in
@@ -24,22 +26,11 @@ from ...run.system.assembly import assemble
 from ...task.scenario import Scenario
 from ...task.tolerances import flattened, signal_of
 from .differences import Row, differing
-from .wording import numbers
+from .wording import unit_of
 
 Elements = dict[str, float]  # by element, field and number; "hash": of all that is compiled
 
-# Kinds of elements, their number in a model, and the fields that are written in MJCF.
-FIELDS: Final = (
-    ("geom", "ngeom", "size friction pos quat condim contype conaffinity solref solimp"),
-    ("joint", "njnt", "range stiffness damping frictionloss armature"),
-    ("actuator", "nu", "gainprm biasprm gear ctrlrange forcerange"),
-    ("equality", "neq", "data solref solimp"),
-    ("tendon", "ntendon", "range stiffness damping"),
-    ("body", "nbody", "pos quat mass inertia ipos"),  # last, as geoms may give it mass and inertia
-)
-OPTIONS: Final = "timestep gravity integrator cone impratio solver tolerance iterations"
-UNITS: Final = {"mass": "kg", "inertia": "kg.m2", "pos": "m", "ipos": "m", "size": "m",
-                "timestep": "s", "gravity": "m/s2"}  # fmt: skip
+TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 MOST: Final = 20_000  # fields; of a larger model, only the hash is kept
 SHOWN: Final = 4  # causes in a line
 # The order in which they are named; FMUs last, as their hashes change with any of their files.
@@ -53,14 +44,15 @@ def elements(model: Any) -> Elements:
     compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, compiled)
     found: Elements = {"hash": float(int(hashlib.sha256(compiled.tobytes()).hexdigest()[:12], 16))}
-    if sum(getattr(model, count) * len(fields.split()) for _, count, fields in FIELDS) > MOST:
+    counts = {kind: getattr(model, count) for kind, count in TABLES["counts"].items()}
+    if sum(counts[kind] * len(fields) for kind, fields in TABLES["fields"].items()) > MOST:
         return found
-    for option in OPTIONS.split():
+    for option in TABLES["options"]:
         found |= _numbered(f"option {option}", getattr(model.opt, option))
-    for kind, count, fields in FIELDS:
-        for number in range(getattr(model, count)):
+    for kind, fields in TABLES["fields"].items():
+        for number in range(counts[kind]):
             element = getattr(model, kind)(number)
-            for field in fields.split():
+            for field in fields:
                 values = getattr(element, field, ())
                 found |= _numbered(f"{kind} {element.name or number} {field}", values)
     return found
@@ -148,15 +140,11 @@ def _words(rows: Sequence[Row]) -> Iterator[str]:
         elif part == "fmus.":
             yield f"the code or files of FMU {instance!r}"
         else:
-            old, new = numbers(row.values)
-            yield f"{name} {old} -> {new} {_unit(part, instance, rest)}".rstrip()
+            yield f"{replace(row, name=name)} {_unit(part, instance, rest)}".rstrip()
 
 
 def _unit(part: str, instance: str, name: str) -> str:
     """Return the unit of a field, or of a parameter of an FMU of ours."""
     if part == "models.":
-        return UNITS.get(signal_of(name).rpartition(" ")[2], "")
-    interface = INTERFACES.get(instance)
-    found = {scalar.name: scalar.unit for scalar in interface.scalars()} if interface else {}
-    unit = found.get(name, "")
-    return "" if unit == "1" else unit
+        return str(TABLES["units"].get(signal_of(name).rpartition(" ")[2], ""))
+    return unit_of(f"{instance}.{name}")

@@ -15,11 +15,12 @@ from ...fmus.errors import InputError, excerpt
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, flattened, signal_of
 from .tubes import TIME_SLACK, distances, widths
-from .wording import instant, measure
+from .wording import instant, measure, numbers
 
 Array = NDArray[np.float64]
 
 SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
+LONG: Final = 40  # characters of a text, such as a digest
 SMALL: Final = 1e-3  # in any unit; changes of smaller numbers are judged as if they were this large
 
 # What a range counts as at least, so that noise in an element that hardly moves is a small share.
@@ -49,6 +50,11 @@ class Row:
 
     name: str  # such as `controller.kp[1]` or `tracking.rms_mm`
     values: tuple[Any, ...]  # in each run; None: it has none
+
+    def __str__(self) -> str:
+        """Say what it is in each run: `controller.kp 8 -> 6`; long texts are cut."""
+        texts = (text if len(text) < LONG else f"{text[:12]}..." for text in numbers(self.values))
+        return f"{self.name} {' -> '.join(texts)}"
 
     @property
     def relative(self) -> float:

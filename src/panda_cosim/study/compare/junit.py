@@ -46,17 +46,17 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
 
 def details(outcome: Outcome) -> str:
     """Return a line for each criterion, problem and signal outside its tube."""
-    criteria, compared = [line(criterion) for criterion in outcome.criteria], outcome.comparison
-    if compared is None:
-        return "\n".join([*criteria, *outcome.problems])
+    compared = outcome.comparison
     deviations = [
         f"{d.name}: {multiple(d.share)} times its {measure(d.tolerance, d.unit)}; "
         f"worst at {instant(d.time)} s, {d.outside} ticks outside"
-        for d in compared.deviations
+        for d in (compared.deviations if compared else ())
         if not d.ok
     ]
-    causes = [f"changed: {named(compared.causes, len(compared.causes))}"] if compared.causes else []
-    return "\n".join([*causes, *criteria, *compared.problems, *deviations])
+    causes = compared.causes if compared else ()
+    listed = [f"changed: {named(causes, len(causes))}"] if causes else []
+    criteria = [line(criterion) for criterion in outcome.criteria]
+    return "\n".join([*listed, *criteria, *outcome.problems[bool(causes) :], *deviations])
 
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:

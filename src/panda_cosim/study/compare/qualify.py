@@ -19,20 +19,13 @@ from ...result.recording import Recording
 from ...run.start import start_values
 from ...task.scenario import Scenario
 from ...task.tolerances import signal_of
+from .causes import TABLES
+from .differences import Row
 from .junit import Case, write_cases
 from .reference import column_digest
 from .regress import Outcome, Suite, run_suite
-from .wording import numbers
 
-# Steps of parameters that are 0 as a rule, in their units; all others are changed by a share.
-STEPS: Final = {
-    "plant.payload": 0.05,  # kg
-    "plant.joint_friction": 0.1,  # N.m
-    "plant.joint_viscous": 0.1,  # N.m.s/rad
-    "plant.block_yaw": 0.02,  # rad
-    "controller.ki": 0.1,
-    "controller.kd": 0.01,
-}
+STEPS: Final[Mapping[str, float]] = TABLES["steps"]
 NO_EFFECT: Final = "no effect"
 
 
@@ -47,7 +40,7 @@ class Change:
     def __str__(self) -> str:
         """Say what changes: of several elements the first that does."""
         pairs = zip(self.before, self.now, strict=True)
-        return " -> ".join(numbers(next(pair for pair in pairs if pair[0] != pair[1])))
+        return str(Row("", next(pair for pair in pairs if pair[0] != pair[1]))).strip()
 
     def applied(self, scenario: Scenario) -> Scenario:
         """Return a scenario with it."""

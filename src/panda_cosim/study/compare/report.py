@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,12 +15,11 @@ from ...result.recording import Recording
 from ...show.view.page import shown_run
 from ...show.view.run import Shown
 from ...task.scenario import Scenario
-from ...task.tolerances import flattened
 from ...task.values import Values
 from .against_reference import Comparison, Deviation, matching_rows
-from .differences import side_by_side
+from .differences import Row, differing
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
-from .reference import Reference, kept_metadata
+from .reference import Reference
 from .regress import MEANINGS, Outcome, exit_code, headline
 from .requirements import proofs
 from .tubes import tube
@@ -88,11 +87,8 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
     shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
     shown = [deviation for deviation in shown if deviation.name in reference.columns]
-    origins = [dict(flattened(each)) for each in (reference.metadata, kept_metadata(recording))]
-    for row in comparison.causes:
-        for made, value in zip(origins, row.values, strict=True):
-            made[row.name] = value
-    metrics = (dict(each.summary.numbers()) for each in (reference, outcome))
+    metrics = differing([dict(each.summary.numbers()) for each in (reference, outcome)])
+    metrics.sort(key=lambda row: -row.relative)
     tables = [
         Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
         Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
@@ -101,8 +97,8 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     return [
         _view(outcome, shown, views),
         Part("Signals, worst first", tables, comparison.scope, figures),
-        _changes("Metrics", "Metric", *metrics),
-        _changes("Parameters, versions, FMUs", "What", *origins),
+        _changes("Parameters, models, versions, FMUs", comparison.causes),
+        _changes("Metrics", metrics, f"{len(metrics)} that differ"),
     ]
 
 
@@ -146,12 +142,7 @@ def _figure(
     return Figure(deviation.name, deviation.text, meaning, lines)
 
 
-def _changes(title: str, what: str, *origins: Mapping[str, object]) -> Part:
-    """Return what has changed from the reference, the most first, and what has not."""
-    head = (what, "Reference", "This run")
-    rows = sorted(side_by_side(origins), key=lambda row: -row.relative)
+def _changes(title: str, rows: Sequence[Row], folded: str = "") -> Part:
+    """Return what has changed from the reference."""
     cells = [(row.name, *numbers(row.values)) for row in rows]
-    count = sum(row.relative > 0.0 for row in rows)
-    same = Table(head, cells[count:], f"{len(cells) - count} unchanged")
-    note = "" if count else "None changed."
-    return Part(title, [Table(head, cells[:count]), same], note)
+    return Part(title, [Table(("What", "Reference", "This run"), cells, folded)])

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Final
 
+from ...fmus.interface.tables import INTERFACES
 from ...task.tolerances import signal_of
 
 DASH: Final = "\u2013"  # en dash for an empty cell
@@ -36,6 +37,15 @@ def number(value: object, digits: int) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
     return f"{value:.{digits}g}"
+
+
+def unit_of(key: str) -> str:
+    """Return the unit of a parameter of our own FMUs; of another key, and of 1, ""."""
+    instance, _, name = key.partition(".")
+    interface = INTERFACES.get(instance)
+    scalars = interface.scalars() if interface is not None else ()
+    unit = next((s.unit for s in scalars if name in (s.name, s.variable.name)), "")
+    return "" if unit == "1" else unit
 
 
 def measure(value: float, unit: str) -> str:

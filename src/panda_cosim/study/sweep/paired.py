@@ -18,7 +18,8 @@ import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import ArrayLike, NDArray
 
-from ...fmus.errors import InputError, excerpt
+from ...fmus.errors import InputError
+from ..compare.differences import Row as Changed
 from .row import MARGIN, Row
 from .store import Store, changes
 
@@ -162,4 +163,4 @@ def _constants(tables: Sequence[Sequence[Row]], keys: Sequence[str]) -> Iterator
     for key in keys:
         before, now = ({row.get(key) for row in rows} for rows in tables)
         if before != now and len(before) == len(now) == 1:
-            yield f"{key} (was {excerpt(*before)}, is {excerpt(*now)})"
+            yield str(Changed(key, (*before, *now)))

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from ...fmus.atomic import write_whole
 from ...fmus.errors import legible, printable
-from ...fmus.interface.tables import INTERFACES
 from ...result.judging.definitions import DEFINITIONS, Definition
 from ...result.judging.summary import SUMMARY_FILE
 from ...show.view.page import (
@@ -28,6 +27,7 @@ from ...show.view.page import (
     shown_run,
     write_view,
 )
+from ..compare.wording import unit_of
 from .definition import SAMPLED
 from .results import Results, heat_map, influences, marginal, missing, share_bounds
 from .row import MARGIN, UNJUDGED, command, margin_column
@@ -91,13 +91,7 @@ def _metric(column: str) -> dict[str, str]:
 
 def _unit(key: str) -> str:
     """Return the unit of a parameter of our own FMUs or a push; of another key, and of 1, ""."""
-    instance, _, name = key.partition(".")
-    if re.fullmatch(r"push\[\d+\]\.force\[\d\]", key):
-        return "N"
-    interface = INTERFACES.get(instance)
-    scalars = interface.scalars() if interface is not None else []
-    unit = next((s.unit for s in scalars if name in (s.name, s.variable.name)), "")
-    return "" if unit == "1" else unit
+    return "N" if re.fullmatch(r"push\[\d+\]\.force\[\d\]", key) else unit_of(key)
 
 
 def _rows(results: Results, chosen: list[int], worst: list[int], beside: Path) -> dict[str, object]:

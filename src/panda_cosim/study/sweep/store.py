@@ -34,7 +34,9 @@ from ...fmus.build.identity import code_digest, package_version
 from ...fmus.errors import InputError, one_line
 from ...task.files import read_text
 from ...task.scenario import Scenario, load_scenario
+from ...task.tolerances import flattened
 from ...task.writer import write_scenario
+from ..compare.differences import differing
 from .definition import Sweep
 from .packed import Loaded, identity, pack, scenario_names, write_files
 from .row import Done, Row
@@ -100,17 +102,8 @@ def _sha256(content: bytes) -> str:
 
 def changes(old: Origin, new: Origin) -> Iterator[str]:
     """Describe what has changed between two origins."""
-    words = {"definition": "", "vary": "vary ", "scenarios": "scenario ", "fmus": "FMU ",
-             "code": "code of ", "versions": "version of "}  # fmt: skip
-    for section, word in words.items():
-        before, now = old.get(section, {}), new[section]
-        for key in dict.fromkeys((*before, *now)):
-            values = before.get(key), now.get(key)
-            if values[0] != values[1]:
-                is_short = all(
-                    isinstance(v, int | float | str) and len(str(v)) < 40 for v in values
-                )
-                yield f"{word}{key}" + (" (was {!r}, is {!r})".format(*values) if is_short else "")
+    for row in differing([dict(flattened(each)) for each in (old, new)]):
+        yield str(row).removeprefix("definition.")
 
 
 class Store:
