@@ -1,8 +1,9 @@
 #!/bin/sh
 # A foreign arm (Pusher of Gymnasium) with a controller of your own: run, judged, compared, exported.
-# Needs `pip install gymnasium pythonfmu`. Usage: sh foreign_arm.sh NEW_FOLDER
+# Needs `pip install gymnasium pythonfmu`. Usage: sh foreign_arm.sh [NEW_FOLDER]
 set -eu
-mkdir "$1" && cd "$1" && mkdir reach
+folder=${1:-foreign_arm}
+mkdir "$folder" && cd "$folder" && mkdir reach
 
 # 1. The arm: its MuJoCo model, looked at as an FMU.
 cp "$(python -c 'import gymnasium as g; print(g.__path__[0])')/envs/mujoco/assets/pusher_v5.xml" reach/arm.xml

@@ -1,8 +1,9 @@
 #!/bin/sh
 # A repository of five scenarios: tests on all cores, a nightly sweep as a gate, a failure that is kept.
-# Needs `pip install pytest-xdist`. Usage: sh nightly.sh NEW_FOLDER
+# Needs `pip install pytest-xdist`. Usage: sh nightly.sh [NEW_FOLDER]
 set -eu
-mkdir "$1" && cd "$1"
+folder=${1:-nightly_suite}
+mkdir "$folder" && cd "$folder"
 
 # 1. Five scenarios: two new ones, three that begin as copies of shipped ones.
 panda-cosim new suite/lift

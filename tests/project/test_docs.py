@@ -28,6 +28,9 @@ from bounded import ran
 from panda_cosim import Recording, Scenario, Success, load_scenario
 from panda_cosim.cli.app import load
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
+from panda_cosim.fmus.interface.plant import PLANT
+from panda_cosim.plant.parameters import PlantParameters
+from panda_cosim.plant.scene import load_scene
 from panda_cosim.task.table import COLUMNS
 
 ROOT = Path(__file__).parents[2]
@@ -343,6 +346,45 @@ def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path):
     kept = load_scenario(tmp_path / "new" / "suite" / "pushed_too_hard")
     assert (kept.expect, kept.push[0].force[1]) == ("failure", 200.0)
     assert "6 of 6 scenarios match their references" in said
+
+
+def test_a_figure_for_a_paper_takes_one_line(tmp_path):
+    ran(["sh", EXAMPLES / "paper_figure.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT)
+    figure = (tmp_path / "new" / "fig.pdf").read_bytes()
+    (width,) = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ", figure)
+    assert float(width) / 72 * 25.4 == pytest.approx(88.0)  # mm
+    assert b"/FontFile2" in figure
+    assert (tmp_path / "new" / "kp_8.mat").stat().st_size > 1e5
+
+
+def test_a_wall_is_no_dead_end(tmp_path):
+    said = ran(["sh", EXAMPLES / "wall.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT)
+    first, second, third = said.stdout.split("FMUs are stepped")[1:]
+    assert "geom wall: the finger pads pass through it" in first
+    assert "geom wall" not in second
+    assert re.search(r"unwanted contacts have up to \d+ N, at t = [\d.]+ s; the path must", second)
+    assert "it runs, but has the" in second
+    assert "it can run (rehearsed in memory)" in third
+    assert "Success: " in third
+
+
+def test_the_reference_says_where_the_scenes_objects_are():
+    model = load_scene(PlantParameters())
+    table, block = model.geom("table"), model.geom("obj_geom")
+    text = (DOCS / "reference" / "scenario.md").read_text(encoding="utf-8")
+    described = PLANT.variable("scene").description
+    for geom in (table, block):
+        size = " x ".join(f"{2 * half:g}" for half in geom.size)
+        assert f"{size} m" in text
+        assert f"{size} m" in described
+    place = model.body("work_space").pos
+    assert f"around ({place[0]:g}, {place[1]:g}) m" in described
+    spans = [
+        f"{c} {p - s:g} to {p + s:g}" for c, p, s in zip("xy", place, table.size, strict=False)
+    ]
+    assert f"{', '.join(spans)}, top at z = {2 * table.size[2]:g} m" in text
+    at = ", ".join(f"{c:g}" for c in model.body("obj").pos)
+    assert f"{model.body('obj').mass[0]:g} kg | centre at ({at}) m" in text
 
 
 @pytest.mark.long

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from fault_support import write_files
 from panda_cosim import InputError, Run, Scenario, load_scenario, run_scenario, shipped_scenarios
+from panda_cosim.assets.franka import CTRL_OPEN, FINGER_SPEED_MAX, OPENING_MAX
 from panda_cosim.cli.app import app
 from panda_cosim.result.judging.advice import advise, weakest_grip
 from panda_cosim.run.prepare import prepare
@@ -249,6 +250,40 @@ def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told():
     longer = rehearse(prepare(scenario.changed({**later, **strong, "duration": 6.6})))
     said = advise(longer.recording, longer.summary)
     assert not any("the hand moves on" in text for text in said)
+
+
+class Damped:  # a law, given as a class
+    """Carries the arm and damps its joints; a torque and the gripper's command jump."""
+
+    damping = 10.0
+    torque = 0.0  # of joint 1, at 0.1 s
+
+    def update(self, time, qvel, qfrc_bias):
+        torque = qfrc_bias - self.damping * qvel[:7]
+        torque[0] += self.torque * (time > 0.1)
+        return [*torque, 255.0 if time < 0.2 else 0.0]
+
+
+def advice(**parameters: float) -> list[str]:
+    """Return what is said of a run of this law."""
+    law = {"fmus.controller": Damped, "scene": "motors", "duration": 0.4}
+    values = law | {f"controller.{name}": value for name, value in parameters.items()}
+    run = rehearse(prepare(load_scenario("tutorial").changed(values)))
+    return list(advise(run.recording, run.summary, ours=False))
+
+
+@pytest.mark.parametrize(("damping", "unstable"), [(1000.0, True), (10.0, False)])
+def test_a_torque_that_swings_from_limit_to_limit_is_an_unstable_loop(damping, unstable):
+    told = advice(damping=damping, torque=200.0)
+    (limit,) = (line for line in told if "torque limit of joint" in line)
+    assert ("the loop is unstable" in limit) == unstable
+    assert ("give that row more time" in limit) == (not unstable)
+
+
+def test_fingers_that_are_too_fast_need_a_gradual_command():
+    (line,) = (line for line in advice() if "finger speed" in line)
+    rate = 0.001 * FINGER_SPEED_MAX / (OPENING_MAX / 2) * CTRL_OPEN  # a ms
+    assert f"; move the gripper's command gradually, by at most {rate:.2f} (of 255) a ms" in line
 
 
 def test_check_tells_which_servo_has_no_torque_left():

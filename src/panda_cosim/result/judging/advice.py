@@ -35,6 +35,7 @@ SHOWN: Final = 4  # unwanted contacts that are named
 GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
 AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
+SWING, SWUNG = 0.1, 0.9  # [s] and share of the torque with the other sign in that time
 JOLT: Final = 0.02  # [s] for which the torques answer the begin or end of a push
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
 FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it opens
@@ -98,12 +99,22 @@ def _limits(recording: Recording, summary: Summary) -> Iterator[Finding]:
         at, kind = first["time_s"], f"{first['kind']} limit"
         text = f"the {kind} of joint {first['joint']} first limits the motion at t = {at:.3f} s"
         stretched = SINGULAR in recording and recording[SINGULAR][recording.time >= at][0]
-        yield at, text, remedy(at, "singular" if stretched else kind)
+        is_unstable = kind == "torque limit" and _swings(recording, at, first["joint"])
+        helps = "singular" if stretched else "unstable" if is_unstable else kind
+        yield at, text, remedy(at, helps)
         causes.append((at, f"the {kind}"))
     for name, share, at in exceeded(recording, summary.limits):
         causes += _pushes(recording, at)
         text = f"{name} is {share} of its limit at t = {at:.3f} s"
-        yield at, text, remedy(at, "torque rate") if name.startswith("torque rate") else ""
+        kind = name.partition(" of ")[0]
+        yield at, text, remedy(at, kind) if kind in REMEDIES else ""
+
+
+def _swings(recording: Recording, at: float, joint: int) -> bool:
+    """Whether a joint's torque goes from limit to limit, as in a loop that is unstable."""
+    soon = (recording.time >= at) & (recording.time < at + SWING)
+    torque = recording[f"plant.actuator_force[{joint}]"][soon]
+    return min(float(torque.max()), -float(torque.min())) > SWUNG * abs(float(torque[0]))
 
 
 def _pushes(recording: Recording, at: float) -> Iterator[tuple[float, str]]:

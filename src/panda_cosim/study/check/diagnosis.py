@@ -19,12 +19,14 @@ from ...fmus.errors import CosimError, InputError, did_you_mean
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.master.system import conversions, notes, read_fmus
+from ...fmus.sources.model_fmu import load_binary
 from ...plant.parameters import PlantParameters
 from ...plant.plant import Plant
 from ...result.judging.advice import Level, advise, refusals, weakest_grip
 from ...result.judging.verdicts import MISSED, NOT_MEASURED, UNEXPECTED
 from ...result.recording.reader import shapes_of
 from ...run.execution import Execution
+from ...run.folder import model_in
 from ...run.prepare import Prepared, prepare
 from ...run.result import Run
 from ...run.start import (
@@ -126,6 +128,12 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
     unseen = "no FMU was run; limits, collisions and grip are checked only with our own FMUs"
+    trouble: list[str] = []
+    is_alone = not (scenario.system or scenario.client)
+    if is_alone and all(not part.file or part.is_model for part in assembly.parts):
+        trouble = [*_passed_through(prepared), *_told(prepared, rehearse(prepared))]
+        hints += _diagnostics("hint", trouble)
+        unseen = "rehearsed in memory"
     if scenario.client:
         unseen = f"the client was not started, and {unseen}"
     if scenario.preflight:
@@ -140,7 +148,15 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     if len(assembly.interfaces) > 1 and not count:
         text = f"{about}; it runs, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
-    return [*hints, Diagnostic("good", f"{about}; it can run ({unseen})")]
+    return [*hints, _conclusion(about, len(trouble), f"it can run ({unseen})")]
+
+
+def _conclusion(about: str, troubles: int, otherwise: str) -> Diagnostic:
+    """Return the last line."""
+    if not troubles:
+        return Diagnostic("good", f"{about}; {otherwise}")
+    count = f"{troubles} problem{'s' if troubles > 1 else ''}"
+    return Diagnostic("hint", f"{about}; it runs, but has the {count} above")
 
 
 def _order(prepared: Prepared) -> list[Diagnostic]:
@@ -155,12 +171,7 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     Plant(PlantParameters(**grouped(PLANT, prepared.values["plant"])))  # refuses its block's place
     scenario, run = prepared.scenario, rehearse(prepared)
     name, summary = _name(scenario), run.summary
-    told = [text.replace("SCENARIO", name) for text in advise(run.recording, summary)]
-    if not summary.complete:
-        told.insert(0, f"{SCENARIO_FILE}: {summary.detail}")
-    if summary.verdict in (MISSED, UNEXPECTED):
-        told.append(f"{SCENARIO_FILE}: [success] {summary.detail}")
-    trouble = _diagnostics("hint", [*told, *_limits(prepared)])
+    trouble = _diagnostics("hint", [*_told(prepared, run), *_limits(prepared)])
     lines = refusals(summary.preflight, complete=summary.complete)
     real = [Diagnostic(level, text.replace("SCENARIO", name)) for level, text in lines]
     real += _order(prepared)
@@ -168,14 +179,44 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
         place = f"{scenario.folder}/{SCENARIO_FILE}: [success]"
         return [Diagnostic("wrong", f"{place} {run.summary.detail}"), *trouble, *real]
     about = _about(scenario)
-    if trouble:
-        count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
-        last = Diagnostic("hint", f"{about}; it runs, but has the {count} above")
-    else:
-        if grip := weakest_grip(run.recording):
-            about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
-        last = Diagnostic("good", f"{about}; it can run")
+    if not trouble and (grip := weakest_grip(run.recording)):
+        about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
+    last = _conclusion(about, len(trouble), "it can run")
     return [*trouble, *real, last]
+
+
+def _told(prepared: Prepared, run: Run) -> list[str]:
+    """Return what `run` says of a run."""
+    scenario, summary = prepared.scenario, run.summary
+    lines = advise(run.recording, summary, ours=not scenario.has_own_parts)
+    told = [text.replace("SCENARIO", _name(scenario)) for text in lines]
+    if not summary.complete:
+        told.insert(0, f"{SCENARIO_FILE}: {summary.detail}")
+    if summary.verdict in (MISSED, UNEXPECTED):
+        told.append(f"{SCENARIO_FILE}: [success] {summary.detail}")
+    return told
+
+
+def _passed_through(prepared: Prepared) -> Iterator[str]:
+    """Name shapes of a scene of one's own that lack what the block meets, such as finger pads."""
+    plant = (
+        prepared.assembly.system.fmus.get("plant") if "plant" in prepared.scenario.fmus else None
+    )
+    if plant is None or "block_mass" not in prepared.values["plant"]:
+        return
+    model = load_binary(model_in(plant), "plant")
+    met, arm = model.geom("obj_geom").conaffinity[0], model.body("link0").rootid[0]
+    for geom in map(model.geom, range(model.ngeom)):
+        touches = geom.contype[0] or geom.conaffinity[0]
+        if (
+            touches
+            and geom.conaffinity[0] & met < met
+            and model.body(geom.bodyid[0]).rootid[0] != arm
+        ):
+            yield (
+                f"plant: geom {geom.name or geom.id}: the finger pads pass through it; must have "
+                'class="surroundings", or class="block" to be gripped'
+            )
 
 
 def _name(scenario: Scenario) -> str:
