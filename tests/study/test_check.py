@@ -252,13 +252,14 @@ def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told():
     assert not any("the hand moves on" in text for text in said)
 
 
-class Damped:  # a law, given as a class
+class Damped:
     """Carries the arm and damps its joints; a torque and the gripper's command jump."""
 
     damping = 10.0
     torque = 0.0  # of joint 1, at 0.1 s
 
     def update(self, time, qvel, qfrc_bias):
+        """Return torques, and the gripper's command."""
         torque = qfrc_bias - self.damping * qvel[:7]
         torque[0] += self.torque * (time > 0.1)
         return [*torque, 255.0 if time < 0.2 else 0.0]
