@@ -50,17 +50,24 @@ def targets(
     """Scalars that a name stands for: an element, or all of a vector."""
     one = scalars.get(name) or interface.element(name)
     named = [one] if one else [s for s in scalars.values() if s.variable.name == name]
+    if not named or not _is(named[0].variable, causality):
+        own = named[0].variable.causality if named else ""
+        raise _no_such(f"{instance}.{name}", interface, name, causality, own)
+    return named
+
+
+def _no_such(
+    place: str, interface: Interface, name: str, causality: Causality, own: str
+) -> InputError:
+    """Return the error of a name that stands for nothing, or for what is of another causality."""
     candidates = [v for v in interface.variables if _is(v, causality)]
     valid = ", ".join([v.name for v in candidates][:40]) or "none"
-    if not named:
-        near = nearest(name, [n for v in candidates for n in (v.name, *v.names())])
-        hint = f"did you mean {near!r}?" if near else f"valid: {valid}"
-        raise InputError(f"{instance}.{name}: no such {causality} of {interface.model}; {hint}")
-    own = named[0].variable.causality
-    if not _is(named[0].variable, causality):
+    if own:
         what = f"of causality {own} in {interface.model}, not {causality}"
-        raise InputError(f"{instance}.{name}: {what}; valid: {valid}")
-    return named
+        return InputError(f"{place}: {what}; valid: {valid}")
+    near = nearest(name, [n for v in candidates for n in (v.name, *v.names())])
+    hint = f"did you mean {near!r}?" if near else f"valid: {valid}"
+    return InputError(f"{place}: no such {causality} of {interface.model}; {hint}")
 
 
 def _is(variable: Variable, causality: Causality) -> bool:

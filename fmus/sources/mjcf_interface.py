@@ -7,7 +7,8 @@ import math
 import re
 import shlex
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -19,7 +20,7 @@ from ..errors import InputError, one_line, refuse
 from ..interface.engine import COUNTED
 from ..interface.plant import PLANT
 from ..interface.units import OUR_UNITS
-from ..interface.variables import Causality, Interface, Variable
+from ..interface.variables import Causality, Interface, Variability, Variable
 from ..reading import open_regular
 from .mjcf_sources import OBJECTS, TUNABLE, Sources, unique, words_of
 
@@ -186,20 +187,22 @@ def interface(description: Description, model: Any) -> Interface:
         for section, causality in SECTIONS.items()
         for name, keys in description.sections[section].items()
     ]
-    names = [variable.name for variable in variables]
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(variable.name for variable in variables).most_common(1):
+        if count > 1:
             raise InputError(f"{name}: two variables have this name")
     terminals = {"robot": tuple(v.name for v in variables if v.causality != "parameter")}
     if base is not None:
         variables, terminals = _extended(base, variables, sources), {**base.terminals}
     taken = [variable.name for variable in variables]
-    for i, variable in enumerate(variables):
-        named = [(unique(taken, part), n, text) for part, n, text in variable.parts]
-        variables[i] = replace(variable, parts=tuple(named))
-    variables.append(COUNTED)
-    return Interface(description.name, description.description, tuple(variables), terminals,
+    named = (_with_parts(variable, taken) for variable in variables)
+    return Interface(description.name, description.description, (*named, COUNTED), terminals,
                      is_model=True, author=description.author)  # fmt: skip
+
+
+def _with_parts(variable: Variable, taken: Collection[str]) -> Variable:
+    """Name a variable's parts otherwise than all variables."""
+    parts = tuple((unique(taken, part), n, text) for part, n, text in variable.parts)
+    return replace(variable, parts=parts)
 
 
 def _with_poses(description: Description, sources: Sources) -> Description:
@@ -237,16 +240,13 @@ def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> 
     unit = keys.get("unit")
     if unit and unit not in OUR_UNITS:
         refuse(f"{place}: unit", unit, f"must be one of {', '.join(OUR_UNITS)}", OUR_UNITS)
-    if keys.get("tunable") and row.causality != "parameter":
-        raise InputError(f"{place}: tunable: only parameters have this key")
-    if keys.get("tunable") and row.source.split()[0] not in TUNABLE:
-        raise InputError(f"{place}: tunable: {keys['source']!r} has an effect at the start only")
+    variability = _variability(place, keys, row)
     start = _numbers(place, "start", keys, row.size, row.start)
     variable = replace(
         row,
         name=name,
         unit=row.unit if unit is None else unit,
-        variability="tunable" if keys.get("tunable") else row.variability,
+        variability=variability,
         description=keys.get("description", row.description),
         details=() if "description" in keys else row.details,
         parts=tuple((f"{name}_{part}", n, row.description) for part, n, _ in row.parts),
@@ -259,6 +259,16 @@ def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> 
         if scalar.start is not None:
             scalar.checked(f"{place}: start", scalar.start)
     return variable
+
+
+def _variability(place: str, keys: Mapping[str, Any], row: Variable) -> Variability:
+    if not keys.get("tunable"):
+        return row.variability
+    if row.causality != "parameter":
+        raise InputError(f"{place}: tunable: only parameters have this key")
+    if row.source.split()[0] not in TUNABLE:
+        raise InputError(f"{place}: tunable: {keys['source']!r} has an effect at the start only")
+    return "tunable"
 
 
 def _numbers(place: str, key: str, keys: Mapping[str, Any], size: int, default: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import typer
 from ...fmus.errors import InputError
 from ...result.judging.verdicts import MISSED
 from ...result.recording.logs import SUFFIXES
-from ...study.check.diagnosis import check_folder
+from ...study.check.diagnosis import Diagnostic, check_folder
 from ...study.check.experiments import check_experiments
 from ...study.check.motion import check_motion
 from ...task.scenario import shipped_scenarios
+from ...task.values import Values
 from ..console import show, show_json
 from ..forms import scenario_argument
 from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, Robot, values_of
@@ -68,30 +70,32 @@ def command(  # noqa: PLR0913 - one for each option
     if not folder.exists():
         folder = shipped_scenarios().get(str(folder), folder)
     if folder.suffix == ".fmu":
-        if assignments or robot:
-            option = "--set" if assignments else "--robot"
-            raise InputError(f"{option}: not for an .fmu, whose experiments set their own values")
+        for name, value in (("--set", assignments), ("--robot", robot)):
+            if value:
+                raise InputError(f"{name}: not for an .fmu, whose experiments set their own values")
         _check_fmu(folder, as_json=json)
         return
-    values = values_of(assignments, controller, plant)
-    if folder.suffix in SUFFIXES:
-        if values or not robot:
-            option = "--set" if values else "--robot"
-            must = "not for a motion" if values else "is missing; must be fer or fr3"
-            raise InputError(f"{folder}: {option}: {must}")
-        diagnostics = [*check_motion(folder, robot)]
-    else:
-        diagnostics = check_folder(folder, values, robot or "")
-    wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
+    diagnostics = _found(folder, values_of(assignments, controller, plant), robot)
+    levels = {diagnostic.level for diagnostic in diagnostics}
     if json:
-        show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})
-    else:
-        for diagnostic in diagnostics:
-            show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
-    if wrong:
+        show_json({"folder": folder, "ok": "wrong" not in levels, "findings": diagnostics})
+    for diagnostic in () if json else diagnostics:
+        show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
+    if "wrong" in levels:
         raise typer.Exit(InputError.exit_code)
-    if any(diagnostic.level == "refused" for diagnostic in diagnostics):
+    if "refused" in levels:
         raise typer.Exit(MISSED.exit_code)
+
+
+def _found(folder: Path, values: Values, robot: Robot | None) -> Sequence[Diagnostic]:
+    """Return what is to be said of a scenario, an .ssp file or a motion."""
+    if folder.suffix not in SUFFIXES:
+        return check_folder(folder, values, robot or "")
+    if values:
+        raise InputError(f"{folder}: --set: not for a motion")
+    if not robot:
+        raise InputError(f"{folder}: --robot: is missing; must be fer or fr3")
+    return [*check_motion(folder, robot)]
 
 
 def _check_fmu(path: Path, *, as_json: bool) -> None:
@@ -103,8 +107,10 @@ def _check_fmu(path: Path, *, as_json: bool) -> None:
         show_json({"fmu": path, "ok": is_ok, "experiments": found})
     for each in () if as_json else outcomes:
         show(f"{each.level:<6} {each}", STYLES[each.level])
-    if not all(each.values for each in outcomes) or not outcomes:
-        what = "an experiment has no references at its instants" if outcomes else "no experiments"
-        raise InputError(f"{path}: {what}, so that nothing was compared")
+    if not outcomes:
+        raise InputError(f"{path}: no experiments, so that nothing was compared")
+    if not all(each.values for each in outcomes):
+        nothing = "has no references at its instants, so that nothing was compared"
+        raise InputError(f"{path}: an experiment {nothing}")
     if not is_ok:
         raise typer.Exit(MISSED.exit_code)

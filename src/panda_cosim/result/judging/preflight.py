@@ -226,25 +226,29 @@ def _windows(recording: Recording, reference: str) -> Iterator[tuple[Array, dict
 
 def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metrics:
     """Return the section of summary.json."""
-    firsts = (each.first.values() for each in lost if each.first)
-    late = [min(first, key=_time_of) | {"remedy": REMEDIES["smoother"]} for first in firsts]
-    findings = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
-    findings.sort(key=_time_of)
+    late = [min(each.first.values(), key=_time_of) for each in lost if each.first]
+    findings = _findings(judge)
     refused = [each for each in findings if each["necessary"]]
     counts = {name: _count(name, refused, judge.shares) for name in INTERFACES}
-    both = counts[own], counts["arm"]
-    told = [each for each in refused if each["interface"] in (own, "arm") and None not in both]
+    is_known = None not in (counts[own], counts["arm"])
+    told = [each for each in refused if is_known and each["interface"] in (own, "arm")]
     return {
         "robot": robot,
         "interface": own,
-        "refusals": None if None in both else sum(filter(None, both)),
+        "refusals": len(told) if is_known else None,
         "first_s": told[0]["time_s"] if told else None,
         **{f"{name}_refusals": count for name, count in counts.items()},
         "lost_packets": len(lost) - len(late) if "joint_jerk" in judge.shares else None,
         **{f"{key}_share": judge.shares.get(key, np.empty(0)).tolist() or None for key in CHECKS},
         "findings": findings,
-        "late": {"lost_packets": late[0]} if late else {},
+        "late": {"lost_packets": late[0] | {"remedy": REMEDIES["smoother"]}} if late else {},
     }
+
+
+def _findings(judge: _Judge) -> list[Metrics]:
+    """Return what is refused or recommended against, in the order of time."""
+    found = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
+    return sorted(found, key=_time_of)
 
 
 def _count(interface: str, refused: Iterable[Metrics], measured: Container[str]) -> int | None:
