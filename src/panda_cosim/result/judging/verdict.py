@@ -16,4 +16,10 @@ class Verdict:
     status: str  # of a row of a sweep
     suite: Literal["holds", "missed", "failed"]  # in `regress`, without a reference
     headline: str  # of `run`, with `detail`, and `why` a failure is expected
-    fault: tuple[Literal["failure", "error"], str] | None = None  # problem and kind in JUnit
+    problem: Literal["failure", "error"] | None = None  # in JUnit
+    kind: str = ""  # of the problem
+
+    @property
+    def fault(self) -> tuple[Literal["failure", "error"], str] | None:
+        """Problem and kind in JUnit; None: it is none."""
+        return (self.problem, self.kind) if self.problem else None
