@@ -232,14 +232,14 @@ def test_a_curve_is_reached_by_the_keyboard_named_and_zoomed(page, view):
 
 def test_a_run_without_a_model_has_its_curves_alone_also_as_a_ghost(page, run, folder):
     times = np.linspace(0.0, 2.0, 50)
-    signals = {f"tank.level_{n}": np.sin(n * times) for n in range(6)}
+    signals = {f"tank.level_{n}": np.sin(n * times) for n in range(8)}
     metadata = {"complete": True, "fmus": {"tank": {"model": "Tank"}}}
     alone = show_source(FakeRecording(times, signals, metadata), "tank", summary=Summary())
     page.open(write_view([alone], folder / "alone.html"))
-    page.wait("document.querySelectorAll('.pv-chart .pv-legend').length === 4")
+    page.wait("document.querySelectorAll('.pv-chart .pv-legend').length === 6")
     assert page.value("document.querySelector('.pv-picture').checkVisibility()") is False
     titles = "[...document.querySelectorAll('.pv-chart')].map(c => c.dataset.title)"
-    assert page.value(titles) == list(signals)[:4]
+    assert page.value(titles) == list(signals)[:6]
     recorded = shown_run(run, name="run")
     show(page, write_view([recorded, alone], folder / "ghost.html"))
     assert page.value(f"{STAGE}.figures.length") == 1

@@ -79,6 +79,10 @@ def test_another_engine_alone_is_the_cause_of_another_compiled_model():
     engines = ({"mujoco": "4.0.0"}, {"mujoco": "3.10.0"})
     told = cause(BALL, BALL.replace('axis="0 1 0"', 'axis="1 0 0"'), versions=engines)
     assert told == "mujoco 4.0.0 -> 3.10.0"
+    more = cause(BALL, BALL.replace('damping="0.1"', 'damping="0.1000000000001"'), versions=engines)
+    assert more == told  # its rounding
+    more = cause(BALL, BALL.replace('damping="0.1"', 'damping="0.11"'), versions=engines)
+    assert more == f"{told}, ball: joint hinge damping 0.1 -> 0.11"
 
 
 @pytest.fixture(scope="module")

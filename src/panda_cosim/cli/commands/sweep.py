@@ -141,6 +141,7 @@ def _fit(definition: Sweep, log: Path, names: Path | None, out: Path | None, *, 
     folder = out or Path(f"{Path(definition.scenario[0]).name}_fitted")
     refuse_existing(folder)
     announce_build()
+    tell(f"Fitting {', '.join(definition.vary)} ...")
     found = fit(definition, log, names)
     prepared = prepare(found.scenario)
     keep_scenario(prepared.scenario, prepared.assembly, folder)

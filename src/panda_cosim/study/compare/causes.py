@@ -31,6 +31,8 @@ from .wording import unit_of
 Elements = dict[str, float]  # by element, field and number; "hash": of all that is compiled
 
 TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+ENGINE: Final = "versions.mujoco"  # comes before models, which it compiles
+ROUNDING: Final = 1e-9  # relative; less is rounding where another engine compiles a model
 MOST: Final = 20_000  # fields; of a larger model, only the hash is kept
 SHOWN: Final = 4  # causes in a line
 # The order in which they are named; FMUs last, as their hashes change with any of their files.
@@ -92,11 +94,15 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
     """Return what two runs were made with differently, as it is to be named.
 
     `before` and `now` are tables of settings, with tables `parameters`, `models`, `versions` and
-    `fmus`. A model's hash is told only where no field of it differs, nor the version of MuJoCo.
+    `fmus`. A model's hash is told only where no field of it differs, nor the version of MuJoCo; of
+    another version, rounding is left out.
     """
     rows = differing([dict(flattened(before)), dict(flattened(now))])
+    engine = any(row.name == ENGINE for row in rows)
+    if engine:  # which rounds models otherwise, and has fields of its own
+        rows = [row for row in rows if not row.name.startswith("models.")
+                or (None not in row.values and row.relative > ROUNDING)]  # fmt: skip
     told = {".".join(row.name.split(".")[:2]) for row in rows if row.name[-5:] != ".hash"}
-    engine = any(row.name == "versions.mujoco" for row in rows)
     models = {row.name.split(".")[1] for row in rows if row.name.startswith("models.")}
 
     def is_cause(part: str, name: str) -> bool:
@@ -108,7 +114,10 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
         return name != "scenario"  # its name
 
     rows = [row for row in rows if is_cause(part := _part(row.name), row.name.removeprefix(part))]
-    return sorted(rows, key=lambda row: _PARTS.index(_part(row.name)))
+    order = [*_PARTS[:1], ENGINE, *_PARTS[1:]]
+    return sorted(
+        rows, key=lambda row: order.index(row.name if row.name == ENGINE else _part(row.name))
+    )
 
 
 def is_parameter(row: Row) -> bool:

@@ -27,7 +27,6 @@ from ...task.rotations import about_z, rotate
 
 PUSH: Final = "plant.push_force"
 POINTS: Final = 2000  # of a curved path
-FIRST_CURVES: Final = 6  # for a foreign plant
 HAND: Final = {
     "signal": PUSH,
     "bodies": ["hand", "left_finger", "right_finger"],  # the force acts on the first
@@ -120,18 +119,13 @@ def _model(session: Session) -> Any:
 
 def _about(session: Session) -> dict[str, object]:
     scenario, curves = session.scenario, shown_curves(CURVES, dict.fromkeys(session.signals, ""))
-    facts = [f"{scenario.duration:.2f} s"]
-    if session.is_panda:
-        facts.append("drag the hand, the block or a waypoint")
-    else:
-        first = _signals(session)[:FIRST_CURVES]
-        curves = [{"title": signal["name"], "columns": signal["columns"]} for signal in first]
+    hint = ["drag the hand, the block or a waypoint"] if session.is_panda else []
     return {
         "title": f"{scenario.name.replace('_', ' ')}, live",
         "purpose": one_line(scenario.purpose),
-        "facts": facts,
+        "facts": [f"{scenario.duration:.2f} s", *hint],
         "verdict": {"state": "plain", "words": "in real time"},
-        "curves": curves,
+        "curves": curves if session.is_panda else [],  # the page's code takes the first signals
         **{key: [] for key in ("notes", "criteria", "limits", "moments", "waypoints")},
     }
 

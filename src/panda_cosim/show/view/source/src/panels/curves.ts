@@ -6,7 +6,7 @@ import { Chart, type ChartLinks } from "./chart.ts";
 import { Picker } from "./picker.ts";
 
 const MOST = 8; // curves in one chart, when a whole signal is added
-const FIRST = 4; // signals that are drawn where the run comes with no curves
+const FIRST = 6; // signals that are drawn where the run comes with no curves
 const INTERVAL = 120; // [ms] between two updates of growing curves
 
 export class Curves {
