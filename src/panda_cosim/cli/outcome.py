@@ -122,12 +122,7 @@ def conclude(done: Run, output: Output, *, ours: bool) -> None:
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
     else:
         if not output.json:
-            if done.summary.criteria:
-                show(verdict_table(done.summary))
-            for text, style in outcome_lines(
-                summary, done.recording, realtime=output.realtime, ours=ours
-            ):
-                show(text, style)
+            _show_verdict(done, realtime=output.realtime, ours=ours)
         draw_view(output, done)
         for path in chain(_files(done), _draw(done, output)):
             if not output.json:
@@ -138,6 +133,13 @@ def conclude(done: Run, output: Output, *, ours: bool) -> None:
         show_json({**about, "warnings": told, "summary": done.summary.to_dict()})
     if done.exit_code:
         raise typer.Exit(done.exit_code)
+
+
+def _show_verdict(done: Run, *, realtime: bool, ours: bool) -> None:
+    if done.summary.criteria:
+        show(verdict_table(done.summary))
+    for text, style in outcome_lines(done.summary, done.recording, realtime=realtime, ours=ours):
+        show(text, style)
 
 
 def _files(done: Run) -> list[Path]:

@@ -62,19 +62,15 @@ def _blamed(scenario: Scenario, values: Values, text: str) -> str:
 def _with_all(scenario: Scenario, values: Values) -> Scenario:
     """Change all values at once, so that no order of the keys is seen."""
     parts = [key for key in values if key.startswith("fmus.")]
-    fmus = {*scenario.fmus, *(key[5:] for key in parts)}
+    places = _Places(scenario, {*scenario.fmus, *(key[5:] for key in parts)})
     if parts and scenario.system:
         raise InputError(f"{parts[0]}: cannot be combined with system = {scenario.system!r}")
-    if "gains" in values and "controller" in fmus:
+    if "gains" in values and not places.has_our_controller:
         raise InputError("gains: acts only on the project's own controller; must be left out here")
-    given = dict(values)
-    for key in parts:
-        given[key] = _from_here(key, values[key])
-    places = _Places(scenario, fmus)
+    given: dict[str, Any] = {key: _from_here(key, values[key]) for key in parts}
     # The scene and robot of the scenario outrank those of its plant.
-    changes: dict[Steps, Any] = {
-        places.steps(key): given[key] for key in sorted(given, key=lambda key: key not in _OF_SCENE)
-    }
+    keys = sorted(values, key=lambda key: key not in _OF_SCENE)
+    changes: dict[Steps, Any] = {places.steps(key): given.get(key, values[key]) for key in keys}
     if not scenario.is_commanded and any(steps[0] == "table" for steps in changes):
         raise InputError("the scenario commands no hand, so that it has no trajectory.csv")
     if "inputs.file" in values:
@@ -104,6 +100,7 @@ class _Places:
         self._instances = tuple(dict.fromkeys((*ours, *sorted(fmus))))
         self._is_known = not scenario.system  # else they are in its file
         self._has_our_plant = bool(ours) and "plant" not in fmus
+        self.has_our_controller = "controller" not in fmus
 
     def steps(self, key: str) -> Steps:
         """Return the way to a key's place."""

@@ -66,16 +66,17 @@ def command(json: bool = flag("--json")) -> None:
         listed = [finding._asdict() for finding in findings]
         show_json({"ready": not missing, "findings": listed})
     else:
-        rows = []
-        for what, state, detail, remedy in findings:
-            found = [as_cell(detail), *([f"[bold]{as_cell(remedy)}"] if remedy else [])]
-            rows.append((STATES[state], what, "\n".join(found)))
-        show(table(("", "what*", "found*"), rows))
+        show(table(("", "what*", "found*"), map(_row, findings)))
     if missing:
         raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}")
     if not json:
         rest = f" Not found: {', '.join(optional)}." if optional else ""
         show(f"Scenarios can be run and recorded.{rest}", "bold green")
+
+
+def _row(finding: Finding) -> tuple[str, str, str]:
+    remedy = f"\n[bold]{as_cell(finding.remedy)}" if finding.remedy else ""
+    return STATES[finding.state], finding.what, as_cell(finding.detail) + remedy
 
 
 def examine() -> list[Finding]:

@@ -64,20 +64,29 @@ def command(
         show("\n\n".join([*map(variables_markdown, interfaces.values()), *drawing]))
         return
     for name, interface in interfaces.items():
-        show(f"{interface.model} (instance {name}): {interface.description}", "bold")
-        show(f"What runs in it: {code[name]}{', as it has no twin in C' * (interface is SENSORS)}")
-        for variables in _variables_tables(interface):
-            show(variables)
-        show("")
+        _show_fmu(name, interface, code[name])
     for fault in faults:
         show(as_cell(fault), "yellow")
     announce_python()
+    _show_connections(connections, held)
+    if len(order) > 1:
+        show(shown(order, []))
+
+
+def _show_fmu(name: str, interface: Interface, code: str) -> None:
+    """Print what an FMU is, what runs in it, and its variables."""
+    show(f"{interface.model} (instance {name}): {interface.description}", "bold")
+    show(f"What runs in it: {code}{', as it has no twin in C' * (interface is SENSORS)}")
+    for variables in _variables_tables(interface):
+        show(variables)
+    show("")
+
+
+def _show_connections(connections: Sequence[Connection], held: Sequence[str]) -> None:
     if connections:
         show("Connections\n", "bold")
         rows = [(s, t, LATE * (f"{s} -> {t}" in held)) for s, t, _ in by_variable(connections)]
         show(table(("from", "to", ""), (map(as_cell, row) for row in rows)))
-    if len(order) > 1:
-        show(shown(order, []))
 
 
 def _read(
