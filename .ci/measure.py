@@ -47,6 +47,7 @@ WORN = (
     "controller.error_filter=0.02",
 )  # fmt: skip
 QUALIFIED = ("pick_and_place", "push", "tutorial")
+QUIET = ("--no-video", "--no-view", "--no-plot")
 HARD = 40.0  # [N] what presses on the table with more is a collision, as in `collision`
 OBSERVED = '\n[vary."controller.observer"]\nvalues = [true]\n'
 NOISE, DELAY = "mismatch.joint_noise=1e-5", "mismatch.delay=0.001"
@@ -361,6 +362,24 @@ def cost(_: Path | None) -> str:
     return _table(["", "native FMUs", "Python FMUs"], rows)
 
 
+def wire(_: Path | None) -> str:
+    """A program on pylibfranka, in step with the plant: `.ci/studies/wire.py`, 4,000 ticks each.
+
+    Ticks per second of wall time, with the program's own work, and the machine's load meanwhile.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        program, result = ROOT / ".ci" / "studies" / "wire.py", Path(folder, "rates.json")
+        command = json.dumps(["python", str(program), "{address}", str(result)])
+        Path(folder, "scenario.toml").write_text(
+            'duration = 60.0\nscene = "motors"\nrobot = "fr3"\ncontroller = "franka"\n'
+            f"[client]\ncommand = {command}\n"
+        )
+        _said([*RUN, "run", folder, "--out", f"{folder}/run", *QUIET])
+        rates = json.loads(result.read_text())
+    rows = [[way, f"{value:.0f}"] for way, value in rates.items()]
+    return _table(["motion", "ticks/s"], [*rows, ["load (1 min)", f"{os.getloadavg()[0]:.1f}"]])
+
+
 def engines(_: Path | None) -> str:
     """Shipped scenarios by version of MuJoCo: `panda-cosim regress --no-sweeps --mujoco LIST`.
 
@@ -490,7 +509,7 @@ SECTIONS: dict[str, Callable[[Path | None], str]] = {
     "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
     "worn": worn, "contact": contact, "touch": touch, "step": time_step,
     "moves": moves, "routes": routes, "mink": mink, "cost": cost, "install": install,
-    "video": video, "engines": engines, "noticed": noticed,
+    "video": video, "engines": engines, "wire": wire, "noticed": noticed,
 }  # fmt: skip
 
 
