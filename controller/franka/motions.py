@@ -29,7 +29,6 @@ from .wire import Generator, Message, columns, matrix
 ELBOW: Final = 2  # the joint whose angle it is
 DAMPING: Final = 1e-3  # of the inverse kinematics
 LEAST_ROOM: Final = 1e-3  # share of the elbow's motion that must be free in the null space
-STARTS: Final = 4  # iterations that bring the joints to a first pose
 
 
 class Kinematics:
@@ -176,9 +175,7 @@ class CartesianMotion(Motion):
     def _start(self, pose: Vector) -> Measure:
         """Begin at a pose that is near."""
         away = pose - self._arm.end_effector(self._measured)
-        self._pose = pose
-        for _ in range(STARTS):
-            self.q = self._arm.towards(self.q, pose, None)
+        self.q, self._pose = self._arm.towards(self.q, pose, None), pose
         return start_place_measure(away[None, :3, 3], LIMITS)
 
     def _judged(self, twist: Vector) -> Iterator[Measure]:

@@ -105,8 +105,7 @@ class Robot:
         self._move: Request | None = None  # of the motion that is under way
         self._motion = Motion(self._arm, self._measured.q, self._measured.q)
         self._torque = np.zeros(7)  # commanded, without what carries the arm
-        self._is_told = self._is_opening = False
-        self._due = 0  # number of the state whose command comes next
+        self._is_opening = False  # before the first command of a motion
         self._ticks = self._braking = 0  # the arm may still take so many to come to rest
         self._answers: list[Callable[[], None]] = []  # given once it is at rest
         self._measured.fill_frames(self._state)
@@ -155,9 +154,9 @@ class Robot:
             request.answer(MoveStatus.INVALID)
         else:
             generator = Generator(body["generator"] + 1)
-            self._motion = kind(self._arm, self._held(), self._measured.q, generator)
+            self._motion = kind(self._arm, self._motion.q, self._measured.q, generator)
             self._move, self._mode, self._control = request, Mode.MOVE, Control(control)
-            self._torque, self._is_told, self._is_opening = np.zeros(7), False, True
+            self._torque, self._is_opening = np.zeros(7), True
             self._cartesian_impedance.start(self._motion)
             self._delivery.start()
             self._state["reflex_reason"] = 0
@@ -206,7 +205,7 @@ class Robot:
             self._gripper.tick(self._measured.fingers)
             if self._ticks % GRIPPER_EVERY == 0:
                 self._tell()
-            self._ticks, self._is_told = self._ticks + 1, False
+            self._ticks += 1
             self._brake()
             if self._move is None:
                 self._line.serve(0.0)
@@ -219,36 +218,30 @@ class Robot:
 
     def _wait(self) -> Message | None:
         """Wait for a motion's command, or until there is something else to do."""
-        command = None
-        while command is None and (self._move or not (self._braking or self._gripper.is_busy)):
-            if self._move:
-                command = self._exchange()
-            else:
-                self._tell()
-                self._line.serve(PAUSE)
-        return command
-
-    def _exchange(self) -> Message | None:
-        """Tell the program the state, and look for the command that answers it."""
-        if not self._is_told:
-            self._is_told = True
+        while not (self._move or self._braking or self._gripper.is_busy):
+            self._tell()
+            self._line.serve(PAUSE)
+        if self._move:
             self._send_state()
-            self._due = self._state["message_id"]
-            if self._is_opening:  # it reads a first state before that which it answers
+            due = int(self._state["message_id"])
+            if self._is_opening:  # the program reads a first state before that which it answers
                 while self._move and not self._service.is_read:
                     self._line.serve(LOOK)
                 self._send_state()
-        self._line.serve(SLICE, self._service.udp)
-        command = self._received()
-        self._is_opening = self._is_opening and command is None
-        return command
+        while self._move:
+            self._line.serve(SLICE, self._service.udp)
+            command = self._received(due)
+            if command is not None:
+                self._is_opening = False
+                return command
+        return None
 
-    def _received(self) -> Message | None:
-        """Return the command that is due, if it has come."""
+    def _received(self, due: int) -> Message | None:
+        """Return the command that answers a state, if it has come."""
         for packet in self._service.packets():
-            if self._move and len(packet) == COMMAND.itemsize:
+            if len(packet) == COMMAND.itemsize:
                 command = np.frombuffer(packet, COMMAND)[0]
-                if command["message_id"] >= self._due:
+                if command["message_id"] >= due:
                     return command
             self._line.count(1)
         return None
@@ -305,12 +298,6 @@ class Robot:
             self._send_state()
             while self._answers:
                 self._answers.pop(0)()
-
-    def _held(self) -> Vector:
-        """Joints (7,) that the arm is held at, unless it has been moved away."""
-        away = np.abs(self._motion.q - self._measured.q)
-        is_near = (away < LIMITS.velocity * STEP_SIZE).all()
-        return self._motion.q if is_near else self._measured.q
 
     # What it tells.
 
