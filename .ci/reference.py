@@ -21,7 +21,7 @@ from panda_cosim.cli.commands.info import variables_markdown
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.definitions import DEFINITIONS
-from panda_cosim.task.rules import AT_TOP, OF_ARM, OF_MODELS, RULES
+from panda_cosim.task.rules import AT_TOP, OF_ARM, OF_HAND, OF_MODELS, RULES
 
 DOCS = Path(__file__).parents[1] / "docs"
 MADE: Final = re.compile(r"<!-- made: (\w+) -->(?:.*?(<!-- end: \1 -->))?", re.S)
@@ -80,7 +80,7 @@ def definitions() -> str:
 
 def rules() -> str:
     """Return what keys of a scenario exclude or need each other."""
-    found = iter((", ".join(OF_ARM), ", ".join(OF_MODELS), ", ".join(key for _, key in AT_TOP)))
+    found = map(", ".join, (OF_ARM, OF_HAND, OF_MODELS, [key for _, key in AT_TOP]))
     rows = []
     for text in RULES:
         said = re.sub(r" value \{0\.[^}]*\};?", "", text)

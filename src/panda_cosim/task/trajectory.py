@@ -1,5 +1,7 @@
 """Computes the controller's commands at any time from a table."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from typing import Annotated, Self
