@@ -18,7 +18,16 @@ from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.pictures.motion import poses, scene_of
 from panda_cosim.show.pictures.offscreen import OffscreenRenderer
 
-FRAME = 0.55  # share of a run at which its thumbnail is drawn
+# What the gallery begins with: tasks, then limits. Of each the camera, and the share of the run at
+# which its picture is taken, so that no two look alike.
+FIRST = {
+    "pick_and_place": ("overview", 0.5), "stack_blocks": ("closeup", 0.85),
+    "peg_in_hole": ("closeup", 0.7), "open_door": ("overview", 0.75), "draw_circle": ("front", 0.6),
+    "wipe": ("closeup", 0.5), "push_block": ("front", 0.6),
+    "place_and_pick_again": ("closeup", 0.35), "pick_and_place_fast_fr3": ("front", 0.45),
+    "collision": ("overview", 0.4), "beyond_reach": ("front", 0.7), "heavy_block": ("closeup", 0.3),
+}  # fmt: skip
+CAMERAS = ("overview", "front", "closeup")  # of the others, in turn
 VERDICTS = (0, 1, 3)  # exit codes
 # Pages beside those of the scenarios: title, text, what is shown, and the commands that make it.
 REPORTS = {
@@ -114,12 +123,15 @@ def gallery(docs: Path) -> str:
     folder = docs / "gallery"
     folder.mkdir()
     figures, links = [], []
-    for name, path in shipped_scenarios().items():
+    shipped = shipped_scenarios()
+    for number, name in enumerate(dict.fromkeys((*FIRST, *shipped))):
+        path = shipped[name]
         _run(f"panda-cosim run {name} --no-video --out {name}", folder)
         summary = Summary.open(folder / name)
         if not summary.as_expected:
             raise SystemExit(f"{name}: not as expected")
-        _thumbnail(Recording.open(folder / name), folder / f"{name}.png")
+        look = FIRST.get(name, (CAMERAS[number % 3], 0.2 + 0.06 * (number % 11)))
+        _thumbnail(Recording.open(folder / name), folder / f"{name}.png", *look)
         purpose = load_scenario(path).purpose
         reason = summary.expect_reason
         text = SCENARIO.render(name=name, purpose=purpose, reason=reason, criteria=summary.criteria)
@@ -149,8 +161,8 @@ def _run(line: str, folder: Path) -> None:
         raise SystemExit(done.stderr)
 
 
-def _thumbnail(recording: Recording, path: Path) -> None:
-    at = recording.time[[int(FRAME * (recording.rows - 1))]]
-    with closing(OffscreenRenderer(scene_of(recording), 480, 360)) as renderer:
+def _thumbnail(recording: Recording, path: Path, camera: str, share: float) -> None:
+    at = recording.time[[int(share * (recording.rows - 1))]]
+    with closing(OffscreenRenderer(scene_of(recording), 480, 360, camera)) as renderer:
         (image,) = renderer.frames(poses(recording, at))
     Image.fromarray(np.asarray(image)).quantize(128).save(path, optimize=True)

@@ -2,8 +2,11 @@
 
 import json
 import time
+from functools import partial
 from html import escape
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import mujoco
@@ -396,3 +399,20 @@ def test_a_notebook_shows_it_in_a_frame(page, run, folder):
         page.value("PandaView.viewer.go({at: 2})")
         assert page.value(NOW) == 2
     assert page.errors == []
+
+
+def test_a_page_in_a_frame_of_the_site_follows_its_colours(page, view):
+    frame = "document.querySelector('iframe').contentWindow"
+    shown = f"{frame}.document.querySelector('.pv')?.dataset.scheme"
+    outer = view.with_name("outer.html")
+    outer.write_text(
+        f'<body data-md-color-scheme="slate"><iframe src="{view.name}" width=800></iframe>'
+    )
+    handler = partial(SimpleHTTPRequestHandler, directory=view.parent)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:  # files have no common origin
+        Thread(target=server.serve_forever, daemon=True).start()
+        page.visit(f"http://127.0.0.1:{server.server_port}/{outer.name}", scheme="light")
+        page.wait(f"{shown} === 'dark'")
+        page.value("document.body.dataset.mdColorScheme = 'default'")
+        page.wait(f"{shown} === 'light'")
+        server.shutdown()

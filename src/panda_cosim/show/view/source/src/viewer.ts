@@ -10,6 +10,7 @@ import { header } from "./panels/header.ts";
 import { Hud } from "./panels/hud.ts";
 import { transport } from "./panels/transport.ts";
 import { Stage } from "./scene/stage.ts";
+import { isDark, onScheme } from "./scheme.ts";
 
 const TURN = 0.12; // [rad] per key press
 const NEARER = 0.88; // factor on the distance per key press
@@ -31,7 +32,6 @@ export class Viewer {
   private readonly keys: Key[];
   private readonly help: HTMLDialogElement;
   private readonly stops: (() => void)[] = [];
-  private readonly scheme = matchMedia("(prefers-color-scheme: dark)");
   private forced: boolean | null = null;
 
   private constructor(
@@ -106,11 +106,9 @@ export class Viewer {
   }
 
   private link(): void {
-    const onScheme = () => this.paint();
-    this.scheme.addEventListener("change", onScheme);
     // As part of a larger page, the viewer gets keys only while it has the focus.
     const heard = listen(this.keys, this.ownsAddress ? window : this.root);
-    this.stops.push(() => this.scheme.removeEventListener("change", onScheme), heard);
+    this.stops.push(onScheme(() => this.paint()), heard);
     for (const run of this.runs) this.stops.push(run.onGrowth(() => this.clock.extend(run.span[1])));
     this.stops.push(this.runs[0].onGrowth(() => this.curves.grow()));
     if (!this.ownsAddress) return;
@@ -126,7 +124,7 @@ export class Viewer {
   }
 
   private get dark(): boolean {
-    return this.forced ?? this.scheme.matches;
+    return this.forced ?? isDark();
   }
 
   private switchScheme(): void {
