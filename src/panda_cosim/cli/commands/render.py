@@ -144,7 +144,7 @@ def _other(first: Shown, against: str, names: Path | None) -> Shown:
     if against == "reference":
         return shown_reference(reference_of(first.source))
     path = Path(against)
-    if isinstance(first.source, Recording) and is_log(path):
+    if is_log(path):
         return Shown(path.name, open_log(path, names, first.source), None)
     reference = path if path.name == REFERENCE_FILE else path / REFERENCE_FILE
     if reference.is_file():

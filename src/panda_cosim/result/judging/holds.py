@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,21 +29,6 @@ HAND: Final = "plant.hand_xpos"
 CONTACT: Final = tuple(f"controller.joint_contact[{i}]" for i in range(1, 8))
 COLLISION: Final = 2.0  # of joint_contact
 SHORT: Final = 0.05 - 1e-9  # [s] a shorter gap belongs to a hold, a shorter span is none
-
-
-class Rows(Protocol):
-    """What holds and pictures need of a recording."""
-
-    @property
-    def time(self) -> Array:
-        """Instants of the rows (n,) [s], increasing."""
-
-    @property
-    def columns(self) -> Sequence[str]:
-        """Names of all columns."""
-
-    def __getitem__(self, name: str) -> Array:
-        """A signal's values (n, ...)."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +54,7 @@ class Hold:
         return slice(self.lift, min(self.release_command + 1, self.end))
 
 
-def find_holds(recording: Rows) -> list[Hold]:
+def find_holds(recording: Recording) -> list[Hold]:
     """Return the holds of a run in order; none without contact force and position of the block."""
     columns = frozenset(recording.columns)
     if not {FORCE, *BLOCK} <= columns:
@@ -145,7 +130,7 @@ def events(recording: Recording, holds: Sequence[Hold]) -> Events:
     }
 
 
-def first_collision(recording: Rows) -> int | None:
+def first_collision(recording: Recording) -> int | None:
     """Return the row at which a joint first collides; None: none does, or it is not recorded."""
     if CONTACT[0] not in recording.columns:
         return None

@@ -9,13 +9,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from textwrap import shorten
-from typing import Any, Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ...result.judging.holds import Hold, Rows, find_holds, first_collision
+from ...result.judging.holds import Hold, find_holds, first_collision
+from ...result.recording import Recording
 from ...result.recording.reader import shapes_of
 from ...task import rotations
 from ...task.files import model_file
@@ -40,14 +41,6 @@ REASON_LENGTH = 80  # characters of an error's message in a title
 APART = 0.05  # [s] least distance: closer moments look alike
 
 
-class Signals(Rows, Protocol):
-    """Interface that pictures need of a recording; `result.recording.Recording` has it."""
-
-    @property
-    def metadata(self) -> Mapping[str, Any]:
-        """Origin of the recording: scenario, scene, versions ..."""
-
-
 @dataclass(frozen=True)
 class Moment:
     """An instant worth a picture."""
@@ -56,7 +49,7 @@ class Moment:
     label: str = ""  # what happens then
 
 
-def check_signals(recording: Signals, names: Iterable[str]) -> None:
+def check_signals(recording: Recording, names: Iterable[str]) -> None:
     """Refuse a recording without rows, or with signals that are smaller than in our own scenes."""
     place = getattr(recording, "path", "recording")
     if not len(recording.time):
@@ -68,7 +61,7 @@ def check_signals(recording: Signals, names: Iterable[str]) -> None:
             raise InputError(f"{place}: {name}: shape {shape} per row; must be {own}")
 
 
-def position_columns(recording: Signals) -> list[str]:
+def position_columns(recording: Recording) -> list[str]:
     """Columns of the plant's positions that are drawn."""
     names = [name for name in recording.columns if name.partition("[")[0] == "plant.qpos"]
     if model_file(recording) is not None:
@@ -78,7 +71,7 @@ def position_columns(recording: Signals) -> list[str]:
     return names[: SHAPES["plant.qpos"][0]]  # of a scene with further bodies the first
 
 
-def poses(recording: Signals, at: FloatArray) -> FloatArray:
+def poses(recording: Recording, at: FloatArray) -> FloatArray:
     """Return qpos (k, nq) at instants (k,), see `interpolate_qpos`; reads a column at a time."""
     time = recording.time
     after = np.clip(np.searchsorted(time, at, side="right"), 1, max(len(time) - 1, 1))
@@ -87,14 +80,14 @@ def poses(recording: Signals, at: FloatArray) -> FloatArray:
     return interpolate_qpos(time[rows], np.column_stack(columns), at)
 
 
-def has_model(recording: Signals) -> bool:
+def has_model(recording: Recording) -> bool:
     """Whether a run's plant is the project's own, or has a model."""
     fmus = recording.metadata.get("fmus", {})
     plant = fmus.get("plant", {}).get("model", "none") if fmus else PLANT_MODEL
     return plant == PLANT_MODEL or model_file(recording) is not None
 
 
-def refuse_without_model(recording: Signals) -> None:
+def refuse_without_model(recording: Recording) -> None:
     """Refuse a run that cannot be drawn."""
     if not has_model(recording):
         raise InputError(
@@ -103,13 +96,13 @@ def refuse_without_model(recording: Signals) -> None:
         )
 
 
-def scene_of(recording: Signals) -> str:
+def scene_of(recording: Recording) -> str:
     """Return the name of a recording's scene, or the path of its model."""
     model = model_file(recording)
     return str(model.resolve() if model else recording.metadata.get("scene", DEFAULT_SCENE))
 
 
-def describe_run(recording: Signals) -> tuple[str, str]:
+def describe_run(recording: Recording) -> tuple[str, str]:
     """Return the title of a run's pictures: what ran, for how long, and whether to its end."""
     metadata = recording.metadata
     title = str(metadata.get("scenario") or "run").replace("_", " ")
@@ -149,7 +142,7 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
     return np.asarray(result)
 
 
-def key_moments(recording: Signals, count: int) -> list[Moment]:
+def key_moments(recording: Recording, count: int) -> list[Moment]:
     """Return up to `count` key instants: labelled ones, then halves of the longest gaps."""
     time = recording.time
     begin, end = float(time[0]), float(time[-1])

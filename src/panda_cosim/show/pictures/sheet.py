@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...fmus.errors import InputError
+from ...result.recording import Recording
 from .meshes import Meshes
-from .motion import Signals, describe_run, key_moments, poses, scene_of
+from .motion import describe_run, key_moments, poses, scene_of
 from .offscreen import Image, OffscreenRenderer
 from .panels import DPI, GREY, INK
 from .plot import own_style, save
@@ -30,7 +31,7 @@ CAPTION = 34  # [px] under an image
 
 
 def contact_sheet(
-    recording: Signals,
+    recording: Recording,
     path: str | Path,
     *,
     count: int = 12,

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError, one_line
+from ...result.recording import Recording
 from ...task.fields import Quantity
 from .gl import RenderError
 from .meshes import Meshes
-from .motion import Signals, frame_times, poses, scene_of
+from .motion import frame_times, poses, scene_of
 from .offscreen import MAX_SIDE, OffscreenRenderer
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ FFMPEG_ARGS += ["-metadata", f"comment={MARK}"]
 
 
 def render_video(  # noqa: PLR0913 - options, by keyword
-    recording: Signals,
+    recording: Recording,
     path: str | Path,
     *,
     fps: float = FPS,

@@ -14,8 +14,9 @@ from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ...result.judging.advice import refusals
 from ...result.judging.definitions import DEFINITIONS
 from ...result.judging.summary import Summary, json_values
+from ...result.recording import Recording
 from ...task.limits import METRICS
-from ..pictures.motion import Signals, key_moments
+from ..pictures.motion import key_moments
 from .columns import Json
 
 MOMENTS: Final = 8  # most marks on the timeline
@@ -84,7 +85,7 @@ def column_bounds(name: str) -> dict[str, list[float]]:
     return bounds
 
 
-def moments(signals: Signals) -> list[Json]:
+def moments(signals: Recording) -> list[Json]:
     """Return the key instants: start, grasp, lift ..."""
     return [{"time": m.time, "label": m.label} for m in key_moments(signals, MOMENTS) if m.label]
 

@@ -28,7 +28,7 @@ from ...task.files import model_file
 from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import DEFAULT_SCENE, has_model
 from .columns import Json
-from .run import RunData, Shown
+from .run import Shown
 from .run import describe as describe_run
 
 Document = Mapping[str, Any]  # of a run, as `run.describe` returns it
@@ -190,7 +190,9 @@ def shown_run(folder: Path | str, *, name: str | None = None, meshes: Meshes = "
     return show_source(recording, name, summary=Summary.of(recording), meshes=meshes)
 
 
-def show_source(source: RunData, name: str, *, summary: Summary, meshes: Meshes = "never") -> Shown:
+def show_source(
+    source: Recording, name: str, *, summary: Summary, meshes: Meshes = "never"
+) -> Shown:
     """Return a run to show, with the model named in its recording, or with curves alone."""
     own = model_file(source)
     if own is not None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ from ...result.recording import Recording, by_rows
 from ...task import rotations
 from ...task.files import model_file
 from ...task.limits import robot_of
-from ..pictures.motion import Signals, describe_run
+from ...task.tolerances import signal_of
+from ..pictures.motion import describe_run
 from ..thinning import Thinning
 from .columns import Json, describe_time, encode
 from .facts import (
@@ -54,18 +55,6 @@ ROLES: Final = {
 }
 
 
-class RunData(Signals, Protocol):
-    """Interface the page needs of a run; `result.recording.Recording` has it."""
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Unit of each column."""
-
-    @property
-    def descriptions(self) -> Mapping[str, str]:
-        """Description of each column."""
-
-
 @dataclass(frozen=True)
 class Shown:
     """A run to show, with the model that it is drawn with.
@@ -75,7 +64,7 @@ class Shown:
     """
 
     name: str  # in links and on the page
-    source: RunData
+    source: Recording
     model: Json | None  # as `model.describe` returns it; None: curves alone are shown
     # Of the model's bodies [kg]; None: the run may have had others, and no forces are drawn.
     masses: Sequence[float] | None = None
@@ -84,7 +73,7 @@ class Shown:
     only: Collection[str] = ()  # signals and columns that are in the page; (): all
 
 
-def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict[str, Any]:
+def describe(run: Shown, model_key: str, against: Recording | None = None) -> dict[str, Any]:
     """Return a run as plain values."""
     source, metadata = run.source, run.source.metadata
     columns = {role: _columns(source, signal) for role, signal in ROLES.items()}
@@ -131,7 +120,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
     }
 
 
-def _columns(source: RunData, signal: str) -> list[str]:
+def _columns(source: Recording, signal: str) -> list[str]:
     """Return a signal's columns in order; none if the run has no such signal."""
     pattern = re.compile(rf"{re.escape(signal)}(\[\d+\])?")
     return [name for name in source.columns if pattern.fullmatch(name)]
@@ -144,8 +133,8 @@ def _signals(
     source, only = run.source, run.only
     names = [name for name in source.columns if name != "time"]
     if only:
-        names = [name for name in names if name in only or _signal_of(name) in only]
-    groups = [list(group) for _, group in groupby(names, key=_signal_of)]
+        names = [name for name in names if name in only or signal_of(name) in only]
+    groups = [list(group) for _, group in groupby(names, key=signal_of)]
     curves = ([thinning.curve(source[n]) for n in columns] for columns in groups)
     steps = [[POSE_STEP if n in positions else None for n in columns] for columns in groups]
     return (
@@ -160,15 +149,13 @@ def _signals(
 
 
 def _signal(columns: list[str], units: list[str], words: str, block: Json) -> dict[str, Any]:
-    name = _signal_of(columns[0])
+    name = signal_of(columns[0])
     return {"name": name, "columns": columns, "units": units, "words": words, **block}
 
 
-def _signal_of(column: str) -> str:
-    return column.partition("[")[0]
-
-
-def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> list[dict[str, Any]]:
+def _derived(
+    source: Recording, thinning: Thinning, against: Recording | None
+) -> list[dict[str, Any]]:
     """Return curves computed from several signals, unless they would be rounding noise."""
     hand, turn, command = ROLES["actual"], ROLES["actual_turn"], ROLES["commanded"]
     curves = []
@@ -177,11 +164,11 @@ def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> li
         curves.append(_signal([name], [unit], words, encode([thinning.curve(values)], [None])))
 
     if _has(source, hand, command):
-        error = _each_row(source, _distance, hand, command)
+        error = by_rows(source, _distance, hand, command)
         if error.max(initial=0.0) >= CLEAR * max(_quanta(source, hand)):
             add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
     if _has(source, turn, ROLES["commanded_turn"]):
-        angle = _each_row(source, rotations.angle_deg, ROLES["commanded_turn"], turn)
+        angle = by_rows(source, rotations.angle_deg, ROLES["commanded_turn"], turn)
         if angle.max(initial=0.0) >= CLEAR * np.degrees(2 * max(_quanta(source, turn))):
             add("orientation error", "deg", "Angle of the hand from its command", angle)
     if against is not None and _has(source, hand) and _has(against, hand):
@@ -190,22 +177,15 @@ def _derived(source: RunData, thinning: Thinning, against: RunData | None) -> li
     return curves
 
 
-def _has(source: RunData, *signals: str) -> bool:
+def _has(source: Recording, *signals: str) -> bool:
     return all(_columns(source, signal) for signal in signals)
-
-
-def _each_row(source: RunData, function: Callable[..., Array], *signals: str) -> Array:
-    """Return what a function computes of each row; of a recording in blocks, to save memory."""
-    if isinstance(source, Recording):
-        return by_rows(source, function, *signals)
-    return function(*(source[signal] for signal in signals))
 
 
 def _distance(one: Array, other: Array) -> Array:
     return np.asarray(np.linalg.norm(one - other, axis=1))
 
 
-def _difference(source: RunData, other: RunData, signal: str) -> Array:
+def _difference(source: Recording, other: Recording, signal: str) -> Array:
     """Return the distance of a signal (n, 3) from another run's, NaN after that one's end.
 
     What the other run's rounding explains is 0.
@@ -218,13 +198,13 @@ def _difference(source: RunData, other: RunData, signal: str) -> Array:
     return away
 
 
-def _quanta(source: RunData, signal: str) -> list[float]:
+def _quanta(source: Recording, signal: str) -> list[float]:
     """Return the rounding step of each column of a signal: a reference has them, a run has none."""
     quanta: Mapping[str, float] = getattr(source, "quanta", {})
     return [quanta.get(name, 0.0) for name in _columns(source, signal)]
 
 
-def _poses(source: RunData, thinning: Thinning, columns: Mapping[str, Sequence[str]]) -> Json:
+def _poses(source: Recording, thinning: Thinning, columns: Mapping[str, Sequence[str]]) -> Json:
     """Return the columns the scene needs, at the instants of poses."""
     names = [name for group in columns.values() for name in group]
     values = [thinning.poses(source[name]) for name in names]

@@ -37,6 +37,8 @@ JOINTS: Final = tuple(f"q{joint}" for joint in range(1, 8))
 SPEEDS: Final = tuple(f"qd{joint}" for joint in range(1, 8))
 ROUNDS: Final = 12  # of `retimed`
 ENOUGH: Final = 0.98  # of the share that may be used
+OWN: Final = ("joint", "arm")  # interfaces whose limits are kept
+FIXED: Final = {key for key, check in CHECKS.items() if check.remedy in ("elsewhere", "start")}
 POWERS: Final = {"velocity": 1, "jerk": 3, "rate": 3}  # of the times; of all else, 2
 
 
@@ -106,7 +108,7 @@ def is_trajectory(content: Any) -> bool:
     return isinstance(content, dict) and {"joint_names", "points"} <= content.keys()
 
 
-def _columns(content: dict[str, Any]) -> dict[str, Array]:
+def _columns(content: Any) -> dict[str, Array]:
     """Return a JointTrajectory as a table; joints are in the order of their names."""
     order = np.argsort(content["joint_names"])
     rows = []
@@ -173,19 +175,30 @@ def retimed(path: Path, robot: str, share: float, *, keep_times: bool) -> tuple[
     motion, *others = motions(path)
     if others:
         raise InputError(f"{path}: {1 + len(others)} motions; must be one")
-    factor, own = 1.0, {k: c for k, c in CHECKS.items() if c.interface in ("joint", "arm")}
+    factor = 1.0
     for _ in range(ROUNDS):
-        found = preflight(followed(motion.stretched(factor), ARMS[robot]), robot)
-        used = {key: max(found[f"{key}_share"] or (0.0,)) for key in own if own[key].necessary}
-        for key in [*used]:
-            if own[key].remedy in ("elsewhere", "start") and used.pop(key) >= 1.0:
-                raise InputError(f"{path}: {key}: is beyond its limit at any speed")
-        powers = {key: POWERS.get(key.rpartition("_")[2], 2) for key in used}
-        needed = max((used[key] / share) ** (1.0 / powers[key]) for key in used)
+        with located(path):
+            needed = _needed(_used(motion.stretched(factor), robot), share)
         if needed < 1.0 and (needed > ENOUGH or (keep_times and factor == 1.0)):
             return motion.stretched(factor), factor
         factor *= needed * (1.0 + ENOUGH) / 2.0 / ENOUGH
     raise InputError(f"{path}: no times were found within {share:.0%} of the limits")
+
+
+def _used(motion: Motion, robot: str) -> dict[str, float]:
+    """Return the largest shares of the limits of joints and arm."""
+    found = preflight(followed(motion, ARMS[robot]), robot)
+    own = (key for key, check in CHECKS.items() if check.interface in OWN and check.necessary)
+    return {key: max(found[f"{key}_share"] or (0.0,)) for key in own}
+
+
+def _needed(used: Mapping[str, float], share: float) -> float:
+    """Return the factor of all times at which the limits are used up to a share."""
+    for key in FIXED & used.keys():
+        if used[key] >= 1.0:
+            raise InputError(f"{key}: is beyond its limit at any speed")
+    powers = {key: POWERS.get(key.rpartition("_")[2], 2) for key in used.keys() - FIXED}
+    return max((used[key] / share) ** (1.0 / power) for key, power in powers.items())
 
 
 def motion_text(motion: Motion) -> str:

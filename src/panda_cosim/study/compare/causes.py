@@ -99,9 +99,7 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
     """
     rows = differing([dict(flattened(before)), dict(flattened(now))])
     engine = any(row.name == ENGINE for row in rows)
-    if engine:  # which rounds models otherwise, and has fields of its own
-        rows = [row for row in rows if not row.name.startswith("models.")
-                or (None not in row.values and row.relative > ROUNDING)]  # fmt: skip
+    rows = [row for row in rows if not (engine and _is_rounding(row))]
     told = {".".join(row.name.split(".")[:2]) for row in rows if row.name[-5:] != ".hash"}
     models = {row.name.split(".")[1] for row in rows if row.name.startswith("models.")}
 
@@ -118,6 +116,12 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
     return sorted(
         rows, key=lambda row: order.index(row.name if row.name == ENGINE else _part(row.name))
     )
+
+
+def _is_rounding(row: Row) -> bool:
+    """Whether a model's field is as another engine rounds it, or is only in one of them."""
+    is_model = row.name.startswith("models.")
+    return is_model and (None in row.values or row.relative <= ROUNDING)
 
 
 def is_parameter(row: Row) -> bool:

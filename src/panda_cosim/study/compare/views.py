@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
+from ...result.recording import Recording
 from ...show.view.columns import Json
 from ...show.view.facts import CURVES
 from ...show.view.page import Document, contents, data_elements, show_source
-from ...show.view.run import ROLES, RunData, Shown
+from ...show.view.run import ROLES, Shown
 from ...task.scenario import shipped_scenarios
 from .page import Part
 from .reference import REFERENCE_FILE, Reference
@@ -32,7 +33,7 @@ def shown_reference(path: Path, name: str = "reference") -> Shown:
     return replace(run, notes=(ROUNDED,))
 
 
-def reference_of(source: RunData) -> Path:
+def reference_of(source: Recording) -> Path:
     """Return the reference of a run's scenario."""
     name, folder = (source.metadata.get(key) for key in ("scenario", "scenario_folder"))
     place = Path(str(folder)) if folder else shipped_scenarios().get(str(name))
