@@ -137,35 +137,44 @@ def torque(address: str) -> Any:
             "end_effector": list(state.O_T_EE)}  # fmt: skip
 
 
-REFUSED = {  # what is wrong in the 100th command of a motion, by the way it is sent
-    "jump": ("position", lambda tick: MOVING * (tick == 100)),
-    "kink": ("position", lambda tick: 1e-4 * (tick == 100)),
-    "start": ("position", lambda tick: 0.01),
-    "speed": ("velocity", lambda tick: 4.0 * tick * 1e-3),
-    "end": ("velocity", lambda tick: 4.0 * tick * 1e-3),
-    "end of range": ("velocity", lambda tick: -2.0 * min(tick, 500) * 1e-3),
-    "torque": ("torque", lambda tick: 5.0 * (tick == 100)),
+# What is wrong in a motion's commands: how they are sent, of which joint or axis, by how much in
+# each tick, and how many there are.
+REFUSED: dict[str, tuple[str, int, Callable[[int], float], int]] = {
+    "jump": ("JointPositions", 0, lambda tick: MOVING * (tick == 100), 3000),
+    "kink": ("JointPositions", 0, lambda tick: 1e-4 * (tick == 100), 3000),
+    "start": ("JointPositions", 0, lambda tick: 0.01, 3000),
+    "speed": ("JointVelocities", 0, lambda tick: 4.0 * tick * 1e-3, 3000),
+    "end of range": ("JointVelocities", 3, lambda tick: -2.0 * min(tick, 500) * 1e-3, 3000),
+    "end": ("JointVelocities", 0, lambda tick: 4.0 * tick * 1e-3, 200),
+    "torque": ("Torques", 0, lambda tick: 5.0 * (tick == 100), 3000),
+    "jump of a pose": ("CartesianPose", 14, lambda tick: 1e-3 * (tick == 100), 3000),
+    "start of poses": ("CartesianPose", 14, lambda tick: 0.01, 3000),
+    "turn": ("CartesianVelocities", 5, lambda tick: 8.0 * tick * 1e-3, 3000),
+    "end of a turn": ("CartesianVelocities", 5, lambda tick: 8.0 * tick * 1e-3, 100),
 }
 
 
 def refused(address: str, what: str) -> Any:
     """Ask for what the robot refuses, recover, and move again."""
     franka, robot = connected(address)
-    kind, wrong = REFUSED[what]
-    mode = franka.ControllerMode.JointImpedance
-    joint_of = 3 if what == "end of range" else 0
-    axis, ticks = np.eye(7)[joint_of], 200 if what == "end" else 3000
+    kind, axis, wrong, ticks = REFUSED[what]
+    start = {
+        "JointPositions": robot.start_joint_position_control,
+        "JointVelocities": robot.start_joint_velocity_control,
+        "CartesianPose": robot.start_cartesian_pose_control,
+        "CartesianVelocities": robot.start_cartesian_velocity_control,
+        "Torques": lambda _: robot.start_torque_control(),
+    }[kind]
 
     def command(first: Any, tick: int) -> Any:
-        if kind == "position":
-            return franka.JointPositions((np.array(first.q) + wrong(tick) * axis).tolist())
-        make = franka.JointVelocities if kind == "velocity" else franka.Torques
-        return make((wrong(tick) * axis).tolist())
+        rest = {"JointPositions": first.q, "CartesianPose": first.O_T_EE,
+                "CartesianVelocities": [0.0] * 6}.get(kind, [0.0] * 7)  # fmt: skip
+        sent = list(rest)
+        sent[axis] += wrong(tick)
+        return getattr(franka, kind)(sent)
 
-    start = {"position": lambda: robot.start_joint_position_control(mode),
-             "velocity": lambda: robot.start_joint_velocity_control(mode),
-             "torque": robot.start_torque_control}[kind]  # fmt: skip
-    return after_refusal(franka, robot, lambda: follow(start(), command, ticks))
+    mode = franka.ControllerMode.JointImpedance
+    return after_refusal(franka, robot, lambda: follow(start(mode), command, ticks))
 
 
 def after_refusal(franka: Any, robot: Any, act: Callable[[], Any]) -> Any:
@@ -180,9 +189,11 @@ def after_refusal(franka: Any, robot: Any, act: Callable[[], Any]) -> Any:
     robot.automatic_error_recovery()
     state = robot.read_once()
     modes.append(str(state.robot_mode))
+    short = 0.25 * WAVE[::2, None] * JOINTS
     again = follow(
         robot.start_joint_position_control(franka.ControllerMode.JointImpedance),
-        lambda first, k: franka.JointPositions((np.array(first.q_d) + WAVE[k] * JOINTS).tolist()),
+        lambda first, k: franka.JointPositions((np.array(first.q_d) + short[k]).tolist()),
+        len(short),
     )
     return {"told": told, "modes": modes, "errors": str(state.current_errors),
             "again": again["way"]}  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from types import MappingProxyType
 from typing import Final
 
@@ -163,27 +163,23 @@ class CartesianMotion(Motion):
         if command is not None and command["has_elbow"]:
             elbow = float(command["elbow_c"][0])
             yield from self._bend(elbow)
-        yield from self._judged(twist)
-        self._twist, self._pose = twist, moved(self._pose, STEP_SIZE * twist)
+        turn = (twist - self._twist) / STEP_SIZE
+        yield from _of_hand((twist, turn, (turn - self._turn) / STEP_SIZE))
+        self._twist, self._turn = twist, turn
+        self._pose = moved(self._pose, STEP_SIZE * twist)
         q = self._arm.towards(self.q, self._pose, elbow)
         self._go((q - self.q) / STEP_SIZE)  # as the robot's own inverse kinematics is not known
 
     def end_errors(self) -> list[str]:
         """Return what is refused if the last command was the end."""
-        return refusals(self._judged(0.0 * self._twist))
+        left = self._twist / STEP_SIZE, self._turn / STEP_SIZE  # to brake within a tick
+        return refusals(_of_hand((np.zeros(6), *left)))
 
     def _start(self, pose: Vector) -> Measure:
         """Begin at a pose that is near."""
         away = pose - self._arm.end_effector(self._measured)
         self.q, self._pose = self._arm.towards(self.q, pose, None), pose
         return start_place_measure(away[None, :3, 3], LIMITS)
-
-    def _judged(self, twist: Vector) -> Iterator[Measure]:
-        """Yield what limits bound of a twist of the end effector (6,) that comes next."""
-        turn = (twist - self._twist) / STEP_SIZE
-        rates = [rate[None] for rate in (twist, turn, (turn - self._turn) / STEP_SIZE)]
-        self._turn = turn
-        return hand_measures([r[:, :3] for r in rates], [r[:, 3:] for r in rates], LIMITS)
 
     def _bend(self, angle: float) -> Iterator[Measure]:
         """Take over the elbow's angle."""
@@ -192,6 +188,12 @@ class CartesianMotion(Motion):
             rates.append((rates[-1] - last) / STEP_SIZE)
         self._elbow = np.array(rates[:3])
         return elbow_measures([np.array([[rate]]) for rate in rates], LIMITS)
+
+
+def _of_hand(rates: Iterable[Vector]) -> Iterator[Measure]:
+    """Yield what limits bound of three derivatives of the end effector's pose (6,)."""
+    moving, turning = zip(*((rate[None, :3], rate[None, 3:]) for rate in rates), strict=True)
+    return hand_measures(moving, turning, LIMITS)
 
 
 MOTIONS: Final = MappingProxyType({

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from franka_clients import JOINTS, TICKS, UPWARDS
 from franka_support import MOST_TICKS, Coupled, claimed_address, couple, needs_clients
@@ -13,6 +15,7 @@ from panda_cosim.assets.franka import HOME_Q, ROBOTS
 from panda_cosim.controller.franka import wire
 from panda_cosim.controller.franka.description import end_effector
 from panda_cosim.controller.franka.line import Service
+from panda_cosim.controller.franka.motions import MOTIONS, Kinematics
 from panda_cosim.controller.franka.signals import Settings
 from panda_cosim.controller.model import ArmModel
 
@@ -144,6 +147,10 @@ REFLEXES = {
     "end of range": ["joint_motion_generator_velocity_limits_violation"],
     "end": ["joint_motion_generator_velocity_discontinuity"],
     "torque": ["controller_torque_discontinuity"],
+    "jump of a pose": [f"cartesian_motion_generator_{name}" for name in RATES[1:]],
+    "start of poses": ["cartesian_position_motion_generator_start_pose_invalid"],
+    "turn": ["cartesian_motion_generator_velocity_limits_violation"],
+    "end of a turn": ["cartesian_motion_generator_velocity_discontinuity"],
 }
 
 
@@ -159,9 +166,49 @@ def test_what_the_robot_would_refuse_ends_the_motion_until_the_client_recovers(w
     assert made.warnings == [f"reflex: {', '.join(REFLEXES[what])}"]
     assert made.told["modes"] == ["RobotMode.Reflex", "RobotMode.Idle"]
     assert made.told["errors"] == "[]"
-    np.testing.assert_allclose(made.told["again"], JOINTS, atol=3.0 * FRICTION)
+    np.testing.assert_allclose(made.told["again"], 0.25 * JOINTS, atol=3.0 * FRICTION)
     bits = sum(2.0 ** wire.ERRORS.index(name) for name in REFLEXES[what])
     assert set(made.output("errors")) == {0.0, bits}
+
+
+@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.1, 0.5, 1.0, 1.5]))
+def test_joint_motions_are_refused_in_the_tick_that_the_limits_say(seed: int, size: float) -> None:
+    """The rates are differenced here once more, over all commands at once."""
+    limits, start = ROBOTS["fr3"], np.array(HOME_Q)
+    jerk = size * limits.jerk * np.random.default_rng(seed).uniform(-1.0, 1.0, (30, 7))
+    jerk[0] = 0.0  # the first command is the start
+    commanded = start + np.cumsum(np.cumsum(np.cumsum(jerk, axis=0), axis=0), axis=0) * 1e-9
+    rates = [commanded]
+    for _ in range(3):
+        rates.append(np.diff(rates[-1], axis=0, prepend=rates[-1][:1]) * 1e3)
+    above = np.abs(rates[2]) >= limits.acceleration, np.abs(rates[3]) >= limits.jerk
+    expected = np.flatnonzero((above[0] | above[1]).any(axis=1))
+    motion = MOTIONS[wire.Generator.JOINT_POSITION](
+        Kinematics(), start, start, wire.Generator.JOINT_POSITION
+    )
+    found = [bool(motion.errors({"q_c": q})) for q in commanded]
+    assert np.flatnonzero(found)[:1].tolist() == expected[:1].tolist()
+
+
+@pytest.mark.parametrize(("angles", "error"), [
+    (lambda k: 1e-3 * (k > 5), "cartesian_motion_generator_velocity_discontinuity"),
+    (lambda k: 4e-6 * k * k, "cartesian_motion_generator_velocity_limits_violation"),
+])  # fmt: skip
+def test_the_elbow_moves_within_its_limits_and_leaves_the_hand_where_it_is(angles, error) -> None:
+    start, arm = np.array(HOME_Q), Kinematics()
+    pose = arm.end_effector(start)
+    motion = MOTIONS[wire.Generator.CARTESIAN_POSE](
+        arm, start, start, wire.Generator.CARTESIAN_POSE
+    )
+    command = {"O_T_EE_c": wire.columns(pose), "has_elbow": 1}
+    for k in range(400):
+        errors = motion.errors({**command, "elbow_c": [angles(k), -1.0]})
+        if errors:
+            assert error in errors
+            break
+        assert motion.q[2] == pytest.approx(angles(k), abs=1e-6)
+        np.testing.assert_allclose(arm.end_effector(motion.q), pose, atol=1e-5)
+    assert errors
 
 
 @needs_clients
