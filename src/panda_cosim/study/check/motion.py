@@ -194,11 +194,13 @@ def _used(motion: Motion, robot: str) -> dict[str, float]:
 
 def _needed(used: Mapping[str, float], share: float) -> float:
     """Return the factor of all times at which the limits are used up to a share."""
-    for key in FIXED & used.keys():
-        if used[key] >= 1.0:
+    factors = [0.0]
+    for key, most in used.items():
+        if key not in FIXED:
+            factors.append((most / share) ** (1.0 / POWERS.get(key.rpartition("_")[2], 2)))
+        elif most >= 1.0:
             raise InputError(f"{key}: is beyond its limit at any speed")
-    powers = {key: POWERS.get(key.rpartition("_")[2], 2) for key in used.keys() - FIXED}
-    return max((used[key] / share) ** (1.0 / power) for key, power in powers.items())
+    return max(factors)
 
 
 def motion_text(motion: Motion) -> str:
