@@ -15,8 +15,10 @@ from PIL import Image
 from panda_cosim import Recording, load_scenario, shipped_scenarios
 from panda_cosim.result.judging.criterion import bound_text, margin_text, quantity
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.run.prepare import prepare
 from panda_cosim.show.pictures.motion import poses, scene_of
 from panda_cosim.show.pictures.offscreen import OffscreenRenderer
+from panda_cosim.task.client import MissingPackageError
 
 # What the gallery begins with: tasks, then limits. Of each the camera, and the share of the run at
 # which its picture is taken, so that no two look alike.
@@ -125,14 +127,19 @@ def gallery(docs: Path) -> str:
     figures, links = [], []
     shipped = shipped_scenarios()
     for number, name in enumerate(dict.fromkeys((*FIRST, *shipped))):
-        path = shipped[name]
+        scenario = load_scenario(shipped[name])
+        try:
+            prepare(scenario)
+        except MissingPackageError as missing:
+            print(f"{name}: left out: {missing}", flush=True)
+            continue
         _run(f"panda-cosim run {name} --no-video --out {name}", folder)
         summary = Summary.open(folder / name)
         if not summary.as_expected:
             raise SystemExit(f"{name}: not as expected")
         look = FIRST.get(name, (CAMERAS[number % 3], 0.2 + 0.06 * (number % 11)))
         _thumbnail(Recording.open(folder / name), folder / f"{name}.png", *look)
-        purpose = load_scenario(path).purpose
+        purpose = scenario.purpose
         reason = summary.expect_reason
         text = SCENARIO.render(name=name, purpose=purpose, reason=reason, criteria=summary.criteria)
         (folder / f"{name}.md").write_text(text)

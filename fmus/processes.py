@@ -26,12 +26,10 @@ SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
 PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
 STANDARD_ERROR: Final = 2
 # What runs a program that ends with its parent, whose number comes first.
-_LEASHED: Final = """
-import os, sys
-from panda_cosim.fmus.processes import end_with
-end_with(int(sys.argv[1]))
-os.execvp(sys.argv[2], sys.argv[2:])
-"""
+_LEASHED: Final = (
+    "import os, sys; from panda_cosim.fmus.processes import end_with; end_with(int(sys.argv[1])); "
+    "os.execv(sys.argv[2], sys.argv[2:])"
+)
 ENTERS: Final = "\n" * 1000  # for programs that ask for the key Enter
 KEPT_LINES: Final = 50  # of a program's output, which fit a traceback
 CLOSING: Final = 1.0  # [s] for the last output of a program that has ended
@@ -122,15 +120,12 @@ class Program:
         self._reader.start()
 
     def _read(self) -> None:
-        process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
+        process: Any = self._process
         with suppress(OSError), process.stdin as entered:  # it may have ended
             entered.write(ENTERS)
-        with process.stdout as output:
-            for line in output:
-                self.last.append(line.rstrip())
-                self._hear(line.rstrip())
+        for line in process.stdout:
+            self.last.append(line.rstrip())
+            self._hear(line.rstrip())
 
     def ended(self, limit: float = 0.0) -> int | None:
         """Wait for its end, for a time [s]; return the exit code, or minus the signal."""

@@ -49,6 +49,8 @@ def outcomes(forked_workers, tmp_path_factory):
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_a_shipped_scenario_is_as_its_reference(outcomes, name):
     outcome = outcomes[name].result()
+    if outcome.verdict == "skipped":
+        pytest.skip(outcome.reason)
     assert outcome.ok, f"{outcome.verdict}: {outcome.reason}"
 
 

@@ -56,7 +56,8 @@ class Output:
     junit: Path | None
     json: bool  # instead of tables
     fps: float = 30.0  # of the video
-    realtime: bool = False  # nothing else is done meanwhile, and late steps are told
+    realtime: bool = False  # late steps are told
+    is_alone: bool = False  # nothing else is done meanwhile
 
 
 def perform(
@@ -85,7 +86,7 @@ def perform(
 
                 def hear(done: int, total: int) -> None:
                     update(done, total)
-                    if not output.realtime:
+                    if not output.is_alone:
                         get_ready()
 
                 done = run(folder, hear)

@@ -13,15 +13,14 @@ from __future__ import annotations
 import socket
 import sys
 import threading
-import time as clock
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
 from ..fmus.atomic import cache_folder, held
-from ..fmus.errors import InputError, SimulationEndedError, SimulationError, one_line, printable
+from ..fmus.errors import SimulationEndedError, SimulationError, one_line, printable
 from ..fmus.master.calls import without_traceback
 from ..fmus.master.master import Master
 from ..fmus.processes import Program
@@ -29,7 +28,6 @@ from .prepare import PATIENCE, Prepared
 from .stopping import StopRequest
 
 ADDRESSES: Final = tuple(f"127.0.1.{number}" for number in range(1, 255))  # of runs side by side
-LOCAL: Final = "127.0.0.1"  # the address that a client is told where no FMU listens
 LOOKING: Final = 0.05  # [s] between two looks at the program and the stop
 GRACE: Final = 0.5  # [s] for a step to end after the run has been asked to stop
 DYING: Final = 2.0  # [s] for a program to end after an FMU has failed
@@ -38,33 +36,21 @@ SHOWN: Final = 3  # last lines of a program that failed
 
 @contextmanager
 def addressed(prepared: Prepared) -> Iterator[Prepared]:
-    """Choose where FMUs listen: if the client is told, the first address that no run uses."""
-    client, listening = prepared.scenario.client, prepared.listening
-    if not (client and client.has_address and listening):
-        yield prepared
-        return
-    ports = [port for _, port in listening.values()]
-    first = next(address for address, _ in listening.values())
-    for address in (first, *ADDRESSES):
-        with ExitStack() as stack:
-            file = cache_folder() / f"address-{address}"
-            file.touch()
-            if stack.enter_context(held(file)) and _is_free(address, ports):
+    """Choose where FMUs listen: if the client is told, the first address that nobody has."""
+    client, places = prepared.scenario.client, list(prepared.listening.values())
+    for address in (places[0][0], *ADDRESSES) if client and client.has_address and places else ():
+        (file := cache_folder() / f"address-{address}").touch()
+        with held(file) as is_ours:
+            if is_ours and all(_is_free((address, port)) for _, port in places):
                 yield replace(prepared, address=address)
                 return
-    raise InputError(f"[client]: ports {ports} are in use at {first} and 127.0.1.1 to 254")
+    yield prepared
 
 
-def _is_free(address: str, ports: list[int]) -> bool:
-    """Whether nobody listens at some ports."""
-    for port in ports:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((address, port))
-            except OSError:
-                return False
-    return True
+def _is_free(place: tuple[str, int]) -> bool:
+    with suppress(OSError), socket.create_server(place):
+        return True
+    return False
 
 
 class Client:
@@ -77,9 +63,9 @@ class Client:
     def __init__(self, prepared: Prepared, *, tells: bool = True) -> None:
         scenario, self._listening = prepared.scenario, prepared.listening
         assert scenario.client is not None
-        addresses = [address for address, _ in self._listening.values()]
+        address = next((address for address, _ in self._listening.values()), "")
         folder = scenario.folder or Path()
-        words = scenario.client.words(folder, (*addresses, LOCAL)[0])
+        words = scenario.client.words(folder, address)
         self.left = False  # whether its end has ended the run, where no FMU listens
         self._program = Program(words, folder, _tell if tells else lambda _: None)
 
@@ -94,9 +80,8 @@ class Client:
     @property
     def unfinished(self) -> str:
         """Say that it has not ended yet, or ""."""
-        if self._program.ended() is not None:
-            return ""
-        return "the client still ran at the scenario's end; a longer `duration` gives it more time"
+        text = "the client still ran at the scenario's end; a longer `duration` gives it more time"
+        return text if self._program.ended() is None else ""
 
     @contextmanager
     def beside(self, master: Master, stop: StopRequest) -> Iterator[None]:
@@ -115,21 +100,16 @@ class Client:
             watch.join()
 
     def _watch(self, master: Master, stop: StopRequest, done: threading.Event) -> None:
-        ended: float | None = None
+        has_ended = False
         while not done.wait(LOOKING):
             stop.poll()
-            if stop.reason:
-                if not done.wait(GRACE):
-                    self._program.end()
-                    self._knock()
-                return
-            if ended is None and self._program.ended() is not None:
-                ended = clock.monotonic()
+            if stop.reason and not done.wait(GRACE):
+                self._program.end()
+            if not has_ended and self._program.ended() is not None:
+                has_ended = True
                 self._knock()
-            late = ended is not None and clock.monotonic() - ended > PATIENCE
-            if late or (ended is not None and not self._listening):
-                self.left = master.stop_requested = True
-                return
+                self.left = not self._listening and not stop.reason
+                master.stop_requested |= self.left
 
     def _knock(self) -> None:
         """Connect to the FMUs that listen, and leave at once."""
@@ -143,16 +123,15 @@ class Client:
         Raises:
             SimulationError: It ended with another exit code than 0, or does not end.
         """
-        if code := self._program.ended(PATIENCE):
-            text = self._how(code)
-        elif code is None:
-            text = f"the client still ran {PATIENCE:g} s after it had left"
-        else:
-            return
-        raise SimulationError(text, time=time, instance=ended.instance if ended else "")
+        code = self._program.ended(PATIENCE)
+        if code != 0:
+            instance = ended.instance if ended else ""
+            raise SimulationError(self._how(code), time=time, instance=instance)
 
-    def _how(self, code: int) -> str:
+    def _how(self, code: int | None) -> str:
         """Say how it ended, and what it said last."""
+        if code is None:
+            return f"the client still ran {PATIENCE:g} s after it had left"
         how = f"exit code {code}" if code > 0 else f"signal {-code}"
         said = without_traceback("\n".join(self._program.last)).splitlines()[-SHOWN:]
         return f"the client ended with {how}: {one_line(' '.join(said)) or 'it said nothing'}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Self
 
@@ -130,6 +131,8 @@ class Execution:
                 self._output.begin()
                 with self._guarded():
                     system.master.begin(self._output.recorder.append)
+                if prepared.listening:  # a program gives up soon if it waits for an import here
+                    import_module("pyarrow.parquet")
                 if self.scenario.client:
                     self._client = stack.enter_context(Client(prepared, tells=self._writes))
             self._stack = stack.pop_all()

@@ -115,7 +115,9 @@ def _client_files(scenario: Scenario) -> dict[Path, bytes]:
     """Return the files that a client names, and the modules beside them that they import."""
     files: dict[Path, bytes] = {}
     own = scenario.folder or Path()
-    for path in scenario.client.own_files(own) if scenario.client else ():
+    for path in map(Path, scenario.client.command) if scenario.client else ():
+        if path.is_absolute() or ".." in path.parts or not (own / path).is_file():
+            continue
         files[path] = (own / path).read_bytes()
         if path.suffix == ".py":
             from ..fmus.sources.python_fmu import code_of  # noqa: PLC0415 - few have a client

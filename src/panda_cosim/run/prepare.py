@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from .system.assembly import Assembly, assemble
 MOST_WARNINGS = 100  # of an FMU; some warn at every step
 # Parameters of an FMU that listens for a program: where, and how long without one [s]; 0: for ever.
 LISTENING = frozenset({"address", "port", "connection_timeout"})
+ON_LINE = ("delay", "dropout")  # of [mismatch], which FrankaInterface has for its line
 PATIENCE = 30.0  # [s] wall time for which FMUs wait for a program, unless they wait for ever
 
 
@@ -172,13 +173,24 @@ def prepare(
 
     if scenario.client:
         scenario.client.words(scenario.folder or Path())  # refuses one that cannot be started
-    prepared = connected(scenario.changed(options.values))
+    prepared = connected(_on_line(scenario.changed(options.values)))
     if prepared.scenario.route:
         prepared = connected(_routed(prepared))
     prepared.inputs()  # refuses a table that cannot be resolved
     for name in options.log:
         check_choice("--log", name, prepared.assembly.interfaces)
     return prepared
+
+
+def _on_line(scenario: Scenario) -> Scenario:
+    """Let commands instead of measurements be late or lost, where they come over a line."""
+    mismatch = scenario.mismatch
+    line = {name: mismatch.values[name] for name in ON_LINE if name in mismatch.values}
+    if not line or scenario.fmus.get("controller") != "franka":
+        return scenario
+    without = replace(mismatch, delay=0.0, dropout=0.0)
+    controller = {"seed": float(mismatch.seed), **line, **scenario.controller}
+    return replace(scenario, mismatch=without, controller=controller)
 
 
 def _routed(prepared: Prepared) -> Scenario:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Annotated, Final
 
 from ..fmus.errors import InputError, refuse
 from ..fmus.extras import no_release
-from .fields import Line, checked, field_names
+from .fields import Line, checked
 
 ADDRESS: Final = "{address}"  # in a command: where the FMUs listen
 PYTHON: Final = ("python", "python3")  # in a command: the one that runs this
@@ -44,11 +43,6 @@ class Client:
             refuse("command", self.command, must, error=ValueError)
 
     @property
-    def given(self) -> dict[str, tuple[str, ...]]:
-        """The keys that are not empty."""
-        return {name: value for name in field_names(Client) if (value := getattr(self, name))}
-
-    @property
     def has_address(self) -> bool:
         """Whether the command says where to connect, so that any address will do."""
         return any(ADDRESS in word for word in self.command)
@@ -62,12 +56,11 @@ class Client:
         self._check_packages()
         program, *others = (word.replace(ADDRESS, address) for word in self.command)
         if program in PYTHON:
-            script = others[0] if others else ""
-            if script.endswith(".py") and not (folder / script).is_file():
-                raise InputError(f"[client] command: {folder / script}: no such file")
+            for script in others[:1]:
+                if script.endswith(".py") and not (folder / script).is_file():
+                    raise InputError(f"[client] command: {folder / script}: no such file")
             return [sys.executable, *others]
-        is_path = os.sep in program  # else it is searched for
-        found = shutil.which(folder.resolve() / program if is_path else program)
+        found = shutil.which(folder.resolve() / program if os.sep in program else program)
         if found is None:
             refuse("[client] command", program, "must be a program that can be run")
         return [found, *others]
@@ -79,10 +72,3 @@ class Client:
             except PackageNotFoundError:
                 how = no_release(name) or f"which is not installed: pip install {name}"
                 raise MissingPackageError(f"[client] needs {name}, {how}") from None
-
-    def own_files(self, folder: Path) -> Iterator[Path]:
-        """Yield the files of the folder that it names, by their paths in it."""
-        for path in map(Path, self.command):
-            is_within = not path.is_absolute() and ".." not in path.parts
-            if is_within and (folder / path).is_file():
-                yield path

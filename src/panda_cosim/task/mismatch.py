@@ -137,7 +137,7 @@ class Mismatch:
     @property
     def has_sensors(self) -> bool:
         """Whether PandaSensors is connected between plant and controller."""
-        return any(name in SENSOR_KEYS for name in self.values)
+        return any(self.values.get(name) for name in SENSOR_KEYS)
 
     def start_values(self) -> dict[str, dict[str, Any]]:
         """Start values by FMU and parameter."""

@@ -73,6 +73,9 @@ RULES: Final[Mapping[str, Callable[[Scenario], object]]] = {
     'gains = "impedance", or [fmus] controller = "my_law.py:MyLaw"': lambda s: (
         s.is_torque_driven and _is_ours(s) and not _has_impedance(s)
     ),
+    'robot: value {0.robot!r}; must be "fr3" with the FMU franka': lambda s: (
+        s.fmus.get("controller") == "franka" and s.robot != "fr3"
+    ),
     f'gains: value {{0.gains!r}}; must come with scene = "{TORQUE_DRIVEN}"': lambda s: (
         _has_impedance(s) and _is_ours(s) and not s.is_torque_driven
     ),

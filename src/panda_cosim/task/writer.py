@@ -118,7 +118,7 @@ def settings_text(scenario: Scenario) -> str:
         inputs["file"] = INPUTS_FILE
     sections = {
         "inputs": inputs,
-        "client": scenario.client.given if scenario.client else {},
+        "client": asdict(scenario.client) if scenario.client else {},
         "mismatch": scenario.mismatch.given,
         "success": {
             **asdict(scenario.success),

@@ -114,7 +114,8 @@ def command(  # noqa: PLR0913 - one for each option
     if ssv is not None:
         changed = changed.changed(_set_of(ssv, changed, options)).changed(values)
     prepared = prepare(changed, options)  # refuses bad input
-    output = Output(out, video, plot, view, junit, json, fps, realtime)
+    is_alone = realtime or bool(prepared.listening)
+    output = Output(out, video, plot, view, junit, json, fps, realtime, is_alone)
 
     def run(folder: Path, update: Progress) -> Run:
         with stopping_on_signals() as stop, Execution(prepared, folder) as execution:

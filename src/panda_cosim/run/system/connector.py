@@ -101,10 +101,15 @@ class Connector:
 
     def connect_sensors(self, names: Sequence[str]) -> None:
         """Connect measurements to the controller's inputs of some names that are not fed yet."""
-        inputs = {v.name for v in self.parts["controller"].interface.of("input")}
+        inputs = {v.name: v for v in self.parts["controller"].interface.of("input")}
         for name in names:
             if name in inputs and not self.is_fed("controller", name):
-                self.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
+                measured = self.parts["sensors"].interface.variable(measurement_of(name))
+                ends = [(inputs[name].name, measured.name)]
+                if measured.size < inputs[name].size:  # the rest, such as fingers, is not measured
+                    ends = list(zip(inputs[name].names(), measured.names(), strict=False))
+                for fed, giving in ends:
+                    self.connect(f"controller.{fed}", f"sensors.{giving}")
 
     def connect_rest_by_name(self) -> None:
         """Connect all inputs that are not fed yet."""
@@ -133,7 +138,7 @@ class Connector:
         if is_of_arm and measures_a_panda(self.parts[source].interface):
             giving = replace(giving, shape=variable.shape, unit=giving.units[: variable.size])
         self.check(f"{source}.{giving.name}", giving, target, variable)
-        self._connect(source, giving, part.name, variable)
+        self._connect(source, giving, part.name, variable, is_rest=True)
 
     def check(  # noqa: PLR0913 - two ends, each with its name
         self,
@@ -185,15 +190,24 @@ class Connector:
                 f"{', '.join(outputs) or 'none'}"
             )
 
-    def _connect(
-        self, source: str, giving: Variable, target: str, fed: Variable, *, converts: bool = False
+    def _connect(  # noqa: PLR0913 - two ends, each with its name
+        self,
+        source: str,
+        giving: Variable,
+        target: str,
+        fed: Variable,
+        *,
+        converts: bool = False,
+        is_rest: bool = False,
     ) -> None:
+        """Connect two ends; of `is_rest`, elements that are not fed yet."""
         for one, other in zip(giving.names(), fed.names(), strict=True):
-            if (target, other) in self._fed:
-                raise InputError(f"[connect] {target}.{other}: is fed twice")
-            self._fed.add((target, other))
             ends = (source, one), (target, other)
-            self.connections.append(Connection(*ends, converts_types=converts))
+            if ends[1] not in self._fed:
+                self._fed.add(ends[1])
+                self.connections.append(Connection(*ends, converts_types=converts))
+            elif not is_rest:
+                raise InputError(f"[connect] {target}.{other}: is fed twice")
 
     def _end(self, text: str, causality: str) -> tuple[str, Variable]:
         """Find one end of a connection: a variable, or an element of one."""
