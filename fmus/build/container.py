@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 
 from ..errors import InputError
 from ..extras import needing
+from ..interface.tables import Connection
 from ..interface.units import PLAIN, conversion
 from .description import ABOUT, literal
 from .native import archive
@@ -50,14 +51,7 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
         shutil.copy(component.file, folder / f"{name}.fmu")
         container.get_fmu(f"{name}.fmu")
     for connection in system.connections:
-        source, target = connection.source, connection.target
-        one, other = (system.scalar(end) for end in (source, target))
-        known = (system.components[end[0]].units for end in (source, target))
-        scale = conversion(one.unit, next(known), other.unit, next(known))
-        if (connection.factor, connection.offset) != PLAIN or scale != PLAIN:
-            raise InputError(f"--container: {connection} converts values; must be a plain one")
-        feeder, fed = f"{source[0]}.fmu", f"{target[0]}.fmu"
-        container.add_link(feeder, one.variable.name, fed, other.variable.name)
+        _link(container, system, connection)
     for label, (name, variable) in system.outputs().items():
         container.add_output(f"{name}.fmu", variable.name, label)
     for name, component in system.components.items():
@@ -65,6 +59,17 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
             scalar = component.variables[key]
             text = literal(scalar, value)
             container.add_start_value(f"{name}.fmu", scalar.variable.name, text)
+
+
+def _link(container: Any, system: WrittenSystem, connection: Connection) -> None:
+    source, target = connection.source, connection.target
+    one, other = (system.scalar(end) for end in (source, target))
+    known = (system.components[end[0]].units for end in (source, target))
+    scale = conversion(one.unit, next(known), other.unit, next(known))
+    if (connection.factor, connection.offset) != PLAIN or scale != PLAIN:
+        raise InputError(f"--container: {connection} converts values; must be a plain one")
+    feeder, fed = f"{source[0]}.fmu", f"{target[0]}.fmu"
+    container.add_link(feeder, one.variable.name, fed, other.variable.name)
 
 
 def _signed(file: Path) -> bytes:

@@ -69,15 +69,18 @@ def read_law(path: Path, name: str) -> LawFile | None:
 
 def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
     """Names of the signals: the arguments of `update` after self and time."""
-    updates = [n.args for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "update"]
-    names = [a.arg for a in updates[0].args] if updates else []
-    plain = updates and not (updates[0].vararg or updates[0].kwarg or updates[0].kwonlyargs)
-    if not plain or len(names) < 3 or names[1] != "time":
-        raise InputError(
-            f"{path}: class {node.name}: must have a method update(self, time, SIGNAL, ...), whose "
-            "arguments name the signals that it takes"
-        )
-    return tuple(names[2:])
+    methods = {each.name: each for each in node.body if isinstance(each, ast.FunctionDef)}
+    match methods.get("update"):
+        case ast.FunctionDef(
+            args=ast.arguments(
+                args=[_, ast.arg("time"), _, *_] as named, vararg=None, kwarg=None, kwonlyargs=[]
+            )
+        ):
+            return tuple(each.arg for each in named[2:])
+    raise InputError(
+        f"{path}: class {node.name}: must have a method update(self, time, SIGNAL, ...), whose "
+        "arguments name the signals that it takes"
+    )
 
 
 def _parameters(node: ast.ClassDef) -> Iterator[tuple[str, bool | Numbers]]:

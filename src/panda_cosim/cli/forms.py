@@ -53,11 +53,10 @@ def described(values: Mapping[str, Any], docstring: str | None) -> str:
     """
     before, *listed = re.split(r"\n(?:Args|Attributes):\n", cleandoc(docstring or ""))
     texts = dict(_ENTRY.findall("".join(listed)))
-    options = {name: each for name, each in values.items() if isinstance(each, ParameterInfo)}
-    for name, each in options.items():
-        if each.help is None and name in texts:
-            each.help = " ".join(texts.pop(name).split())
-    wrong = [*texts, *(name for name, each in options.items() if each.help is None)]
-    if wrong:
+    infos = {name: each for name, each in values.items() if isinstance(each, ParameterInfo)}
+    untold = {name for name, info in infos.items() if info.help is None}
+    if wrong := untold ^ texts.keys():
         raise TypeError(f"{', '.join(wrong)}: must be an option with one text in {before!r}")
+    for name in untold:
+        infos[name].help = " ".join(texts[name].split())
     return before.rstrip()

@@ -141,6 +141,11 @@ class SignalCriterion:
     def __post_init__(self) -> None:
         if not self.bounds:
             raise ValueError("below and above: both are missing; must have at least one of them")
+        self._check_keys()
+        self._check_bounds()
+
+    def _check_keys(self) -> None:
+        """Refuse keys that the reduction lacks, or that are of other reductions."""
         takes = REDUCTIONS[self.reduce].takes
         for key in ("band", "target", "level"):
             is_missing = getattr(self, key) is None
@@ -149,7 +154,6 @@ class SignalCriterion:
             if not is_missing and key not in takes:
                 users = [repr(name) for name, each in REDUCTIONS.items() if key in each.takes]
                 raise ValueError(f"{key}: only valid with reduce = {' or '.join(users)}")
-        self._check_bounds()
 
     @property
     def bounds(self) -> dict[Direction, float]:

@@ -116,11 +116,7 @@ class Trajectory:
         orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
         if align:
             turned = np.array([row.frame == "target" for row in rows])
-            cosine, sine = np.cos(start.grasp_yaw), np.sin(start.grasp_yaw)
-            to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-            offsets[turned] = offsets[turned] @ to_world.T
-            yaw = rotations.about_z(start.grasp_yaw)
-            orientations[turned] = rotations.multiply(yaw, orientations[turned])
+            _turn(offsets, orientations, turned, start.grasp_yaw)
         origins = {
             "world": (0.0, 0.0, 0.0),
             "home": start.hand_position,
@@ -196,6 +192,14 @@ class Trajectory:
         s = u**3 * (10.0 + u * (6.0 * u - 15.0))
         rate = 30.0 * (u * (1.0 - u)) ** 2 / duration
         return s[:, None], rate[:, None]
+
+
+def _turn(offsets: Array, orientations: Array, turned: NDArray[np.bool_], angle: float) -> None:
+    """Turn some offsets (n, 3) and orientations (n, 4) about z, in place [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    offsets[turned] = offsets[turned] @ to_world.T
+    orientations[turned] = rotations.multiply(rotations.about_z(angle), orientations[turned])
 
 
 def turns(orientations: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -73,19 +73,27 @@ def timed(
         trajectory = Trajectory(times, poses[:, :3], poses[:, 3:], grips, "spline", knots)
         ticks = STEP_SIZE * np.arange(round(times[-1] / STEP_SIZE) + 1)
         at = motion[np.clip(np.searchsorted(times, ticks) - 1, 0, len(motion) - 1)]
-        before = slower.copy()
-        for name, used in _demands(trajectory, ticks, load, scene.robot).items():
-            for number, each in enumerate(motions):
-                limit = share * (1.0 if "torque" in name else each.share)
-                excess = float(used[at == number].max(initial=0.0)) / limit
-                if excess > 1.0:
-                    factor = SPARE * excess ** (1.0 / min(ORDERS.get(name, 1.0), 2.0))
-                    slower[number] = max(slower[number], before[number] * factor)
-        if (slower == before).all():
+        used = _demands(trajectory, ticks, load, scene.robot)
+        factors = [_factor(used, at == i, share, each.share) for i, each in enumerate(motions)]
+        slower *= factors
+        if max(factors) == 1.0:
             begins = np.flatnonzero(np.diff(motion, prepend=-1)).tolist()
             names = {row: each.name for row, each in zip(begins, motions, strict=True)}
             return world_table(times, np.hstack((poses, knots)), grips, names)
     raise InputError(f"no times within {share:.0%} of the limits were found")
+
+
+def _factor(
+    used: Mapping[str, Array], during: NDArray[np.bool_], share: float, own: float
+) -> float:
+    """Return how many times slower a motion must be; it may use its `own` share, but of torques."""
+    factor = 1.0
+    for name, shares in used.items():
+        limit = share * (1.0 if "torque" in name else own)
+        excess = float(shares[during].max(initial=0.0)) / limit
+        if excess > 1.0:
+            factor = max(factor, SPARE * excess ** (1.0 / min(ORDERS.get(name, 1.0), 2.0)))
+    return factor
 
 
 def _demands(trajectory: Trajectory, ticks: Array, load: float, robot: str) -> dict[str, Array]:

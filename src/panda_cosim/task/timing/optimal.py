@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, repeat
 from typing import Final
 
 import numpy as np
@@ -72,6 +72,11 @@ class _Course:
         """The tick at which each motion starts."""
         return self.stops[1:-1:2]
 
+    @property
+    def spans(self) -> list[slice]:
+        """The ticks of each motion, with the dwell that follows it."""
+        return [*map(slice, self.starts, [*self.starts[1:], len(self.poses)])]
+
 
 def retimed(
     trajectory: Trajectory, blends: Array, gains: Gains, load: float, share: float
@@ -101,11 +106,10 @@ def retimed(
                 within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
-            ends = [*course.starts[1:], len(course.poses)]  # each with the dwell that follows it
-            for part, span in enumerate(map(slice, course.starts, ends)):
-                during = {name: shares[span] for name, shares in demanded.items()}
-                miss = reference.miss[span]
-                bounds[part] = _corrected(bounds[part], laws[part], during, miss, share)
+            spans = course.spans
+            during = [{name: used[span] for name, used in demanded.items()} for span in spans]
+            misses = [reference.miss[span] for span in spans]
+            bounds = [*map(_corrected, bounds, laws, during, misses, repeat(share))]
         joints = map(partial(_joints, reference), parts, laws, course.starts)
         each = zip(parts, joints, bounds, strict=True)
         try:
