@@ -376,8 +376,8 @@ def wire(_: Path | None) -> str:
         )
         _said([*RUN, "run", folder, "--out", f"{folder}/run", *QUIET])
         rates = json.loads(result.read_text())
-    rows = [[way, f"{value:.0f}"] for way, value in rates.items()]
-    return _table(["motion", "ticks/s"], [*rows, ["load (1 min)", f"{os.getloadavg()[0]:.1f}"]])
+    rates["load in the last minute"] = os.getloadavg()[0]
+    return _table([*rates], [[f"{value:.3g}" for value in rates.values()]])
 
 
 def engines(_: Path | None) -> str:
