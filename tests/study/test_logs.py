@@ -100,7 +100,10 @@ def test_a_signal_takes_a_list_of_columns_and_what_it_lacks_is_refused(run, tmp_
     columns = json.dumps([f"state.q[{joint}]" for joint in range(7)])
     for text, said in (
         (f'[names]\n"plant.qpos" = {columns}', "[names] plant.qpos: 7 columns; must be 16"),
-        ('[names]\n"plant.qpos[1]" = ["q[0]"]', "column: value 'q[0]'; must be one of its"),
+        (
+            '[names]\n"plant.qpos[1]" = ["q[0]"]',
+            "column: value 'q[0]'; must be one of its columns of numbers",
+        ),
         ('[names]\n"plant.qpo[1]" = ["state.q[0]"]', "no signal 'plant.qpo[1]'"),
         ('[names]\n"plant.qpos[1]" = "state.q[0]"', "must be a list of texts"),
         ("second = 0.001", "key 'second' is unknown; valid: time, seconds, start, names"),

@@ -8,7 +8,7 @@ import pytest
 from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.run.execution import run_scenario
-from panda_cosim.study.sweep.definition import sweep_of
+from panda_cosim.study.sweep.definition import Sweep, sweep_of
 from panda_cosim.study.sweep.fit import fit
 from panda_cosim.task.scenario import Scenario
 
@@ -124,6 +124,9 @@ def test_a_log_of_other_signals_or_times_is_refused(arm, tmp_path):
         with pytest.raises(InputError) as refused:
             fit(definition(arm, **RANGES), tmp_path / "log.csv")
         assert said in str(refused.value)
+    two = Sweep(scenario=(str(arm), "push"), vary={"duration": {"uniform": [1, 2]}}, samples=2)
+    with pytest.raises(InputError, match="scenario: 2 of them; a fit has one"):
+        fit(two, tmp_path / "log.csv")
     with pytest.raises(InputError, match="must be ranges of numbers"):
         fit(sweep_of(str(arm), ["coupling=jacobi,gauss-seidel"]), tmp_path / "log.csv")
 

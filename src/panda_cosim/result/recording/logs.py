@@ -86,7 +86,8 @@ def open_log(path: Path, names: Path | None, run: Recording) -> Recording:
     found = read_columns(path, {given.time, *own.values()})
     for name in (given.time, *(each for listed in given.names.values() for each in listed)):
         if name not in found:
-            refuse(f"{path}: column", name, f"must be one of its {len(found)} in use", found)
+            must = "must be one of its columns of numbers; --map names others"
+            refuse(f"{path}: column", name, must, found)
     times = given.seconds * found[given.time]
     if given.start is not None and times.size:
         times += given.start - times[0]

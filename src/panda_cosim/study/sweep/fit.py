@@ -60,6 +60,8 @@ def fit(definition: Sweep, log: Path, names: Path | None = None) -> Fit:
     Raises:
         InputError: A value is no number, or run and log have nothing in common.
     """
+    if len(definition.scenario) > 1:
+        raise InputError(f"scenario: {len(definition.scenario)} of them; a fit has one")
     keys, scenario = list(definition.vary), load_scenario(definition.scenario[0])
     check_keys(keys)
     with located("vary: must be ranges of numbers, KEY=LOW:HIGH:STEPS, for a fit"):
