@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import re
 import shlex
+import tomllib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain, count, groupby, product
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import mujoco
@@ -25,12 +27,10 @@ from ..interface.variables import Causality, Part, Variable
 from .mjcf_elements import FREE, Element, called, dof_units, elements, sensor_text
 
 Array = NDArray[np.float64]
-# Kinds of objects, and the model's field that has a number for each of them.
-OBJECTS: Final = {
-    "body": "body_parentid", "joint": "jnt_type", "geom": "geom_type", "site": "site_type",
-    "sensor": "sensor_type", "actuator": "actuator_trntype", "equality": "eq_type",
-    "tendon": "tendon_num", "key": "key_time",
-}  # fmt: skip
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+OBJECTS: Final[Mapping[str, str]] = _TABLES["objects"]
+CONTACTS: Final[Mapping[str, str]] = _TABLES["contacts"]
+SCALED: Final[Mapping[str, str]] = _TABLES["scaled"]
 # Properties of objects that may be changed, as MuJoCo's Python names them. MuJoCo derives nothing
 # from them while it compiles.
 CHANGEABLE: Final = (
@@ -51,23 +51,10 @@ RAW: Final[Mapping[Causality, Sequence[str]]] = {
 # Properties of objects that MuJoCo's Python does not name so.
 SPECIAL: Final = ("force", "torque", "mocap_pos", "mocap_quat", "active", "jacobian", "mass",
                   "added_mass", "free_xy", "free_yaw", "gain", "bias")  # fmt: skip
-# Sums of contact forces, and scales of properties, with their kind of object.
-CONTACTS: Final = {"contact_sensors": "sensor", "contact_bodies": "body",
-                   "unwanted_contacts": "body", "support_contacts": "body"}  # fmt: skip
-SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
 # Sources whose further words name objects, or say how a block starts.
 LISTING: Final = ("mass_matrix", "jacobian", "free_xy", "free_yaw", *CONTACTS, *SCALED)
 
 Units = tuple[str, ...]
-_TEXTS: Final = {  # descriptions of sources whose own words say too little
-    "gravity": "Acceleration of gravity",
-    "keyframe": "Keyframe to start at; controls and poses that are not set are its, too",
-}
-_POSES: Final = {
-    "xpos": "Origin of {}, world frame",
-    "xquat": "Orientation of {}, world frame, (w, x, y, z)",
-    "xmat": "Rotation matrix of {}, row by row, world frame",
-}
 _SHOWN = 30  # names of a model in a message
 _LISTED = "`panda-cosim mjcf2fmu --help` lists the sources"
 
@@ -111,12 +98,12 @@ class Sources:
         """What a source is, for people."""
         kind = words[0]
         if kind not in OBJECTS:
-            return _TEXTS.get(source, source)
+            return str(_TABLES["texts"].get(source, source))
         i = self.find_id(*words[:2])
         if kind == "sensor":
             return sensor_text(self.model, i)
-        form = _POSES.get(words[2], f"{{}} {' '.join(words[2:])}")
-        return form.format(called(getattr(self.model, kind)(i), kind))
+        form = _TABLES["poses"].get(words[2], f"{{}} {' '.join(words[2:])}")
+        return str(form).format(called(getattr(self.model, kind)(i), kind))
 
     def _found(self, causality: Causality, words: Sequence[str]) -> Variable | None:
         match words:
