@@ -18,7 +18,7 @@ from ...assets.checks import (
     touch_measures,
 )
 from ..gains import Gains
-from ..model import FINGERTIPS, Vector
+from ..model import Vector
 from ..signals import Buffer, Views
 from ..touch import Touch
 from .description import LIMITS, ROBOT, end_effector, rotation, transform
@@ -85,7 +85,7 @@ class Measured:
     def set_end_effector(self, in_nominal: Vector) -> None:
         """Change the end effector's pose in the nominal one, by columns (16,)."""
         self._nominal = matrix(in_nominal)
-        self.arm.in_hand = transform(np.eye(3), FINGERTIPS) @ self._nominal
+        self.arm.set_end_effector(self._nominal)
 
     def set_stiffness_frame(self, in_end_effector: Vector) -> None:
         """Change the pose, by columns (16,), of the frame about which forces are told."""

@@ -28,7 +28,7 @@ from .wire import Generator, Message, columns, matrix
 
 ELBOW: Final = 2  # the joint whose angle it is
 DAMPING: Final = 1e-3  # of the inverse kinematics
-LEAST_ROOM: Final = 1e-3  # share of the elbow's motion that must be free in the null space
+LEAST_ROOM: Final = 1e-3  # share of the elbow's motion that is taken to be free in the null space
 
 
 class Kinematics:
@@ -36,7 +36,12 @@ class Kinematics:
 
     def __init__(self) -> None:
         self._arm = ArmModel(ROBOT)
-        self.in_hand = transform(np.eye(3), FINGERTIPS)  # pose of the end effector
+        self.set_end_effector(np.eye(4))
+
+    def set_end_effector(self, in_nominal: Vector) -> None:
+        """Change the end effector's pose (4, 4) in the nominal one, at the fingertips."""
+        self.in_hand = transform(np.eye(3), FINGERTIPS) @ in_nominal
+        self._hand_in_it = np.linalg.inv(self.in_hand)
 
     def hand(self, q: Vector) -> HandState:
         """Return the hand at joints (7,), in views that the next call overwrites."""
@@ -50,14 +55,13 @@ class Kinematics:
 
     def towards(self, q: Vector, pose: Vector, elbow: float | None) -> Vector:
         """Return joints (7,), near others, that bring the end effector to a pose (4, 4)."""
-        hand, axis = self.hand(q), np.eye(7)[ELBOW]
-        there = pose @ np.linalg.inv(self.in_hand)
+        hand, there = self.hand(q), pose @ self._hand_in_it
         error = pose_error(there[:3, 3], quaternion(there), hand.position, hand.orientation)
         factor = damped_factor(hand.jacobian, DAMPING)
         step = damped_least_squares(hand.jacobian, factor, error, np.zeros(7))
-        free = null_space_part(hand.jacobian, DAMPING, axis)
-        if elbow is not None and free[ELBOW] > LEAST_ROOM:
-            step += (elbow - q[ELBOW] - step[ELBOW]) / free[ELBOW] * free
+        if elbow is not None:
+            free = null_space_part(hand.jacobian, DAMPING, np.eye(7)[ELBOW])
+            step += (elbow - q[ELBOW] - step[ELBOW]) / max(free[ELBOW], LEAST_ROOM) * free
         return step + q
 
 
