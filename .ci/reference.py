@@ -18,6 +18,7 @@ import panda_cosim
 from panda_cosim.cli.app import load
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
 from panda_cosim.cli.commands.info import variables_markdown
+from panda_cosim.fmus.interface.franka import FRANKA
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.result.judging.definitions import DEFINITIONS
@@ -103,7 +104,7 @@ def variables() -> str:
     """Tables of the FMUs' variables."""
     return "\n\n".join(
         f"## {it.model}\n\nInstance `{name}`. {it.description}.\n\n{variables_markdown(it)}"
-        for name, it in {**INTERFACES, "sensors": SENSORS}.items()
+        for name, it in {**INTERFACES, "sensors": SENSORS, "franka": FRANKA}.items()
     )
 
 

@@ -12,12 +12,11 @@ from rich.table import Table
 
 from ...fmus.build.engines import known_faults
 from ...fmus.errors import InputError, did_you_mean, excerpt
-from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.fmu_file import Fmu, described_interface, read_fmu
 from ...fmus.master.order import by_variable, late, shown, stepping_order
-from ...fmus.sources.targets import Target
+from ...fmus.sources.targets import ONLY_PYTHON, OWN, Target
 from ...run.system.assembly import assemble, system_scenario
 from ...run.system.parts import UnreadSlaveError
 from ...task.scenario import SCENARIO_FILE, Scenario
@@ -76,7 +75,7 @@ def command(
 def _show_fmu(name: str, interface: Interface, code: str) -> None:
     """Print what an FMU is, what runs in it, and its variables."""
     show(f"{interface.model} (instance {name}): {interface.description}", "bold")
-    show(f"What runs in it: {code}{', as it has no twin in C' * (interface is SENSORS)}")
+    show(f"What runs in it: {code}{', as it has no twin in C' * (name in ONLY_PYTHON)}")
     for variables in _variables_tables(interface):
         show(variables)
     show("")
@@ -98,8 +97,8 @@ def _read(
         return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling)
     if name in INTERFACES:
         return {name: INTERFACES[name]}, CONNECTIONS, [name], []
-    if name == "sensors":
-        return {name: SENSORS}, (), [name], []
+    if name in OWN:
+        return {name: OWN[name].interface}, (), [name], []
     path = Path(name)
     if path.suffix == ".fmu":
         return {path.stem: described_interface(Fmu(path))}, (), [path.stem], []
@@ -109,8 +108,8 @@ def _read(
         scenario = Scenario.read(path)
     else:
         raise InputError(
-            f"{excerpt(name)}: must be {', '.join(INTERFACES)}, sensors, an .fmu or .ssp file, or "
-            f"a scenario's folder{did_you_mean(name, INTERFACES)}"
+            f"{excerpt(name)}: must be {', '.join(OWN)}, an .fmu or .ssp file, or a "
+            f"scenario's folder{did_you_mean(name, OWN)}"
         )
     try:
         assembly = assemble(scenario, run_code=False)
@@ -124,7 +123,7 @@ def _read(
 
 def _code(name: str, interface: Interface, file: Path) -> str:
     """Return what runs in one of the project's own FMUs or in an .fmu file."""
-    if any(interface is each for each in (*INTERFACES.values(), SENSORS)):
+    if any(interface is own.interface for own in OWN.values()):
         return Target().kind_of(name)
     return read_fmu(file).code if file.suffix == ".fmu" else "its own"
 
