@@ -141,7 +141,8 @@ def margins(_: Path | None) -> str:
     """Disk margin at an update each ms: `panda-cosim analyze --set mismatch.delay=SECONDS`."""
     variants: dict[str, list[str]] = {"gauss-seidel": [], "jacobi": []}
     for delay in DELAYS:
-        command = [*RUN, "analyze", "--json", "--set", f"mismatch.delay={delay}"]
+        both = ("--coupling", "gauss-seidel,jacobi")
+        command = [*RUN, "analyze", "--json", *both, "--set", f"mismatch.delay={delay}"]
         for variant in json.loads(_said(command))["variants"]:
             if variant["period"] == 0.001:
                 margin = f"{variant['disk_margin']:.2f}" if variant["stable"] else "unstable"

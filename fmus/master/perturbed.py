@@ -16,6 +16,9 @@ from .step import Step
 from .system import OpenSystem
 from .wiring import Array, Name, Slave, SlowSlave, bind
 
+# From the rows so far, factors of what feeds the targets in this tick, and what is added (targets,)
+Change = Callable[[Array], tuple[Array, Array]]
+
 
 class PerturbedSystem:
     """A system that goes back to some tick before each run, with values added to named inputs."""
@@ -50,21 +53,29 @@ class PerturbedSystem:
         self._rows[:, 0] = master.start + ticks * master.step_size
         self._start = self._rows.copy()
 
-    def run(self, added: Array) -> Array:
-        """Go back and take steps with values added (n, targets); returns rows (n, columns)."""
+    def run(self, added: Array, change: Change | None = None) -> Array:
+        """Go back and take steps with values added (n, targets); returns rows (n, columns).
+
+        If there is a change, it multiplies what feeds the targets by a factor, and adds to it.
+        """
         ticks = len(added)
         self._rows[: ticks + 1] = self._start[: ticks + 1]
         for go_back in self._back:
             go_back()
-        changes = np.flatnonzero(np.diff(added, axis=0).any(axis=1)) + 1
-        for row, end in zip([0, *changes], [*changes, ticks], strict=True):
-            for each, pair, value in zip(self._fed, self._linear, added[row], strict=True):
-                pair[1] = each.offset + each.factor * value
-            self._advance(int(row), int(end))
-        rows: Array = self._rows[:ticks].copy()
-        if not np.isfinite(rows[:, self._checked]).all():
+        rows = np.flatnonzero(np.diff(added, axis=0).any(axis=1)) + 1
+        begins = range(ticks) if change else [0, *map(int, rows)]
+        factors, more = np.ones(len(self._fed)), np.zeros(len(self._fed))
+        for row, end in zip(begins, [*begins[1:], ticks], strict=True):
+            if change:
+                factors, more = change(self._rows[:row])
+            values = added[row] + more
+            for i, (each, pair) in enumerate(zip(self._fed, self._linear, strict=True)):
+                pair[:] = each.factor * factors[i], each.offset + each.factor * values[i]
+            self._advance(row, end)
+        taken: Array = self._rows[:ticks].copy()
+        if not np.isfinite(taken[:, self._checked]).all():
             raise SimulationError("an output is not finite after a pulse at an input")
-        return rows
+        return taken
 
     def _advance(self, row: int, end: int) -> None:
         """Take the steps of some rows, in C if possible."""

@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from ast import literal_eval
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -322,6 +323,24 @@ def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path):
     usual, stiff = (float(each) for each in margins.strip("()").split(","))
     assert 0 < stiff < usual <= 2
     assert (tmp_path / "my_task" / "reference.parquet").exists()
+
+
+@pytest.mark.long
+def test_an_lqr_of_the_measured_plant_has_margins_that_runs_confirm(tmp_path):
+    pytest.importorskip("slycot")
+    cells = executed("lqr", tmp_path)
+    shown = {
+        cell.source.splitlines()[-1]: output.data for cell in cells for output in cell.outputs
+        if output.output_type == "execute_result"
+    }  # fmt: skip
+    assert shown["run.summary.success"]["text/plain"] == "True"
+    assert float(shown["float(abs(plant.poles()).max())"]["text/plain"]) > 1.0  # gravity
+    held = shown["analysis.margins.delay_margin_ms, {each.verdict for each in analysis.confirmed}"]
+    delay, verdicts = literal_eval(held["text/plain"])
+    assert delay > 4.0
+    assert verdicts == {"confirmed"}
+    assert "text/html" in shown["analysis"]
+    assert "image/png" in shown["analysis.plot(impedance=before)"]
 
 
 @pytest.mark.long

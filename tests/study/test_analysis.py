@@ -339,9 +339,11 @@ def test_the_command_writes_what_python_control_takes(slide, tmp_path):
     import control  # noqa: PLC0415 - as above
 
     out = tmp_path / "out"
-    done = command("analyze", slide, "--at", "0.05", "--out", out, "--json", code=0)
+    both = ("--coupling", "gauss-seidel,jacobi")
+    done = command("analyze", slide, "--at", "0.05", *both, "--out", out, "--json", code=0)
     result = json.loads(done.stdout)
     assert [v["coupling"] for v in result["variants"]] == ["gauss-seidel", "jacobi"]
+    assert result["cases"] == [f"{slide} coupling={each}" for each in ("gauss-seidel", "jacobi")]
     assert {p.name for p in out.iterdir()} == {"analysis.json", "analysis.npz", "loops.png"}
     data = np.load(out / "analysis.npz")
     system = control.ss(*(data[n] for n in "ABCD"), float(data["period"]))
@@ -354,3 +356,92 @@ def test_the_command_writes_what_python_control_takes(slide, tmp_path):
     assert still == pytest.approx([0.0, 1.0 / 400.0], abs=1e-5)
     again = command("analyze", slide, "--out", out, code=0)  # replaces its own files
     assert "period 1 ms, gauss-seidel: stable" in again.stdout
+
+
+def test_laws_and_values_are_cases_whose_margins_runs_confirm(slide, tmp_path):
+    cases = (slide, "controller.spring=900,controller.damper=5", f"{slide / 'laws.py'}:Pull")
+    more = ("--period", "0.002", "--verify", "--out", tmp_path / "out")
+    said = command("analyze", *cases, *more, code=0).stdout
+    result = json.loads((tmp_path / "out" / "analysis.json").read_text())
+    assert [v["period"] for v in result["variants"]] == [0.002] * 3
+    first, soft, same = result["variants"]
+    assert first == same
+    assert soft["phase_margin_deg"] < first["phase_margin_deg"]
+    for confirmed in result["confirmed"]:
+        kinds = {each["margin"] for each in confirmed if not each["input"]}
+        assert {"delay_margin_ms", "phase_margin_deg"} <= kinds
+        assert all(each["stable_within"] and not each["stable_beyond"] for each in confirmed)
+    assert "confirmed" in said
+    assert "refuted" not in said
+    wrong = command("analyze", slide, "laws.py:None", "--out", tmp_path / "out", code=2)
+    assert "laws.py" in wrong.stderr
+
+
+@pytest.mark.own_process
+def test_the_plant_has_physical_states_and_the_closed_form(slide):
+    """v+ = v + T f / m and x+ = x + T v+, whatever holds it; a law without states adds none."""
+    (slide / "slide.xml").write_text(TWO)
+    (slide / "scenario.toml").write_text(SYSTEM.replace("Pull", "Both"))
+    one = analyze(slide, 0.05)
+    names = [f"plant_{kind}[{i}]" for kind in ("qpos", "qvel") for i in (1, 2)]
+    assert one.plant.state_labels == one.plant.output_labels == names
+    assert one.plant.input_labels == ["plant_ctrl[1]", "plant_ctrl[2]"]
+    eye, masses = np.eye(2), np.diag([1.0, 0.5])  # [1/kg]
+    a = np.block([[eye, PERIOD * eye], [0.0 * eye, eye]])
+    b = np.vstack((PERIOD**2 * masses, PERIOD * masses))
+    gains = np.array([[400.0, -90.0, 20.0, 0.0], [-50.0, 500.0, 0.0, 40.0]])
+    scale = np.array([PERIOD, PERIOD, 1.0, 1.0])  # of positions beside speeds
+    for model, expected in ((one.plant, a), (one.closed, a - b @ gains), (one.loop, a)):
+        assert model.state_labels == names
+        apart = (model.A - expected) / scale[:, None] * scale
+        assert np.abs(apart).max() < 1e-4
+        assert np.abs((model.B - b) / scale[:, None]).max() < 1e-4 * PERIOD
+    assert np.abs(one.loop.C - gains).max() < AGREEMENT
+    assert np.abs(one.plant.C - np.eye(4)).max() < 1e-6
+
+
+def plant_of(scenario: str, at: float) -> dict[str, Any]:
+    plant = analyze(scenario, at).plant
+    return {"states": plant.state_labels, "outputs": plant.output_labels, "c": plant.C.tolist(),
+            "still": plant.dcgain().tolist()}  # fmt: skip
+
+
+def jacobian(scenario: str, folder: str) -> list[Any]:
+    """Of the hand's position at the start, as the plant says (3, 7)."""
+    recording = run_scenario(load_scenario(scenario).changed({"duration": 0.1}), folder).recording
+    return [[recording[f"plant.jac[{i},{j}]"][0] for j in range(1, 8)] for i in (1, 2, 3)]
+
+
+def test_the_arm_at_rest_has_joints_as_states_and_moving_or_elastic_others_too(tmp_path):
+    joints = [f"plant_{kind}[{i}]" for kind in ("qpos", "qvel") for i in range(1, 8)]
+    rest = in_process(plant_of, "pick_and_place", 0.0)
+    assert rest["states"] == joints
+    hand = [rest["outputs"].index(f"plant_hand_xpos[{i}]") for i in (1, 2, 3)]
+    expected = in_process(jacobian, "pick_and_place", str(tmp_path / "run"))
+    assert np.array(rest["c"])[hand, :7] == pytest.approx(np.array(expected), abs=1e-3)
+    # A servo's joint goes where it is told to, but for the arm's weight.
+    assert np.array(rest["still"])[:7] == pytest.approx(np.eye(7), abs=0.02)
+    for scenario, at in (("pick_and_place", 0.7), ("elastic", 0.0)):
+        states = in_process(plant_of, scenario, at)["states"]
+        assert states[:14] == joints
+        assert states[14:] == [f"identified[{i + 1}]" for i in range(len(states) - 14)]
+        assert len(states) >= (28 if scenario == "elastic" else 15)  # a motor behind each spring
+
+
+@pytest.mark.own_process
+def test_a_notebook_shows_tables_and_all_responses_also_of_what_is_unstable(slide):
+    good = analyze(slide)
+    bad = analyze(load_scenario(slide).changed({"controller.damper": -5.0}))
+    assert "<td>" in good._repr_html_()
+    assert f"{good.margins.delay_margin_ms:.2f} ms" in good.margins._repr_html_()
+    assert "UNSTABLE" in bad._repr_html_()
+    figure = good.plot(wild=bad)
+    gain, nichols, responses, phase, singular, *_ = figure.axes
+    drawn = {axes: [line for line in axes.lines if len(line.get_xdata()) > 2]
+             for axes in (gain, nichols, responses, phase, singular)}  # fmt: skip
+    assert [len(lines) for lines in drawn.values()] == [1, 1, 2, 1, 1]
+    hertz, decibels = drawn[gain][0].get_data()
+    at = 1.0 / good.responses.sensitivity.at(2.0 * math.pi * hertz)[:, 0, 0] - 1.0
+    assert decibels == pytest.approx(20.0 * np.log10(np.abs(at)))
+    widths = [line.get_linewidth() for line in bad.plot().axes[2].lines]
+    assert len(set(widths)) == len(widths)  # none covers another

@@ -1,7 +1,7 @@
 """Margins of made-up loops: confirmed by linear systems on both sides, and by python-control."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from panda_cosim.study.analysis.confirm import confirm
 from panda_cosim.study.analysis.margins import judge
 from panda_cosim.study.analysis.responses import Responses
 from panda_cosim.study.analysis.sensitivity import Sensitivity, disk_margin, limits
@@ -129,7 +130,7 @@ def test_the_disk_margin_is_that_of_python_control(made):
     system = control.ss(made.a, made.b, made.c, np.zeros((n, n)), PERIOD)
     omega = np.linspace(1e-3, math.pi / PERIOD * 0.9999, 400)
     theirs, _, _ = control.disk_margins(system, omega)
-    own = disk_margin(made.sensitivity)
+    own, _, _ = disk_margin(made.sensitivity)
     assert own <= theirs * (1.0 + AGREEMENT)
     peaks = 1.0 / np.linalg.norm(made.sensitivity.at(omega) - 0.5 * np.eye(n), 2, axis=(1, 2))
     assert own >= peaks.min() * 0.9  # scaling only makes it larger
@@ -187,10 +188,60 @@ def test_each_number_of_an_analysis_is_what_its_definition_says(made, seed):
         settled = np.flatnonzero(away > 0.02 * away.max())[-1] + 1
         assert loop.settling_ms == pytest.approx(1e3 * PERIOD * settled, abs=1e3 * PERIOD)
         assert loop.peak_ratio == pytest.approx(np.abs(path).max(), rel=SAME)
+        delays = np.mod(np.angle(-answer), 2.0 * math.pi) / omega
+        crossing = np.flatnonzero(np.diff(np.abs(answer) > 1.0))
+        least = delays[crossing].min(initial=math.inf) * 1e3
+        assert loop.delay_margin_ms == pytest.approx(least, rel=0.01, abs=0.01)
+        assert (loop.input, loop.joint) == (f"plant.ctrl[{i + 1}]", i + 1)
+    every = np.linalg.eigvals(made.response(omega))
+    for level, values, found in (
+        (1.0, every, margins.crossover_hz),
+        (math.sqrt(0.5), every / (1.0 + every), margins.bandwidth_hz),
+    ):
+        above = (np.abs(values) > level).sum(axis=1)  # of eigenvalues, whatever their order
+        rows = np.flatnonzero(np.diff(above))
+        highest = omega[rows[-1]] if rows.size else 0.0
+        assert 2.0 * math.pi * found == pytest.approx(highest, rel=1e-3, abs=omega[1])
+    assert margins.gain_margin_db == min(margins.gain_up_db, margins.gain_down_db)
     half = 0.5 * margins.disk_margin
     gain = math.inf if half >= 1.0 else 20.0 * math.log10((1.0 + half) / (1.0 - half))
     assert margins.disk_gain_db == pytest.approx(gain)
     assert margins.disk_phase_deg == pytest.approx(2.0 * math.degrees(math.atan(half)))
+
+
+def with_filters(made: Loops, filters: Any) -> bool:
+    """Whether the loops are stable with a filter in each, by the poles of python-control."""
+    import control  # noqa: PLC0415 - as above
+
+    systems = [
+        control.ss(control.tf(b, a, PERIOD))
+        for b, a in zip(filters[0].T, filters[1].T, strict=True)
+    ]
+    n = made.b.shape[1]
+    loop = control.ss(made.a, made.b, made.c, np.zeros((n, n)), PERIOD)
+    closed = control.feedback(control.append(*systems) * loop, np.eye(n))
+    return bool(np.abs(closed.poles()).max() < 1.0)
+
+
+@settings(deadline=None, max_examples=25)
+@given(loops())
+def test_filters_on_both_sides_of_each_margin_confirm_it_and_refute_a_wrong_one(made):
+    margins = judge(responses_of(made, np.ones((made.b.shape[1], len(made.a)))), "jacobi")
+    each = {loop.input: loop for loop in margins.loops}
+
+    def bears(filters: Any) -> bool:
+        return with_filters(made, filters)
+
+    found = confirm(margins, each, made.sensitivity, bears)
+    assert all(c.stable_within for c in found), found
+    # A longer delay may make loops stable again.
+    assert not any(c.stable_beyond for c in found if c.margin != "delay_margin_ms"), found
+    finite = {key for key in ("gain_up_db", "gain_down_db") if math.isfinite(getattr(margins, key))}
+    assert finite <= {c.margin for c in found if not c.input}
+    wrong = replace(margins, gain_up_db=2.0 * margins.gain_up_db)
+    if math.isfinite(wrong.gain_up_db):
+        first = confirm(wrong, each, made.sensitivity, bears)[0]
+        assert (first.margin, first.verdict) == ("gain_up_db", "refuted")
 
 
 @given(st.floats(1.001, 1.05))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -25,7 +25,7 @@ PLOT_FILE: Final = "plot.png"
 FIGURE_FILE: Final = "figure.png"
 SHEET_FILE: Final = "contact_sheet.png"
 VIDEO_FILE: Final = "video.mp4"
-_HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th><th></th></tr>"
+_HEADS = ("criterion", "measured", "required", "margin", "")
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,7 @@ class Run:
         """Return the verdict as a table, and the contact sheet if one was drawn."""
         summary, sheet = self.summary, self.folder / SHEET_FILE
         title = f"<p><b>{_text(summary.scenario)}</b>: {_text(summary.brief)}</p>"
-        rows = "".join(_row(cells(criterion)) for criterion in summary.criteria)
-        table = f"<table>{_HEAD}{rows}</table>" if rows else ""
+        table = html((), _HEADS, [cells(criterion) for criterion in summary.criteria])
         if not sheet.is_file():
             return title + table
         style = "max-width:100%"
@@ -179,8 +178,17 @@ class Run:
         return Inline(view_page(runs), height)
 
 
-def _row(texts: Sequence[str]) -> str:
-    return f"<tr>{''.join(f'<td>{_text(text)}</td>' for text in texts)}</tr>"
+def html(
+    lines: Iterable[str], heads: Sequence[str] = (), rows: Sequence[Sequence[str]] = ()
+) -> str:
+    """Return paragraphs, and a table if it has rows, as a notebook shows them."""
+    above = "".join(f"<p>{_text(line)}</p>" for line in lines)
+    cells = [("th", heads), *(("td", row) for row in rows)]
+    table = "".join(
+        f"<tr>{''.join(f'<{tag}>{_text(text)}</{tag}>' for text in texts)}</tr>"
+        for tag, texts in cells
+    )
+    return above + (f"<table>{table}</table>" if rows else "")
 
 
 def _text(text: str) -> str:

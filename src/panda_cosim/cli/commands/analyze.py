@@ -2,48 +2,51 @@
 
 from __future__ import annotations
 
-import math
-import tomllib
-from collections.abc import Iterator, Mapping
+import re
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 from textwrap import fill
 from threading import Thread
 
 import numpy as np
+import typer
 from pydantic_core import to_json
 
 from ...fmus.atomic import MARK, check_replaceable, replacing, write_whole
-from ...fmus.master.step import SWITCHED
-from ...study.analysis.margins import Analysis, Margins, analyze
-from ...study.analysis.plot import plot_analysis
+from ...result.judging.verdicts import MISSED
+from ...show.pictures.plot import own_style
+from ...study.analysis.confirm import REFUTED
+from ...study.analysis.margins import HEADS, Analysis, analyze, shown
+from ...study.analysis.plot import draw_analyses
 from ...task.files import marked_json
 from ...task.scenario import Scenario
 from ...task.values import Values
 from ..console import show, show_json, table, tell, warn
-from ..forms import option
+from ..forms import argument, flag, option
 from ..options import (
     CONTROLLER,
+    DEFAULT_SCENARIO,
     JSON,
     OVERWRITE,
     PLANT,
-    SCENARIO_OR_DEFAULT,
     SETTINGS,
     find_scenario,
     values_of,
 )
 
-PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s] of our own controller
-_TABLE = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-_COLUMNS: Mapping[str, str] = tomllib.loads(_TABLE)["columns"]
 LEFT_OUT = "larger signals, at which limits are met or contacts change; noise; other poses"
 NUMBERS_FILE, PLOT_FILE, MODEL_FILE = "analysis.json", "loops.png", "analysis.npz"
+_NEXT_KEY = re.compile(r",(?=[^,=]+=)")
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenario: str = SCENARIO_OR_DEFAULT,
+    cases: list[str] | None = argument("[CASE]...", None),
     at: str = option("--at TIME", "start"),
     loop: str = option("--loop INPUT", ""),
+    period: str = option("--period LIST", ""),
+    coupling: str = option("--coupling LIST", ""),
+    verify: bool = flag("--verify"),
     out: Path = option("--out -o DIR", Path("runs/analysis")),
     assignments: list[str] | None = SETTINGS,
     controller: str | None = CONTROLLER,
@@ -51,86 +54,102 @@ def command(  # noqa: PLR0913 - one for each option
     json: bool = JSON,
     overwrite: bool = OVERWRITE,
 ) -> None:
-    """Measure the control loops: margins, Bode plots, a state-space model.
+    """Measure the control loops: margins, Bode and Nichols plots, a state-space model.
 
     Takes any scenario whose FMUs can save and restore their state (canGetAndSetFMUState). Small
     pulses are added to each servo target, or torque, at one instant of the run, which continues.
     First come the delay and the gain that all loops bear alike, then the disk margin, by which each
     may vary in its own way, at the same time; then those of each joint, while the others stay as
-    they are. The folder gets loops.png, analysis.json, and the model in analysis.npz.
+    they are. Several cases are overlaid in loops.png; the folder also gets analysis.json, and the
+    first case's model in analysis.npz.
 
     ```
     panda-cosim analyze
     panda-cosim analyze payload --at grasp --out runs/analysis
-    panda-cosim analyze --set mismatch.delay=0.003 --set controller.kp=12
-    panda-cosim analyze --controller my_law.py:MyLaw --set scene=motors --at 2.3
+    panda-cosim analyze controller.kp=8 controller.kp=12,controller.kd=0.1 --verify
+    panda-cosim analyze --set mismatch.delay=0.003 --period 0.001,0.002 --coupling jacobi
+    panda-cosim analyze pick_and_place my_law.py:A my_law.py:B --set scene=motors --at 2.3
     ```
 
     Args:
+        cases: Scenarios; each may be followed by other cases of it: a law, LAW.py:CLASS, or values,
+            KEY=VALUE[,KEY=VALUE]. Default: pick_and_place.
         at: Instant of the run: seconds, or an event, as grasp or 'release + 0.5'.
         loop: Input at which the loops are opened. Default: those of the plant that an FMU feeds.
+        period: Periods of the controller [s], separated by commas. Default: the scenario's.
+        coupling: Likewise gauss-seidel, jacobi.
+        verify: Run with changes just within and just beyond each margin.
         out: Folder for the results.
     """
-    chosen = find_scenario(scenario).changed(values_of(assignments, controller, plant))
+    chosen = _cases(cases, values_of(assignments, controller, plant), period, coupling)
     files = [out / name for name in (NUMBERS_FILE, PLOT_FILE, MODEL_FILE)]
     check_replaceable(*files, overwrite=overwrite)
     tell("Measuring the loops ...")
     Thread(target=import_module, args=("control",), daemon=True).start()  # 1 s, while FMUs step
-    first = analyze(chosen, at, loop=loop)
-    variants = [first.margins]
-    for values in _variants(chosen, first):
-        variants.append(analyze(chosen.changed(values), first.at, loop=loop).margins)
+    found = {name: analyze(each, at, loop=loop, verify=verify) for name, each in chosen.items()}
+    first = next(iter(found.values()))
+    remarks = [f"{name}: {text}" for name, each in found.items() for text in each.remarks]
     model = {n: np.asarray(value).tolist() for n, value in first.matrices.items()}
     content = {
         "scenario": first.scenario, "folder": out, "at": first.at, "left_out": LEFT_OUT,
-        "remarks": first.remarks, "variants": variants, "model": model,
+        "remarks": remarks, "cases": list(found), "variants": [a.margins for a in found.values()],
+        "confirmed": [a.confirmed for a in found.values()], "model": model,
     }  # fmt: skip
     write_whole(files[0], marked_json(to_json(content, inf_nan_mode="null").decode()))
-    with replacing(files[1]) as path:
-        plot_analysis(first, variants, path, MARK)
+    with own_style(), replacing(files[1]) as path:  # without `save`, which takes 0.2 s to pack it
+        draw_analyses(found).savefig(path, format="png", metadata={"Comment": MARK})
     with replacing(files[2]) as path:
         np.savez(path, note=np.bytes_(MARK), allow_pickle=False, **first.matrices)
     if json:
         show_json(content)
-        return
-    show(f"{first.scenario} at t = {first.at:g} s; loops opened at")
-    show(fill(", ".join(first.inputs), 79) + "\n")
-    for variant in variants:
-        _show_variant(variant)
-    for remark in first.remarks:
-        warn(remark)
-    show(fill(f"Not in these margins: {LEFT_OUT}.", 79) + "\n")
-    show("\n".join(map(str, files)))
+    else:
+        for name, analysis in found.items():
+            _show(name, analysis)
+        for remark in remarks:
+            warn(remark)
+        show(fill(f"Not in these margins: {LEFT_OUT}.", 79) + "\n")
+        show("\n".join(map(str, files)))
+    if any(each.verdict == REFUTED for a in found.values() for each in a.confirmed):
+        raise typer.Exit(MISSED.exit_code)
 
 
-def _variants(scenario: Scenario, first: Analysis) -> Iterator[Values]:
-    """Yield values for other periods of our own controller, and for the other coupling."""
-    if not scenario.is_system and "controller" not in scenario.fmus:
-        for period in PERIODS:
-            if not math.isclose(period, first.period):
-                yield {"controller.period": period}
-    yield from ({"coupling": each} for each in SWITCHED if each != first.margins.coupling)
+def _cases(words: list[str] | None, common: Values, *lists: str) -> dict[str, Scenario]:
+    """Scenarios by name: those of the words, with each period and coupling of the lists."""
+    keys = ("controller.period", "coupling")
+    each = [[f"{key}={value.strip()}" for value in text.split(",")]
+            for key, text in zip(keys, lists, strict=True) if text]  # fmt: skip
+    found, scenario = {}, None
+    for word in words or [DEFAULT_SCENARIO]:
+        values: Values = {}
+        if "=" in word:
+            values = values_of(_NEXT_KEY.split(word))
+        elif ".py:" in word or word.endswith(".fmu"):
+            values = {"fmus.controller": word}
+        else:
+            scenario = find_scenario(word)
+        scenario = scenario or find_scenario(DEFAULT_SCENARIO)
+        for more in product(*each):
+            changed = scenario.changed({**common, **values, **values_of(more)})
+            found[" ".join((word, *more))] = changed
+    return found
 
 
-def _show_variant(margins: Margins) -> None:
-    """Show what one period and coupling bears: all loops alike, each in its own way, one alone."""
-    head = f"period {margins.period * 1e3:g} ms, {margins.coupling}"
-    if margins.reason:
-        show(fill(f"{head}: {margins.reason}", 79) + "\n")
-        return
-    show(f"{head}: stable")
-    gains = f"{_cell(margins.gain_up_db)} dB up, {_cell(margins.gain_down_db)} dB down"
-    show(f"Delay margin, common to all loops: {margins.delay_margin_ms:.2f} ms")
-    show(f"Gain margin, common to all loops: {gains}")
-    gain, phase = f"{margins.disk_gain_db:.1f} dB", f"{margins.disk_phase_deg:.0f} deg"
-    disk = f"disk margin {margins.disk_margin:.2f}"
-    show(f"Each in its own way, at once: {disk}, any gains within {gain}")
-    show(f"or any phases within {phase}\n")
-    rows = [[_cell(getattr(loop, key)) for key in _COLUMNS.values()] for loop in margins.loops]
-    title = "One loop, while the others stay as they are"
-    show(table(tuple(_COLUMNS), rows, right=tuple(_COLUMNS), title=title))
+def _show(name: str, analysis: Analysis) -> None:
+    """Show what the loops bear, and what runs with more and less came to."""
+    show(f"{name} at t = {analysis.at:g} s; loops opened at")
+    show(fill(", ".join(analysis.inputs), 79) + "\n")
+    for line in analysis.margins.lines:
+        show(fill(line, 79))
     show("")
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+    if analysis.margins.loops:
+        title = "One loop, while the others stay as they are"
+        show(table(tuple(HEADS), analysis.margins.rows, right=tuple(HEADS), title=title))
+        show("")
+    if analysis.confirmed:
+        rows = [
+            [e.margin, e.input or "all", *map(shown, (e.within, e.value, e.beyond)), e.verdict]
+            for e in analysis.confirmed
+        ]
+        heads = ("margin", "loop", "stable at", "margin is", "unstable at", "runs say")
+        show(table(heads, rows, right=heads[2:5], title="Runs on both sides of each margin"))
+        show("")

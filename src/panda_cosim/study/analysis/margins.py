@@ -7,6 +7,7 @@ all at once.
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -25,20 +26,29 @@ from ...run.execution import Execution
 from ...run.inputs import Inputs
 from ...run.options import Options
 from ...run.prepare import Prepared, prepare
+from ...run.result import html
 from ...task.criteria import check_instant, check_within
 from ...task.scenario import Scenario, load_scenario
 from ...task.typed import typed
-from .responses import DECAYED, ENOUGH, LINEAR, Responses, measure
+from .confirm import Confirmation, confirm
+from .responses import DECAYED, ENOUGH, LINEAR, Responses, opened
 from .sensitivity import Limits, disk_margin, limits
-from .state_space import FIT, realised, system
+from .state_space import COLUMNS, FIT, ROWS, realised, system
 
 if TYPE_CHECKING:
     import control
+
+    from ...show.pictures.canvas import ShownFigure
 
 
 SETTLED: Final = 0.02  # of a position's largest distance from its end
 RESTING: Final = 0.002  # likewise, by which it moves at most in the last quarter of the responses
 FREQUENCIES = 600  # points of a frequency response
+
+
+# Of a table of loops: heading and unit, and the attribute.
+_TABLE: Final = Path(__file__).with_name("loops.toml").read_text(encoding="utf-8")
+HEADS: Final[Mapping[str, str]] = tomllib.loads(_TABLE)["columns"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +81,30 @@ class Margins(Limits):
     disk_gain_db: float = 0.0
     disk_phase_deg: float = 0.0
 
+    @property
+    def lines(self) -> list[str]:
+        """What the loops bear: all alike, and each in its own way."""
+        head = f"period {self.period * 1e3:g} ms, {self.coupling}"
+        if self.reason:
+            return [f"{head}: {self.reason}"]
+        gains = f"{shown(self.gain_up_db)} dB up, {shown(self.gain_down_db)} dB down"
+        within = f"any gains within {self.disk_gain_db:.1f} dB"
+        return [
+            f"{head}: stable",
+            f"Delay margin, common to all loops: {self.delay_margin_ms:.2f} ms",
+            f"Gain margin, common to all loops: {gains}",
+            f"Each in its own way, at once: disk margin {self.disk_margin:.2f}, {within}",
+            f"or any phases within {self.disk_phase_deg:.0f} deg",
+        ]
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """What one loop bears while the others stay as they are; the heads are `HEADS`."""
+        return [[shown(getattr(loop, key)) for key in HEADS.values()] for loop in self.loops]
+
+    def _repr_html_(self) -> str:
+        return html(self.lines, [head.replace("\n", " ") for head in HEADS], self.rows)
+
 
 def judge(responses: Responses, coupling: str) -> Margins:
     """Judge all loops of one measurement."""
@@ -82,7 +116,7 @@ def judge(responses: Responses, coupling: str) -> Margins:
     if reason:
         return Margins(**about)
     loops = tuple(_judge(responses, loop) for loop in range(len(responses.inputs)))
-    disk = disk_margin(sensitivity)
+    disk = disk_margin(sensitivity)[0]
     gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
     phase = math.degrees(2.0 * math.atan(0.5 * disk))
     return Margins(**vars(limits(sensitivity)), **about, loops=loops, disk_margin=disk,
@@ -106,6 +140,11 @@ def _reason(responses: Responses) -> str:
     )
 
 
+def shown(value: float | None) -> str:
+    """Return a number of a table, or a dash if it is not known."""
+    return "-" if value is None else f"{value:.4g}"
+
+
 def frequencies(responses: Responses) -> Array:
     """Frequencies (m,) [rad/s] of a picture: of one wave in the responses to Nyquist's."""
     ends = 2.0 * np.pi / responses.window, 0.999 * np.pi / responses.period
@@ -114,9 +153,10 @@ def frequencies(responses: Responses) -> Array:
 
 
 def steps(responses: Responses) -> Array:
-    """How far each joint moves (ticks, n) if 1 is added to its input; (ticks, 0): not known."""
-    n, own = len(responses.inputs), range(len(responses.positions))
-    moves: Array = np.cumsum(responses.pulses[:, n:][:, own, own], axis=0)
+    """How far each joint moves (ticks, n) if 1 is added to its input, or what is fed back there."""
+    n = len(responses.inputs)
+    own, first = range(n), n if responses.positions else 0
+    moves: Array = np.cumsum(responses.pulses[:, first:][:, own, own], axis=0)
     return moves
 
 
@@ -151,6 +191,7 @@ class Analysis:
         margins: Margins of each loop and of all at once; see `Margins`.
         responses: What was measured, n loops; see `Responses`.
         parameters: Those of the FMU that feeds the loops' inputs, by name.
+        confirmed: What runs on both sides of each margin came to, if they were verified.
     """
 
     scenario: str
@@ -158,6 +199,7 @@ class Analysis:
     margins: Margins
     responses: Responses = field(repr=False)
     parameters: Mapping[str, Value] = field(repr=False)
+    confirmed: tuple[Confirmation, ...] = ()
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -174,32 +216,73 @@ class Analysis:
         """Time between two updates of the controller, at which the models are sampled [s]."""
         return self.responses.period
 
+    def plot(self, **others: Analysis) -> ShownFigure:
+        """Return the figure of the loops, in a notebook or for a file, with others overlaid.
+
+        analysis.plot(stiff=analyze(scenario.changed({"controller.kp": 16}))).savefig("a.pdf")
+        """
+        from .plot import draw_analyses  # noqa: PLC0415 - matplotlib takes its time
+
+        return draw_analyses({self.scenario: self, **others})
+
+    def _repr_html_(self) -> str:
+        about = f"{self.scenario} at t = {self.at:g} s; loops opened at {', '.join(self.inputs)}"
+        return html([about]) + self.margins._repr_html_() + html(self.remarks)
+
     @property
-    def model(self) -> control.StateSpace:
+    def plant(self) -> control.StateSpace:
+        """`control.StateSpace` of the plant alone, from the loops' inputs to its outputs.
+
+        Inputs (n): servo targets (rad) or torques (N.m). Outputs: `positions`, the joints' speeds,
+        the hand's position and quaternion, all as differences to what they are without a pulse.
+        States are those positions and speeds, such as `plant_qpos[1]`; what the responses need
+        beside them is named `identified[1]` and so on: hidden states, or a plant that moves.
+        Signals have `_` for the point in their names.
+        """
+        return self._plant[0]
+
+    @property
+    def closed(self) -> control.StateSpace:
         """`control.StateSpace` of the closed loops.
 
-        Inputs (n): what is added to `inputs`, in their units: rad for servo targets, N.m for
-        torques. Outputs: `inputs` (n), then `positions` (n) in rad or m, both as differences to
-        what they are if nothing is added. Signals have `_` for the point in their names.
+        Inputs (n): what is added to `inputs`. Outputs: `inputs` (n) with what is added, then those
+        of `plant`. States: those of the plant as far as they are physical; those of the laws are
+        identified.
         """
-        return self._realised[0]
+        return self._closed[0]
+
+    @property
+    def model(self) -> control.StateSpace:
+        """The closed loops with the outputs `inputs` and `positions` alone."""
+        return self._part(len(self.inputs) + len(self.positions), "model")
 
     @property
     def model_error(self) -> float:
-        """Largest difference of the model's response to a pulse, as a share of its peak."""
-        return self._realised[1]
+        """Largest difference of `closed`'s response to a pulse, as a share of its peak."""
+        return self._closed[1]
 
     @property
     def sensitivity(self) -> control.StateSpace:
         """S = 1 / (1 + L) as a `control.StateSpace` of n inputs and n outputs."""
-        return self.model[: len(self.inputs), :]
+        return self._part(len(self.inputs), "sensitivity")
 
     @property
     def loop(self) -> control.StateSpace:
-        """The open loops L as a `control.StateSpace`: from `inputs` to what feeds them, negated."""
-        model, n, names = self.model, len(self.inputs), self.inputs
-        b, c = model.B, model.C[:n]
-        return system(model.A - b @ c, b, -c, np.zeros((n, n)), self.period, names, names)
+        """The open loops L as a `control.StateSpace`: from `inputs` to what feeds them, negated.
+
+        It has the states of `closed`.
+        """
+        closed, n = self.closed, len(self.inputs)
+        b, c = closed.B, closed.C[:n]
+        ends = self.inputs, self.inputs, "loop", closed.state_labels
+        return system(closed.A - b @ c, b, -c, np.zeros((n, n)), self.period, *ends)
+
+    def _part(self, outputs: int, name: str) -> Any:
+        """Return the closed loops with their first outputs alone."""
+        closed = self.closed
+        c, d, names = closed.C[:outputs], closed.D[:outputs], closed.output_labels[:outputs]
+        ends = self.inputs, names, name, closed.state_labels
+        return system(closed.A, closed.B, c, d, self.period, *ends)
 
     @property
     def matrices(self) -> dict[str, Any]:
@@ -221,8 +304,17 @@ class Analysis:
         return [text for text, holds in texts.items() if holds]
 
     @cached_property
-    def _realised(self) -> tuple[Any, float]:
-        return realised(self.responses)
+    def _closed(self) -> tuple[Any, float]:
+        is_, n = self.responses, len(self.inputs)
+        pulses = is_.pulses.copy()
+        pulses[0, :n] += np.eye(n)  # what is added, itself
+        names = self.inputs, (*self.inputs, *is_.outputs), "closed"
+        return realised(pulses, [n + i for i in is_.states], self.period, *names)
+
+    @cached_property
+    def _plant(self) -> tuple[Any, float]:
+        is_, names = self.responses, (self.inputs, self.responses.outputs, "plant")
+        return realised(is_.of_plant(ROWS + COLUMNS + 1), is_.states, self.period, *names)
 
 
 @typed
@@ -232,6 +324,7 @@ def analyze(
     options: Options | None = None,
     *,
     loop: str = "",
+    verify: bool = False,
 ) -> Analysis:
     """Measure the control loops of any scenario at an instant of its run.
 
@@ -246,6 +339,7 @@ def analyze(
         options: How it is run.
         loop: Input at which the loops are opened, such as "plant.ctrl"; "": all inputs of the
             instance `plant` that an FMU feeds.
+        verify: Whether to run with changes just within and just beyond each margin.
 
     Returns:
         Margins and state-space models.
@@ -256,15 +350,22 @@ def analyze(
     """
     prepared = prepare(load_scenario(scenario), options)
     tick, inputs = _instant(prepared, at)
-    responses = measure(prepared, inputs, tick, loop)
+    with opened(prepared, inputs, tick, loop) as measurement:
+        responses = measurement.responses()
+        margins = judge(responses, prepared.scenario.coupling)
+        confirmed: tuple[Confirmation, ...] = ()
+        if verify and margins.loops:
+            loops = {each.input: each for each in margins.loops}
+            confirmed = confirm(margins, loops, responses.sensitivity, measurement.bears)
     connections = prepared.assembly.system.connections
     fed_by = {".".join(c.target): c.source[0] for c in connections}[responses.inputs[0]]
     return Analysis(
         prepared.scenario.name,
         responses.at,
-        judge(responses, prepared.scenario.coupling),
+        margins,
         responses,
         grouped(prepared.assembly.interfaces[fed_by], prepared.values[fed_by]),
+        confirmed,
     )
 
 

@@ -9,22 +9,23 @@ in the run. Responses are cut off where a contact or a limit changes them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from ...fmus.errors import InputError, did_you_mean
-from ...fmus.master.perturbed import PerturbedSystem
+from ...fmus.errors import InputError, SimulationError, did_you_mean
+from ...fmus.master.perturbed import Change, PerturbedSystem
 from ...fmus.master.wiring import Array, Name
 from ...run.inputs import Inputs
 from ...run.prepare import Prepared
 from .sensitivity import Sensitivity
 
 WINDOWS: Final = (250, 500, 1000, 2000, 4000)  # [ticks] the first in which responses decay
-DECAYED: Final = 5e-3  # of its peak, below which a response has; a longer window adds little
+DECAYED: Final = 1e-3  # of its peak, below which a response has; a longer window adds little
 ENOUGH: Final = 1e-2  # likewise, if it cannot be followed further
 SIZES: Final = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # of pulses: units of the input, or its value if > 1
 LINEAR: Final = 1e-3  # of its peak, by which a response may differ from a linear one
@@ -32,8 +33,16 @@ CHAOS: Final = 0.1  # likewise: it is not linear at all
 CHANGED: Final = 2e-2  # of the peak, by which that to a later pulse differs once the loops have
 LATER: Final = 5  # [ticks] by which this pulse is later, or a period
 EXPLOSION: Final = 10.0  # growth from a third to the next: a longer window shows where it saturates
+RUN_SIZE: Final = 1e-5  # of a pulse in runs that may become unstable, or within which a run rests
+LARGE: Final = 1e2  # growth from the begin of the run to its end, also where it saturates
+DECIDED: Final = 1.2  # growth from one third to the next, or its inverse, by which it is clear
 LEAST: Final = 20  # samples of a response
 POSITIONS: Final = "qpos"  # the plant's output with the joints' positions
+SPEEDS: Final = "qvel"  # likewise
+POSE: Final = ("hand_xpos", "hand_xquat")  # likewise of the hand
+
+
+Filters = tuple[Array, Array]  # b and a (taps, n), with a[0] = 1: a filter in each of n loops
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,19 +53,42 @@ class Responses:
     positions: tuple[str, ...]  # of the joints that they move (n,), or none if these are unknown
     at: float  # [s] the instant
     period: float  # [s] between two updates of what feeds the inputs
-    pulses: Array  # (ticks, n + positions, n) what feeds the inputs, then positions; by input
+    pulses: Array  # (ticks, n + outputs, n) what feeds the inputs, then the outputs; by input
     linearity: float  # of twice a pulse at all inputs, half its response [share of the peak]
     changed: bool  # whether they end before a contact or a limit changes them
+    others: tuple[str, ...] = ()  # outputs of the plant beside the positions
 
     @property
     def window(self) -> float:
         """Length of the responses [s]."""
         return len(self.pulses) * self.period
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of the plant: positions, then others."""
+        return (*self.positions, *self.others)
+
+    @property
+    def states(self) -> list[int]:
+        """Which of the outputs may be states: positions and speeds."""
+        kinds = [_whole(name).rpartition(".")[2] for name in self.outputs]
+        return [i for i, kind in enumerate(kinds) if kind in (POSITIONS, SPEEDS)]
+
     @cached_property
     def sensitivity(self) -> Sensitivity:
         """S = 1 / (1 + L) of the n loops."""
         return Sensitivity(self.pulses[:, : len(self.inputs)], self.period)
+
+    def of_plant(self, ticks: int) -> Array:
+        """Return the outputs (ticks, outputs, n) after a pulse of 1 that nothing is fed back of."""
+        n = len(self.inputs)
+        entering, leaving = self.pulses[:ticks, :n].copy(), self.pulses[:ticks, n:].copy()
+        entering[0] += np.eye(n)
+        first = np.linalg.inv(entering[0])
+        for tick in range(len(leaving)):
+            before = np.einsum("tij,tjk->ik", leaving[:tick], entering[tick:0:-1])
+            leaving[tick] = (leaving[tick] - before) @ first
+        return leaving
 
     @property
     def remaining(self) -> float:
@@ -91,18 +123,20 @@ def _course(answers: Array) -> tuple[float, float]:
     return float(left), float(last / middle) if middle else 0.0
 
 
-def measure(prepared: Prepared, inputs: Inputs, tick: int, loop: str = "") -> Responses:
-    """Measure the responses from a tick of the run on; `loop`: see `_targets`."""
+@contextmanager
+def opened(prepared: Prepared, inputs: Inputs, tick: int, loop: str = "") -> Iterator[Measurement]:
+    """Step a system to a tick of the run, from where it is measured; `loop`: see `_targets`."""
     system, step = prepared.assembly.system, prepared.scenario.step
     targets = _targets([connection.target for connection in system.connections], loop)
-    with prepared.open([], longer=WINDOWS[-1] * step) as opened:
-        opened.master.begin(lambda _rows: None)
-        opened.master.step(tick, inputs)
+    with prepared.open([], longer=WINDOWS[-1] * step) as running:
+        running.master.begin(lambda _rows: None)
+        running.master.step(tick, inputs)
         external = inputs[tick : tick + (WINDOWS[-1] if tick else 1)]  # the start is at rest
         after = ((0, WINDOWS[-1] - len(external)), (0, 0))  # from the end, commands stay
-        perturbed = PerturbedSystem(opened, targets, np.pad(external, after, mode="edge"))
+        perturbed = PerturbedSystem(running, targets, np.pad(external, after, mode="edge"))
+        read = {connection.source for connection in system.connections}
         at = prepared.assembly.start_time + tick * step
-        return _Measurement(perturbed, targets, step).responses(at)
+        yield Measurement(perturbed, targets, read, at, step)
 
 
 def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
@@ -124,11 +158,19 @@ def _whole(name: str) -> str:
     return name.partition("[")[0]
 
 
-class _Measurement:
+class Measurement:
     """Measures the responses of a system that has been stepped to some tick."""
 
-    def __init__(self, system: PerturbedSystem, targets: Sequence[Name], step: float) -> None:
+    def __init__(
+        self,
+        system: PerturbedSystem,
+        targets: Sequence[Name],
+        read: Collection[Name],  # outputs that feed inputs
+        at: float,  # [s]
+        step: float,  # [s]
+    ) -> None:
         self._system, self._targets, self._step = system, targets, step
+        self._read, self._instant = read, at
         self._nothing = np.empty((0, len(targets)))
         self._resize(WINDOWS[0])
         again = system.run(np.zeros_like(self._nothing))
@@ -140,19 +182,68 @@ class _Measurement:
             )
         self._scale = np.maximum(1.0, np.abs(self._base[0, system.fed_by]))
 
-    def responses(self, at: float) -> Responses:
+    def responses(self) -> Responses:
         """Find the loops, choose the pulses' size and the window, then apply one after another."""
         system, loops = self._system, self._find_loops()
-        places = [system.columns.index(place) for place in self._positions(loops)]
+        self._loops, positions = loops, self._positions(loops)
+        others = self._others(loops, positions)
+        places = [system.columns.index(place) for place in (*positions, *others)]
         columns = [*(system.fed_by[i] for i in loops), *places]
-        inputs = tuple(".".join(self._targets[i]) for i in loops)
-        positions = tuple(".".join(system.columns[place]) for place in places)
-        about, tried = (inputs, positions, at, self._at.step * self._step), []
+        inputs, moved, seen = (
+            tuple(map(".".join, names))
+            for names in ([self._targets[i] for i in loops], positions, others)
+        )
+        about, tried = (inputs, moved, self._instant, self._at.step * self._step), []
         for self._size in SIZES:  # the largest to which answers are linear, or the most linear one
-            tried.append(Responses(*about, *self._measured(loops, columns)))
+            tried.append(Responses(*about, *self._measured(loops, columns), seen))
             if tried[-1].linearity <= LINEAR:
                 break
         return min(tried, key=lambda each: each.linearity)
+
+    def bears(self, filters: Filters) -> bool | None:
+        """Whether the loops stay stable with a filter in each, by runs with a pulse at all inputs.
+
+        None: it is not decided within 2,000 ticks, or 500 where the arm moves. What diverges until
+        an FMU fails is not stable.
+        """
+        fed_by, self._size = [self._system.fed_by[i] for i in self._loops], RUN_SIZE
+        moves = np.ptp(self._base[:, fed_by] / self._scale[self._loops], axis=0).max() > RUN_SIZE
+        for window in WINDOWS[: 2 if moves else 4]:
+            self._resize(window)
+            try:
+                answers = self._answers(self._loops, fed_by, change=self._filtered(*filters))
+            except SimulationError:
+                return False
+            left, growth = _course(answers[..., None])
+            if left <= DECAYED:
+                return True
+            begin, end = (np.abs(part).max() for part in np.array_split(answers, 50)[::49])
+            if growth > EXPLOSION or end > LARGE * begin:
+                return False
+        return None if 1.0 / DECIDED < growth < DECIDED else bool(growth < 1.0)
+
+    def _filtered(self, forward: Array, backward: Array) -> Change:
+        """Filter what feeds the loops' inputs, as far as it differs from what does in the run."""
+        fed, loops, taps = self._system.fed_by, self._loops, np.arange(1, len(forward))
+        base, delays = self._base[:, fed], taps * self._at.step
+        entered, left = np.zeros_like(base), np.zeros_like(base)
+        b, a = (np.zeros((len(forward), len(fed))) for _ in range(2))
+        b[0] = 1.0
+        b[:, loops], a[:, loops] = forward, backward
+        held = np.zeros(len(fed))  # of what entered before
+
+        def change(rows: Array) -> tuple[Array, Array]:
+            nonlocal held
+            tick = len(rows)
+            if tick:
+                entered[tick - 1] = rows[-1, fed] - base[tick - 1]
+                left[tick - 1] = b[0] * entered[tick - 1] + held
+            before = tick - delays
+            n, before = taps[before >= 0], before[before >= 0]
+            held = (b[n] * entered[before] - a[n] * left[before]).sum(axis=0)
+            return b[0], (1.0 - b[0]) * base[tick] + held
+
+        return change
 
     def _find_loops(self) -> list[int]:
         """Inputs that have an effect, and whose feeding output answers; sets the period."""
@@ -179,6 +270,18 @@ class _Measurement:
         targets = [self._targets[i] for i in loops]
         places = [(fmu, POSITIONS + name.removeprefix(_whole(name))) for fmu, name in targets]
         return places if set(places) <= set(self._system.columns) else []
+
+    def _others(self, loops: Sequence[int], positions: Sequence[Name]) -> list[Name]:
+        """Other outputs of the plant: the joints' speeds, the hand's pose, and what is read.
+
+        Of a plant without such names, it is all that is read.
+        """
+        plant = self._targets[loops[0]][0]
+        speeds = [(fmu, name.replace(POSITIONS, SPEEDS)) for fmu, name in positions]
+        own = [c for c in self._system.columns if c[0] == plant and c not in positions]
+        joints = [c for c in own if c in self._read and _whole(c[1]) in (POSITIONS, SPEEDS)]
+        known = [c for c in own if c in speeds or c in joints or _whole(c[1]) in POSE]
+        return known or [c for c in own if c in self._read]
 
     def _measured(self, loops: Sequence[int], columns: Sequence[int]) -> tuple[Array, float, bool]:
         """Lengthen the window until answers to each pulse decay, change or are not linear."""
@@ -218,13 +321,18 @@ class _Measurement:
             self._base = self._system.run(self._nothing)
 
     def _answers(
-        self, inputs: Sequence[int], columns: Sequence[int], factor: float = 1.0, late: int = 0
+        self,
+        inputs: Sequence[int],
+        columns: Sequence[int],
+        factor: float = 1.0,
+        late: int = 0,
+        change: Change | None = None,
     ) -> Array:
         """Return the responses (ticks, columns) to a pulse at some inputs, of one period."""
         added, first = self._nothing.copy(), self._at.start + late * self._at.step
         size = factor * self._size
         added[first : first + self._at.step, inputs] = size * self._scale[inputs]
-        answers: Array = (self._system.run(added) - self._base)[self._at, columns] / size
+        answers: Array = (self._system.run(added, change) - self._base)[self._at, columns] / size
         return answers
 
 

@@ -119,10 +119,15 @@ class Limits:
     bandwidth_hz: float = 0.0
 
 
+def crossings(sensitivity: Sensitivity) -> tuple[Array, Array]:
+    """Frequencies at which an eigenvalue l of L has |l| = 1, and arg(-l) there."""
+    omega, s = sensitivity.where(lambda s: s.real - 0.5)
+    return omega, np.angle(1.0 - 1.0 / s)
+
+
 def limits(sensitivity: Sensitivity) -> Limits:
     """Find what n loops bear; definitions.toml says what each number is."""
-    omega, s = sensitivity.where(lambda s: s.real - 0.5)
-    angles = np.angle(1.0 - 1.0 / s)  # of -L
+    omega, angles = crossings(sensitivity)
     delays = np.mod(angles, 2.0 * math.pi) / omega
     ends = sensitivity.eigenvalues[[0, -1]].ravel()  # there, S is real
     real = np.append(sensitivity.where(np.imag)[1], ends[np.abs(ends.imag) < REAL]).real
@@ -140,12 +145,13 @@ def limits(sensitivity: Sensitivity) -> Limits:
     )
 
 
-def disk_margin(sensitivity: Sensitivity) -> float:
+def disk_margin(sensitivity: Sensitivity) -> tuple[float, float, Array]:
     """Size of the largest disk of simultaneous changes that leaves all loops stable [1].
 
-    It is 1 / max |(S - T) / 2|, the largest singular value over all frequencies, with that
-    scaling of rows against columns which makes it smallest, as each loop changes by itself: a
-    lower bound of the margin.
+    Returns also the frequency, and the phases (n,) of the changes at the disk's edge that reach the
+    limit there. The size is 1 / max |(S - T) / 2|, the largest singular value over all frequencies,
+    with that scaling of rows against columns which makes it smallest, as each loop changes by
+    itself: a lower bound of the margin.
 
     Source: P. Seiler, A. Packard, P. Gahinet, "An Introduction to Disk Margins", IEEE Control
     Systems Magazine 40(5), 2020.
@@ -154,15 +160,21 @@ def disk_margin(sensitivity: Sensitivity) -> float:
 
     omega, values = sensitivity.grid
     bounds = np.linalg.norm(_balanced(_skew(values)), ord=2, axis=(1, 2))
-    largest = scaled_norms(_skew(values[[bounds.argmax()]]))[0]
+    largest = scaled_norms(_skew(values[[bounds.argmax()]]))[0][0]
     rows = np.flatnonzero(bounds >= largest * (1.0 - REAL))  # at others it is smaller than there
-    top = rows[scaled_norms(_skew(values[rows])).argmax()]
+    top = rows[scaled_norms(_skew(values[rows]))[0].argmax()]
+
+    def at(frequency: float) -> tuple[Array, Array]:
+        return scaled_norms(_skew(sensitivity.at(np.array([frequency]))))
+
     refined = minimize_scalar(
-        lambda w: -scaled_norms(_skew(sensitivity.at(np.array([w]))))[0],
+        lambda w: -at(w)[0][0],
         bounds=(max(omega[top] - omega[1], 0.0), min(omega[top] + omega[1], omega[-1])),
         method="bounded",
     )
-    return float(1.0 / max(-refined.fun, largest))
+    worst = float(refined.x if -refined.fun > largest else omega[top])
+    (norm,), (phases,) = at(worst)
+    return float(1.0 / norm), worst, phases
 
 
 def _skew(s: Response) -> Response:
@@ -180,16 +192,20 @@ def _balanced(matrices: Response) -> Response:
     return matrices
 
 
-def scaled_norms(matrices: Response) -> Array:
+def scaled_norms(matrices: Response) -> tuple[Array, Array]:
     """Return the smallest largest singular value (m,) of D M D^-1 over diagonal D, of (m, n, n).
 
-    It is convex in log D; its gradient follows from the singular vectors.
+    It is convex in log D; its gradient follows from the singular vectors. Phases (m, n) of d are
+    those with which 1 is an eigenvalue of M diag(d), if |d| is the inverse of this value.
     """
     matrices, least = _balanced(matrices), np.full(len(matrices), math.inf)
+    phases = np.zeros(matrices.shape[:2])
     for step in range(DESCENT):
         left, values, right = np.linalg.svd(matrices)
-        least = np.minimum(least, values[:, 0])
+        better = values[:, 0] < least
+        least[better] = values[better, 0]
+        phases[better] = -np.angle(right[better, 0] * left[better, :, 0])
         slope = np.abs(left[:, :, 0]) ** 2 - np.abs(right[:, 0, :]) ** 2
         scale = np.exp(-slope / (1.0 + 0.1 * step))
         matrices = matrices * scale[:, :, None] / scale[:, None, :]
-    return least
+    return least, phases
