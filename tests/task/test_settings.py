@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from panda_cosim import InputError, Scenario, Session, load_scenario
+from panda_cosim import InputError, Options, Scenario, Session, load_scenario
 from panda_cosim.cli.options import values_of
 from panda_cosim.controller.presets import PRESETS
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import start_values
 from panda_cosim.study.compare.regress import with_values
 from refusals import refused
@@ -61,10 +62,25 @@ def test_any_order_of_keys_gives_the_same_scenario_and_start_values(order, left_
 Door = Callable[[Scenario, Mapping[str, Any]], Scenario]
 
 
+def by_old_options(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """Parameters by instance and name, the rest by key; to be removed in the next release."""
+    overrides: dict[str, Any] = {}
+    for key, value in values.items():
+        instance, dot, name = key.partition(".")
+        if dot and instance in ("plant", "controller"):
+            overrides.setdefault(instance, {})[name] = value
+        else:
+            overrides[key] = value
+    with pytest.warns(DeprecationWarning, match="what to run is values="):
+        options = Options(overrides)
+    return prepare(scenario, options).scenario
+
+
 DOORS: Mapping[str, Door] = {
     "--set": lambda s, values: s.changed(values_of([f"{k}={written(values[k])}" for k in values])),
     "session": lambda scenario, values: Session(scenario, values=values).scenario,
     "regress": lambda scenario, values: next(with_values([scenario], values)),  # type: ignore[arg-type,return-value]
+    "options": by_old_options,
 }
 # Of any kind of value; the keys of `VALUES` do not act together on any arm.
 EACH: Mapping[str, Any] = {

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from ..fmus.errors import InputError, refuse
-from ..fmus.master.step import Stepper
+from ..fmus.master.step import Coupling, Stepper
 from ..fmus.sources.targets import Kind
 from ..task.fields import Quantity, check_choice
 from ..task.typed import check_types
+from ..task.values import Values
 
 MAX_TIME_LIMIT = 1e9  # [s]
 
@@ -22,6 +24,7 @@ class Options:
     """How a scenario is run, never what.
 
     Attributes:
+        overrides: Deprecated, as are `coupling` and `parts`: give `values`, by key.
         realtime: Speed relative to the wall clock; 0: as fast as possible.
         fmus: FMU files by instance; None: the project's own.
         kind: Kind of the project's own: "native", "python", "pythonfmu" (in Python, packed by
@@ -40,12 +43,15 @@ class Options:
         InputError: A value is out of bounds, or step_timeout is set without isolate.
     """
 
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    coupling: Coupling | None = None
     realtime: float = 0.0
     fmus: Mapping[str, Path] | None = None
     kind: Kind = "auto"
     isolate: bool = False
     step_timeout: float | None = None
     time_limit: float | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
     master: Stepper = "kernel"
     log: Sequence[str] = ()
     profile: bool = False
@@ -64,3 +70,17 @@ class Options:
             raise InputError("--step-timeout: needs --isolate, which alone can end a step")
         if self.time_limit is not None:
             Quantity(0.0, MAX_TIME_LIMIT, "s").check("time_limit", self.time_limit)
+        if self.values:
+            text = f"Options say how to run; what to run is values={self.values}, or changed(...)"
+            warnings.warn(text, DeprecationWarning, stacklevel=3)
+
+    @property
+    def values(self) -> Values:
+        """Values of the scenario that were given here, by key; until the next release."""
+        values = {f"fmus.{name}": file for name, file in self.parts.items()}
+        values |= {} if self.coupling is None else {"coupling": self.coupling}
+        for key, value in self.overrides.items():
+            by_name = {f"{key}.{name}": each for name, each in value.items()} if isinstance(
+                value, Mapping) else {key: value}  # fmt: skip
+            values |= by_name
+        return values

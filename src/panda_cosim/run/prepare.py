@@ -173,7 +173,7 @@ def prepare(
 
     if scenario.client:
         scenario.client.words(scenario.folder or Path())  # refuses one that cannot be started
-    prepared = connected(_on_line(scenario))
+    prepared = connected(_on_line(scenario.changed(options.values)))
     if prepared.scenario.route:
         prepared = connected(_routed(prepared))
     prepared.inputs()  # refuses a table that cannot be resolved
