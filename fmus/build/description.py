@@ -159,8 +159,8 @@ def _documents(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
         ),
     }
     for package in [mujoco_package()] * opens_mujoco + ["pythonfmu"] * packed:
-        for name, text in licences(package).items():
-            files[f"{folder}/{package}-{name}.txt"] = text
+        texts = licences(package).items()
+        files |= {f"{folder}/{package}-{name}.txt": text for name, text in texts}
     if fmu.model in PICTURES:
         place = "model.png" if layout.fmi == 2 else "terminalsAndIcons/icon.png"
         files[place] = Path(__file__).with_name(PICTURES[fmu.model]).read_bytes()

@@ -236,15 +236,18 @@ def _describe(error: ValidationError, cls: type) -> str:
     if problem["type"] == "unexpected_keyword_argument":
         return _section(loc[:-1]) + _unknown(str(loc[-1]), [*map(key_of, field_names(owner))])
     if problem["type"] == "missing":
-        fields, none = dataclasses.fields(owner), dataclasses.MISSING
-        required = ", ".join(f.name for f in fields if f.default is f.default_factory is none)
-        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {required}"
+        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {_required(owner)}"
     cause = problem.get("ctx", {}).get("error")
     is_section = _class_at(cls, loc) is not None or not loc
     if cause is None:  # something else where a section is needed
         form = _form(loc, is_list=problem["type"] == "tuple_type", is_section=is_section)
         return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
     return f"{_section(loc)}{cause}" if is_section else _joined(_place(loc), cause)
+
+
+def _required(cls: Any) -> str:
+    fields, none = dataclasses.fields(cls), dataclasses.MISSING
+    return ", ".join(f.name for f in fields if f.default is f.default_factory is none)
 
 
 def _form(loc: Loc, *, is_list: bool, is_section: bool) -> str:

@@ -266,7 +266,7 @@ def _needed(names: Sequence[str]) -> list[str]:
 
 def _row(cells: Mapping[str, str]) -> TableRow:
     given: dict[str, Any] = {
-        name: _number(name, text) if name in _BOUNDS else text
+        name: _value(name, text)
         for name, text in cells.items()
         if text or name not in _MAY_BE_BLANK
     }
@@ -278,8 +278,10 @@ def _row(cells: Mapping[str, str]) -> TableRow:
     return TableRow(**given)
 
 
-def _number(column: str, text: str) -> float:
-    """Read a number; Python's own float() would also accept 1_000."""
+def _value(column: str, text: str) -> str | float:
+    """Read a cell; for a number, Python's own float() would also accept 1_000."""
+    if column not in _BOUNDS:
+        return text
     if not _NUMBER.fullmatch(text):
         hint = " with a decimal point" if "," in text else " such as 0.25"
         raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")

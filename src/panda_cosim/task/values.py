@@ -113,10 +113,13 @@ class _Places:
             return self._inner(key)
         if not name:
             raise self._no_such(key)
+        self._check_instance(key, section)
+        return (section, name) if section in _BY_NAME else ("parameters", section, name)
+
+    def _check_instance(self, key: str, section: str) -> None:
         if self._is_known and section not in self._instances:
             valid = f"{', '.join(self._instances)}{did_you_mean(section, self._instances)}"
             raise InputError(f"{key}: no instance {section!r}; valid: {valid}")
-        return (section, name) if section in _BY_NAME else ("parameters", section, name)
 
     def _inner(self, key: str) -> Steps:
         """Return the way into a section, a list or the table."""

@@ -198,17 +198,22 @@ def refusals(preflight: Metrics, *, complete: bool) -> Iterator[tuple[Level, str
     elif not preflight["refusals"]:
         yield "good", f"{robot} refuses nothing over the {own} interface"
     for each in preflight["findings"]:
-        over = (
-            "" if each["interface"] in (own, "arm") else f" over the {each['interface']} interface"
-        )
-        word = f"refuses{over}" if each["necessary"] else "recommends against"
-        level: Level = "refused" if each["necessary"] and not over else "hint"
-        yield level, f"{robot} {word}: {_refusal(each)}"
+        yield _told(robot, own, each)
     if (preflight["refusals"] or 0) > 1:
         yield "hint", f"{robot} stops at the first refusal; later ones may follow from it"
     if (one_more := preflight["late"].get("lost_packets")) and not preflight["joint_refusals"]:
         borne = f"{preflight['lost_packets']} lost packets in a row"
         yield "hint", f"{robot} tolerates {borne}; one more, and it refuses: {_refusal(one_more)}"
+
+
+def _told(robot: str, own: str, found: Metrics) -> tuple[Level, str]:
+    """Say which robot refuses a violation: over its own interface, or another one."""
+    text, name = _refusal(found), found["interface"]
+    if not found["necessary"]:
+        return "hint", f"{robot} recommends against: {text}"
+    if name in (own, "arm"):
+        return "refused", f"{robot} refuses: {text}"
+    return "hint", f"{robot} refuses over the {name} interface: {text}"
 
 
 def _refusal(found: Metrics) -> str:

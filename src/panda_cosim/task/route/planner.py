@@ -6,10 +6,10 @@ Its motions come one after the other, as fast as the robot's limits allow.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import islice
+from itertools import islice, product
 from typing import Any, Final
 
 import numpy as np
@@ -206,13 +206,17 @@ def _dwell(q: Array, duration: float) -> Array:
     return np.tile(q, (round(duration / SPACING) + 1, 1))
 
 
+def _around(place: Array) -> Iterator[Array]:
+    """Yield places of the block (3,) [m] around one, the nearest first."""
+    for distance, angle in product(RINGS, ANGLES):
+        x, y = place[0] + distance * math.cos(angle), place[1] + distance * math.sin(angle)
+        yield np.array([x, y, block_start_height(x, y)]).round(3)
+
+
 def _nearest(scene: RouteScene, place: Array, error: NoRouteError) -> str:
     """Name the nearest place for the block, at the start or at the end, to which a route leads."""
     standing, moves_place = scene.block, isinstance(error, NoPlaceError)
-    x, y = (place if moves_place else standing)[:2]
-    for distance, angle in ((d, a) for d in RINGS for a in ANGLES):
-        at = x + distance * math.cos(angle), y + distance * math.sin(angle)
-        other = np.array([*at, block_start_height(*at)]).round(3)
+    for other in _around(place if moves_place else standing):
         block = np.concatenate((other, standing[3:]))
         if not scene.can_stand(block):
             continue

@@ -100,9 +100,7 @@ def retimed(
         demanded = demands(path, reference, load)
         if number:  # the first round only finds the joint motion along the path
             shares = largest(demanded)
-            reached = reference.miss.max() <= WAY_TOLERANCE
-            reached &= reference.miss[-1] <= REACH_TOLERANCE
-            if reached and max(shares.values()) <= share + ROUNDING:
+            if _is_reached(reference) and max(shares.values()) <= share + ROUNDING:
                 within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
@@ -121,6 +119,11 @@ def retimed(
     if not within:
         raise InputError(_refusal(course, demanded, reference, share))
     return min(within, key=lambda timing: timing.cycle)
+
+
+def _is_reached(reference: JointReference) -> bool:
+    miss = reference.miss
+    return bool(miss.max() <= WAY_TOLERANCE and miss[-1] <= REACH_TOLERANCE)
 
 
 def _corrected(
