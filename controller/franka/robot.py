@@ -7,6 +7,7 @@ to do.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -44,6 +45,7 @@ from .wire import (
 
 REST: Final = 5e-3  # [rad/s] below which a joint is at rest
 MOST_BRAKING: Final = 1000  # ticks in which the arm comes to rest
+READING: Final = 0.01  # [s] that a program on another machine has for a state
 LOOK: Final = 0.0002  # [s] between two looks at whether a program has read a state
 PAUSE: Final = 0.001  # [s] between two states without a motion
 SLICE: Final = 0.1  # [s] of waiting for a command
@@ -225,6 +227,7 @@ class Robot:
             self._send_state()
             due = int(self._state["message_id"])
             if self._is_opening:  # the program reads a first state before that which it answers
+                time.sleep(READING)
                 while self._move and not self._service.is_read:
                     self._line.serve(LOOK)
                 self._send_state()

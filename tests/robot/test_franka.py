@@ -12,7 +12,7 @@ from franka_clients import JOINTS, TICKS, UPWARDS
 from franka_support import MOST_TICKS, Coupled, claimed_address, couple, needs_clients
 from panda_cosim.assets.checks import CHECKS
 from panda_cosim.assets.franka import HOME_Q, ROBOTS
-from panda_cosim.controller.franka import wire
+from panda_cosim.controller.franka import line, wire
 from panda_cosim.controller.franka.description import end_effector
 from panda_cosim.controller.franka.line import Service
 from panda_cosim.controller.franka.motions import MOTIONS, Kinematics
@@ -95,6 +95,12 @@ def test_joints_follow_positions_tick_by_tick() -> None:
 @pytest.mark.parametrize("again", ["joint", "paused"])
 def test_a_repeat_and_a_pause_give_the_same_bits(again: str) -> None:
     np.testing.assert_array_equal(couple(again).rows, after("joint").rows)
+
+
+@needs_clients
+def test_a_program_of_which_the_kernel_tells_nothing_gets_the_same_bits(monkeypatch, tmp_path):
+    monkeypatch.setattr(line, "PACKETS", tmp_path / "none")
+    np.testing.assert_array_equal(couple("joint").rows, after("joint").rows)
 
 
 @needs_clients
