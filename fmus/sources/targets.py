@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 Kind = Literal["auto", "native", "python", "pythonfmu"]
 INSTANCES: Final = ("plant", "controller")
 ONLY_PYTHON: Final = ("sensors", "franka")
+HOSTED: Final = ("franka",)  # not by PythonFMU, whose wrapper does not end a simulation
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Target:
         """Kind of one of the project's own FMUs; some run Python code in any."""
         if name == "franka":  # PythonFMU's wrapper cannot end the simulation
             return "python"
-        if self.kind in ("python", "pythonfmu"):
+        if self.kind in ("python", "pythonfmu") and name not in HOSTED:
             return self.kind
         is_python = name in ONLY_PYTHON or (self.kind == "auto" and changed(name))
         return "python" if is_python else "native"

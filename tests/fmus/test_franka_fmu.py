@@ -165,3 +165,9 @@ def test_a_step_timeout_ends_the_wait_for_a_program(address):
         pytest.raises(SimulationError, match="no answer for 1 s"),
     ):
         run(opened)
+
+
+def test_pythonfmu_s_wrapper_does_not_hold_it():
+    assert Target("pythonfmu").kind_of("franka") == "python"
+    fmu = read_fmu(build(["franka"], Target("pythonfmu"))["franka"])
+    assert (fmu.code, fmu.in_python) == ("python", False)
