@@ -19,7 +19,6 @@ from typing import Any, Final
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.tables import INTERFACES
-from ..fmus.sources.written_class import file_of
 from .fields import Line, check_keys, field_names
 from .input_table import InputTable
 from .mismatch import Mismatch, default_of
@@ -81,7 +80,11 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
 
 def _from_here(key: str, given: object) -> str:
     """A part, relative to the working directory, or a class; a word names one of our own."""
-    text: str = Line().check(key, file_of(given) if isinstance(given, type) else given)
+    if isinstance(given, type):
+        from ..fmus.sources.written_class import file_of  # noqa: PLC0415 - few give a class
+
+        given = file_of(given)
+    text: str = Line().check(key, given)
     if "." not in text:
         return text
     file, colon, name = text.rpartition(":")
