@@ -147,6 +147,8 @@ REFUSED: dict[str, tuple[str, int, Callable[[int], float], int]] = {
     "end of range": ("JointVelocities", 3, lambda tick: -2.0 * min(tick, 500) * 1e-3, 3000),
     "end": ("JointVelocities", 0, lambda tick: 4.0 * tick * 1e-3, 200),
     "torque": ("Torques", 0, lambda tick: 5.0 * (tick == 100), 3000),
+    "spin": ("Torques", 6, lambda tick: min(0.5 * tick, 5.0), 3000),
+    "more than a motor has": ("Torques", 6, lambda tick: 0.9 * tick, 3000),
     "jump of a pose": ("CartesianPose", 14, lambda tick: 1e-3 * (tick == 100), 3000),
     "start of poses": ("CartesianPose", 14, lambda tick: 0.01, 3000),
     "turn": ("CartesianVelocities", 5, lambda tick: 8.0 * tick * 1e-3, 3000),

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 
 from fmu_instance import DISCARD, ERROR, OK, Instance, unpacked
 from franka_support import PLANT as PARAMETERS
@@ -65,6 +66,7 @@ def test_it_listens_once_initialization_has_ended(address, fmi):
 
 def test_it_has_no_states_and_says_so(address, fmi):
     description = read_fmu(build(["franka"], Target(fmi=fmi))["franka"])
+    assert validate_fmu(str(description.path)) == []
     with pytest.raises(InputError, match="cannot restore its state"):
         description.check_restorable("an analysis")
     it = initialized(address, fmi)
