@@ -26,8 +26,9 @@ def file_of(given: type) -> str:
         InputError: Its source is not there, or it uses something that cannot be written.
     """
     name, module = given.__name__, sys.modules[given.__module__]
-    if given.__module__ != "__main__" and given.__qualname__ == name and module.__file__:
-        return f"{module.__file__}:{name}"
+    file = getattr(module, "__file__", None)
+    if given.__module__ != "__main__" and given.__qualname__ == name and file:
+        return f"{file}:{name}"
     texts: dict[str, str] = {}
     _add(name, vars(module) | {name: given}, given.__module__, texts)
     text = "\n\n".join(["from __future__ import annotations", *texts.values()]) + "\n"
@@ -40,7 +41,7 @@ def _add(name: str, scope: Mapping[str, Any], module: str, texts: dict[str, str]
     value, texts[name] = scope[name], ""  # so that a circle ends
     if inspect.ismodule(value):
         text = f"import {value.__name__} as {name}"
-    elif getattr(value, "__module__", module) != module:
+    elif hasattr(value, "__name__") and value.__module__ != module:
         text = f"from {value.__module__} import {value.__name__} as {name}"
     elif isinstance(value, type | FunctionType):
         text = _source(value)

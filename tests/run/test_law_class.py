@@ -2,6 +2,7 @@
 
 import json
 import sys
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -93,12 +94,21 @@ def test_a_class_of_a_file_is_used_in_its_file(tmp_path, monkeypatch):
     assert changed.fmus["controller"] == f"{(tmp_path / 'laws_of_mine.py').resolve()}:Law"
 
 
-def test_what_a_class_uses_and_cannot_be_written_is_named():
+@pytest.mark.parametrize("value", [object(), Decimal(1), [Decimal(1)], lambda: 1])
+def test_what_a_class_uses_and_cannot_be_written_is_named(monkeypatch, value):
     class Law:
         def update(self, time, qpos):
             return HANDLE, qpos
 
-    assert "uses HANDLE of type object; must be a number" in refused(file_of, Law)
+    monkeypatch.setitem(globals(), "HANDLE", value)
+    kind = type(value).__name__
+    said = refused(file_of, Law)
+    assert f"uses HANDLE of type {kind}; must be a number" in said or "source of <lambda>" in said
+
+
+def test_a_class_without_source_is_refused():
+    said = refused(load_scenario("push").changed, {"fmus.controller": int})
+    assert said == "fmus.controller: the source of int is not known; must be in a file"
 
 
 def test_files_that_a_law_names_are_packed_and_no_others(tmp_path):
