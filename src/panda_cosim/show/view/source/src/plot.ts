@@ -17,16 +17,25 @@ export function label(value: number, step: number): string {
   return text.replaceAll("-", "−");
 }
 
-/** Return both axes, with their units, in colours that may change from one drawing to the next. */
-export function axes(colour: () => string, grid: () => string, size: number, unit = "", beside = ""): [uPlot.Axis, uPlot.Axis] {
+/** Return both axes in colours that may change from one drawing to the next; `unit` is that of the one below. */
+export function axes(colour: () => string, grid: () => string, size: number, unit: string): [uPlot.Axis, uPlot.Axis] {
   const common: uPlot.Axis = { stroke: colour, font: "11px system-ui, sans-serif", ticks: { show: false }, grid: { stroke: grid, width: 1 } };
   const values = (after: string): uPlot.Axis.DynamicValues => (_, ticks, __, ___, step) => ticks.map((tick) => label(tick, step) + after);
-  const last = (after: string): uPlot.Axis.DynamicValues => (_, ticks, __, ___, step) =>
-    ticks.map((tick, index) => (after && index === ticks.length - 1 ? after : label(tick, step))); // the unit instead of the topmost number
   return [
-    { ...common, size: 24, gap: 4, values: values(unit && ` ${unit}`) },
-    { ...common, size, gap: 5, values: last(beside) },
+    { ...common, size: 24, gap: 4, values: values(` ${unit}`) },
+    { ...common, size, gap: 5, values: values("") },
   ];
+}
+
+/** Write what the axis beside a plot shows, its unit for instance, into the corner of the plot. */
+export function write({ ctx, bbox: { left, top } }: uPlot, words: string, colour: string): void {
+  ctx.save();
+  ctx.fillStyle = colour;
+  ctx.font = `${11 * uPlot.pxRatio}px system-ui, sans-serif`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "top";
+  ctx.fillText(words, left + 5 * uPlot.pxRatio, top + 4 * uPlot.pxRatio);
+  ctx.restore();
 }
 
 /** uPlot hears the mouse alone; let a finger that moves along a plot act as one. */

@@ -2,7 +2,7 @@
 import uPlot from "uplot";
 import { button, make } from "../dom.ts";
 import { listen } from "../keys.ts";
-import { axes, gap, hearTouch } from "../plot.ts";
+import { axes, gap, hearTouch, write } from "../plot.ts";
 import type { Curve } from "./curve.ts";
 import { editor } from "./edit.ts";
 
@@ -188,12 +188,8 @@ export class Figure {
     ctx.moveTo(x(worst), top);
     ctx.lineTo(x(worst), top + height);
     ctx.stroke();
-    ctx.fillStyle = ink.getPropertyValue("--muted");
-    ctx.font = `${11 * uPlot.pxRatio}px system-ui, sans-serif`;
-    ctx.textAlign = "left";
-    ctx.textBaseline = "top";
-    ctx.fillText(words, left + 5 * uPlot.pxRatio, top + 4 * uPlot.pxRatio);
     ctx.restore();
+    write(plot, words, ink.getPropertyValue("--muted"));
   }
 }
 

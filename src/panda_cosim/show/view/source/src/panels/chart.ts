@@ -5,7 +5,7 @@ import type { RunSource, Series } from "../data/source.ts";
 import type { Clock } from "../clock.ts";
 import { PALETTE } from "../colours.ts";
 import { button, hint, icon, legible, make, number } from "../dom.ts";
-import { axes, gap, hearTouch } from "../plot.ts";
+import { axes, gap, hearTouch, write } from "../plot.ts";
 
 const HEIGHT = 132; // [px]
 const CROSS = "M6 6l12 12M18 6L6 18";
@@ -41,7 +41,7 @@ export class Chart {
     private readonly links: ChartLinks,
   ) {
     this.unit = links.run.unit(columns[0]);
-    const head = make("h3", "", make("bdi", "", title), make("span", "pv-unit", this.unit === "1" ? "" : this.unit));
+    const head = make("h3", "", make("bdi", "", title), make("span", "pv-unit", this.shownUnit));
     const close = button(`Remove ${title}`, "pv-close", () => links.removed(this), icon(CROSS));
     this.element = make("section", "pv-chart", make("div", "pv-chart-head", head, close), this.plotPlace);
     this.element.dataset.title = title;
@@ -54,6 +54,10 @@ export class Chart {
       event.stopPropagation();
       this.zoomed(event);
     });
+  }
+
+  private get shownUnit(): string {
+    return this.unit === "1" ? "" : legible(this.unit);
   }
 
   /** Decode the curves and draw them. */
@@ -89,7 +93,7 @@ export class Chart {
   /** Say the curves and their values, for those who hear the page. */
   private name(): void {
     const readings = this.curves.map(({ column, reading }) => `${column} ${reading.textContent}`).join(", ");
-    const unit = this.unit && this.unit !== "1" ? ` in ${this.unit}` : "";
+    const unit = this.shownUnit && ` in ${this.shownUnit}`;
     this.plotPlace.setAttribute("aria-label", legible(`${this.title}${unit} at ${this.links.clock.time.toFixed(3)} s: ${readings}`));
   }
 
@@ -170,8 +174,8 @@ export class Chart {
       scales: { x: { time: false, range: ({ data: [times] }, low, high) => (times.length > 1 ? [low, high] : [times[0], times[0] + 1]) } }, // 1 s before a run begins
       series: [{}, ...own, ...other],
       cursor: { sync: { key: "panda-view" }, drag: { x: true, y: false }, points: { size: 6 } },
-      axes: axes(ink("--pv-muted"), ink("--pv-grid"), 48, "s", this.unit === "1" ? "" : this.unit),
-      hooks: { setScale: [(plot, key) => this.scaled(plot, key)], draw: [(plot) => this.drawBounds(plot)] },
+      axes: axes(ink("--pv-muted"), ink("--pv-grid"), 48, "s"),
+      hooks: { setScale: [(plot, key) => this.scaled(plot, key)], draw: [(plot) => this.drawBounds(plot), (plot) => write(plot, this.shownUnit, ink("--pv-muted")())] },
     };
   }
 
