@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby, product
@@ -65,20 +65,13 @@ class Scalar:
 
     def checked(self, place: str, value: object) -> Value:
         """Return a value in this scalar's type; of an enumeration, the name of a choice."""
-        kind, choices = self.variable.kind, self.variable.choices
-        if kind == "Boolean":
-            if value not in (False, True):
-                refuse(place, value, "must be true or false")
-            return bool(value)
-        if kind == "Binary":
-            if not (isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A)):
-                refuse(place, value, "must be text of hexadecimal digits")
-            return value
-        if kind in ("String", "Enumeration"):
-            if not isinstance(value, str) or (choices and value not in choices):
-                must = f"one of {', '.join(choices)}" if choices else "text in quotes"
-                refuse(place, value, f"must be {must}", choices)
-            return value
+        match self.variable.kind:
+            case "Boolean":
+                return _checked_boolean(place, value)
+            case "Binary":
+                return _checked_digits(place, value)
+            case "String" | "Enumeration":
+                return _checked_text(place, value, self.variable.choices)
         return self._checked_number(place, value)
 
     def _checked_number(self, place: str, value: object) -> float:
@@ -334,6 +327,25 @@ class Interface:
         # By their addresses, too, such as `lift.pos`; these may be of variables without a shape.
         addressed = {address(s.description): s for s in self._scalars if s.variable.details}
         return addressed | {s.name: s for s in self._scalars if s.variable.shape}
+
+
+def _checked_boolean(place: str, value: object) -> bool:
+    if value not in (False, True):
+        refuse(place, value, "must be true or false")
+    return bool(value)
+
+
+def _checked_digits(place: str, value: object) -> str:
+    if not (isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A)):
+        refuse(place, value, "must be text of hexadecimal digits")
+    return value
+
+
+def _checked_text(place: str, value: object, choices: Collection[str]) -> str:
+    if not isinstance(value, str) or (choices and value not in choices):
+        must = f"one of {', '.join(choices)}" if choices else "text in quotes"
+        refuse(place, value, f"must be {must}", choices)
+    return value
 
 
 def check_elements(place: str, count: int) -> None:
