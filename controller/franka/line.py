@@ -44,7 +44,8 @@ class Service:
         try:
             self._listener = socket.create_server((address, port))
         except OSError as error:
-            raise ProgramError(f"{protocol.name}: cannot listen on {self.place}: {error}") from None
+            why = str(error.strerror).partition(" (")[0]  # which names the address again
+            raise ProgramError(f"{protocol.name}: cannot listen on {self.place}: {why}") from None
         self.udp = socket.socket(type=socket.SOCK_DGRAM)
         self.udp.bind((address, 0))
         self.udp.setblocking(False)
