@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 from ..fmus.atomic import cache_folder, held
 from ..fmus.errors import SimulationEndedError, SimulationError, one_line, printable
@@ -56,8 +56,8 @@ def _is_free(place: tuple[str, int]) -> bool:
 class Client:
     """The program of a scenario, from when its FMUs are open to the end of the run.
 
-    `Execution.open` starts one; it is a context manager, which ends the program with all that it
-    has started. What it prints is passed on if it `tells`, and its last lines explain a failure.
+    `Execution.open` starts one. What the program prints is passed on if it `tells`, and its last
+    lines explain a failure.
     """
 
     def __init__(self, prepared: Prepared, *, tells: bool = True) -> None:
@@ -69,12 +69,8 @@ class Client:
         self.left = False  # whether its end has ended the run, where no FMU listens
         self._program = Program(words, folder, _tell if tells else lambda _: None)
 
-    def __enter__(self) -> Self:
-        """Return it."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End it."""
+    def end(self) -> None:
+        """End the program with all that it has started."""
         self._program.end()
 
     @property

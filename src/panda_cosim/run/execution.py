@@ -134,7 +134,8 @@ class Execution:
                 if prepared.listening:  # a program gives up soon if it waits for an import here
                     import_module("pyarrow.parquet")
                 if self.scenario.client:
-                    self._client = stack.enter_context(Client(prepared, tells=self._writes))
+                    self._client = Client(prepared, tells=self._writes)
+                    stack.callback(self._client.end)
             self._stack = stack.pop_all()
         return self
 

@@ -66,11 +66,9 @@ class Prepared:
     @property
     def waiting(self) -> list[str]:
         """Say which FMUs wait for a program that somebody is to start, and where."""
-        places = self.listening.items() if self.scenario.client is None else ()
-        return [
-            f"{name} waits for a program at {address}, port {port}; Ctrl-C ends the run"
-            for name, (address, port) in places
-        ]
+        text = "{0} waits for a program at {1}, port {2}; Ctrl-C ends the run"
+        places = {} if self.scenario.client else self.listening
+        return [text.format(name, *place) for name, place in places.items()]
 
     @property
     def notes(self) -> list[str]:

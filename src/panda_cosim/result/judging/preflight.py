@@ -55,6 +55,8 @@ Q, QD, FORCE, BIAS, JAC = (
 )
 MEASURED: Final = (Q, QD, FORCE, BIAS, JAC)
 SENSED: Final = "sensors.qpos_measured"
+MODE: Final = "controller.controller_mode"  # of FrankaInterface; in others, the robot makes torques
+TORQUES: Final = 2.0  # the program commands torques
 REGULAR: Final = 1e-12  # [m^2] keeps J J^T regular where the arm is singular
 
 
@@ -161,6 +163,8 @@ class _Arm:
         commanded[begins], needed[begins] = 0.0, 0.0
         rate: Array = np.diff(commanded, axis=0, prepend=self._torque[None]) / STEP_SIZE
         self._torque = commanded[-1]
+        if MODE in signals:
+            rate[signals[MODE][-count:] != TORQUES] = 0.0
         yield torque_rate_measure(rate, limits)
         external = needed
         for row in range(count):
@@ -212,7 +216,7 @@ def _windows(recording: Recording, reference: str) -> Iterator[tuple[Array, dict
 
     Before the first row, the robot stands still.
     """
-    names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED) if n in recording]
+    names = [n for n in (reference, *COMMAND, *HAND, *MEASURED, SENSED, MODE) if n in recording]
     is_late = recording.metadata.get("coupling") == "jacobi" and reference in names
     kept: list[Array] = []
     for time, *block in recording.in_blocks("time", *names):

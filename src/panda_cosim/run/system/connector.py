@@ -81,6 +81,9 @@ class Connector:
         to_part, fed = self._end(target, "input")
         from_part, giving = self._end(source, "output")
         self.check(source, giving, target, fed, "[connect] ", converts=bool(asked))
+        for name in fed.names():
+            if (to_part, name) in self._fed:
+                raise InputError(f"[connect] {to_part}.{name}: is fed twice")
         self._connect(from_part, giving, to_part, fed, converts=bool(asked))
 
     def connect_torques(self) -> None:
@@ -105,9 +108,9 @@ class Connector:
         for name in names:
             if name in inputs and not self.is_fed("controller", name):
                 measured = self.parts["sensors"].interface.variable(measurement_of(name))
-                ends = [(inputs[name].name, measured.name)]
-                if measured.size < inputs[name].size:  # the rest, such as fingers, is not measured
-                    ends = list(zip(inputs[name].names(), measured.names(), strict=False))
+                whole, ends = inputs[name], [(name, measured.name)]
+                if measured.size < whole.size:  # the rest, such as fingers, is not measured
+                    ends = list(zip(whole.names(), measured.names(), strict=False))
                 for fed, giving in ends:
                     self.connect(f"controller.{fed}", f"sensors.{giving}")
 
@@ -138,7 +141,7 @@ class Connector:
         if is_of_arm and measures_a_panda(self.parts[source].interface):
             giving = replace(giving, shape=variable.shape, unit=giving.units[: variable.size])
         self.check(f"{source}.{giving.name}", giving, target, variable)
-        self._connect(source, giving, part.name, variable, is_rest=True)
+        self._connect(source, giving, part.name, variable)
 
     def check(  # noqa: PLR0913 - two ends, each with its name
         self,
@@ -190,24 +193,15 @@ class Connector:
                 f"{', '.join(outputs) or 'none'}"
             )
 
-    def _connect(  # noqa: PLR0913 - two ends, each with its name
-        self,
-        source: str,
-        giving: Variable,
-        target: str,
-        fed: Variable,
-        *,
-        converts: bool = False,
-        is_rest: bool = False,
+    def _connect(
+        self, source: str, giving: Variable, target: str, fed: Variable, *, converts: bool = False
     ) -> None:
-        """Connect two ends; of `is_rest`, elements that are not fed yet."""
+        """Connect the elements of two ends, but those that are fed already."""
         for one, other in zip(giving.names(), fed.names(), strict=True):
             ends = (source, one), (target, other)
             if ends[1] not in self._fed:
                 self._fed.add(ends[1])
                 self.connections.append(Connection(*ends, converts_types=converts))
-            elif not is_rest:
-                raise InputError(f"[connect] {target}.{other}: is fed twice")
 
     def _end(self, text: str, causality: str) -> tuple[str, Variable]:
         """Find one end of a connection: a variable, or an element of one."""
