@@ -31,13 +31,7 @@ _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(enc
 OBJECTS: Final[Mapping[str, str]] = _TABLES["objects"]
 CONTACTS: Final[Mapping[str, str]] = _TABLES["contacts"]
 SCALED: Final[Mapping[str, str]] = _TABLES["scaled"]
-# Properties of objects that may be changed, as MuJoCo's Python names them. MuJoCo derives nothing
-# from them while it compiles.
-CHANGEABLE: Final = (
-    ("joint", "damping"), ("joint", "armature"), ("joint", "frictionloss"), ("geom", "friction"),
-    ("actuator", "gain"), ("actuator", "bias"),
-    ("equality", "solref"), ("equality", "solimp"), ("equality", "data"),
-)  # fmt: skip
+CHANGEABLE: Final[Sequence[tuple[str, str]]] = _TABLES["changeable"]
 FIRST_OF: Final = {"gain": ("gainprm", 1), "bias": ("biasprm", 3)}  # by length and by velocity, too
 # Computed by the acceleration stage: these belong to the last step, not to the new instant.
 HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")

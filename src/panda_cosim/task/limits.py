@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,17 +15,8 @@ from ..assets import franka
 
 Array = NDArray[np.float64]
 
-# Names of the metrics under `limits` in summary.json.
-METRICS: Final = {
-    "position_share": "joint position",
-    "velocity_share": "joint velocity",
-    "torque_share": "joint torque",
-    "torque_rate_share": "torque rate",
-    "finger_speed_share": "finger speed",
-    "reference_velocity_share": "joint-reference velocity",
-    "reference_acceleration_share": "joint-reference acceleration",
-    "reference_jerk_share": "joint-reference jerk",
-}
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+METRICS: Final[Mapping[str, str]] = _TABLES["metrics"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,10 @@ stop and is therefore slowed down from end to end. Rows that keep the limits kee
 from __future__ import annotations
 
 import math
+import tomllib
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -33,17 +36,8 @@ from .reference import JointReference, joint_reference
 
 Array = NDArray[np.float64]
 
-# Order in which a quantity falls with a segment's duration: v ~ 1/T, a ~ 1/T^2, j ~ 1/T^3. Near
-# singularities the hand's lag falls more slowly than its speed, and of the torque gravity's part
-# does not fall at all: those take a few more rounds.
-ORDERS: Final = {
-    "velocity": 1.0,
-    "acceleration": 2.0,
-    "jerk": 3.0,
-    "torque": 1.0,
-    "torque rate": 3.0,
-    "reach": 0.7,
-}
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+ORDERS: Final[Mapping[str, float]] = _TABLES["orders"]
 # What is still there after a round comes from a kink of the joint path, as where damping sets in:
 # the acceleration jumps there, so that jerk and torque rate fall with 1/T^2 only.
 KINK_ORDER: Final = 2.0
