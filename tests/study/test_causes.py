@@ -73,6 +73,8 @@ def test_parameters_come_first_and_versions_before_code():
     places = [told.index(word) for word in words]
     assert places == sorted(places)
     assert "FMU 'ball'" not in told  # its model says what it is
+    law = cause(BALL, BALL, fmus=({"law": {"sha256": "a"}}, {"law": {"sha256": "b"}}))
+    assert law == "the code or files of FMU 'law'"
 
 
 def test_another_engine_alone_is_the_cause_of_another_compiled_model():
