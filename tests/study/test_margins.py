@@ -227,12 +227,11 @@ def with_filters(made: Loops, filters: Any) -> bool:
 @given(loops())
 def test_filters_on_both_sides_of_each_margin_confirm_it_and_refute_a_wrong_one(made):
     margins = judge(responses_of(made, np.ones((made.b.shape[1], len(made.a)))), "jacobi")
-    each = {loop.input: loop for loop in margins.loops}
 
     def bears(filters: Any) -> bool:
         return with_filters(made, filters)
 
-    found = confirm(margins, each, made.sensitivity, bears)
+    found = confirm(margins, made.sensitivity, bears)
     assert all(c.stable_within for c in found), found
     # A longer delay may make loops stable again.
     assert not any(c.stable_beyond for c in found if c.margin != "delay_margin_ms"), found
@@ -240,7 +239,7 @@ def test_filters_on_both_sides_of_each_margin_confirm_it_and_refute_a_wrong_one(
     assert finite <= {c.margin for c in found if not c.input}
     wrong = replace(margins, gain_up_db=2.0 * margins.gain_up_db)
     if math.isfinite(wrong.gain_up_db):
-        first = confirm(wrong, each, made.sensitivity, bears)[0]
+        first = confirm(wrong, made.sensitivity, bears)[0]
         assert (first.margin, first.verdict) == ("gain_up_db", "refuted")
 
 

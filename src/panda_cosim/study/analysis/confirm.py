@@ -8,16 +8,20 @@ edge at the worst frequency. Nothing here assumes that the loops are linear.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...fmus.master.wiring import Array
 from .responses import Filters
 from .sensitivity import Limits, Sensitivity, crossings, disk_margin
+
+if TYPE_CHECKING:
+    from .margins import Margins
 
 NEAR: Final = (0.05, 0.2, 0.4)  # shares of a margin: the first at which a run is decided
 LONGEST: Final = 400  # periods of a delay that is run
@@ -25,6 +29,7 @@ REFUTED: Final = "refuted"
 WHOLE: Final = 1.4  # size of a disk; from 2 on, gains of 0 and infinity are within it
 REAL: Final = 1e-6  # sine of a phase that is 0 or 180 deg
 
+Which = NDArray[np.bool_]  # of the loops change
 Bears = Callable[[Filters], bool | None]  # whether the loops are stable; None: not decided
 # A margin, its value, whole steps of what is run or 0, and the filters of a change.
 Side = tuple[str, float, float, Callable[[float], Filters]]
@@ -35,8 +40,8 @@ class Confirmation:
     """A margin, and what runs on both sides of it came to."""
 
     margin: str  # its key
-    input: str  # of the loop that changes alone; "": all
     value: float  # as in the margins
+    input: str  # of the loop that changes alone; "": all
     within: float  # the change that was run, in the same unit
     stable_within: bool | None  # None: not decided
     beyond: float
@@ -50,33 +55,27 @@ class Confirmation:
         return "confirmed" if self.stable_within and self.stable_beyond is not None else "open"
 
 
-def confirm(
-    margins: Limits, loops: Mapping[str, Limits], sensitivity: Sensitivity, bears: Bears
-) -> tuple[Confirmation, ...]:
+def confirm(margins: Margins, sensitivity: Sensitivity, bears: Bears) -> tuple[Confirmation, ...]:
     """Run with changes on both sides of each margin.
 
     Args:
-        margins: Of all loops.
-        loops: Of each loop, by its input.
+        margins: Of all loops, and of each.
         sensitivity: Of all loops.
         bears: Runs with a filter in each loop, and tells whether they are stable.
     """
-    size, omega, phases = disk_margin(sensitivity)
-    edge = partial(_disk, omega * sensitivity.period, phases)
-    disk: list[Side] = [("disk_margin", size, 0.0, edge)] if size < WHOLE else []
-    sides = [("", np.ones(len(loops), bool), [*_sides(margins, sensitivity), *disk])]
-    for i, (name, limits) in enumerate(loops.items()):
-        alone = np.arange(len(loops)) == i
-        sides.append((name, alone, [*_sides(limits, sensitivity.loop(i))]))
-    found = []
-    for name, changed, each in sides:
-        for side in each:
-            within, beyond = (_run(bears, changed, side, sign) for sign in (-1.0, 1.0))
-            found.append(Confirmation(side[0], name, side[1], *within, *beyond))
-    return tuple(found)
+    numbers = np.arange(len(margins.loops))
+    parts: list[tuple[str, Limits, Sensitivity, Which]] = [
+        ("", margins, sensitivity, numbers >= 0),
+        *((e.input, e, sensitivity.loop(i), numbers == i) for i, e in enumerate(margins.loops)),
+    ]
+    return tuple(
+        Confirmation(*side[:2], name, *_run(bears, which, side, -1), *_run(bears, which, side, 1))
+        for name, limits, part, which in parts
+        for side in _sides(limits, part)
+    )
 
 
-def _run(bears: Bears, changed: Array, side: Side, sign: float) -> tuple[float, bool | None]:
+def _run(bears: Bears, changed: Which, side: Side, sign: float) -> tuple[float, bool | None]:
     """Run with less or more than a margin: as near to it as this is decided; returns the change."""
     _, value, step, filters = side
     for near in NEAR:
@@ -90,8 +89,7 @@ def _run(bears: Bears, changed: Array, side: Side, sign: float) -> tuple[float, 
 def _sides(limits: Limits, sensitivity: Sensitivity) -> Iterator[Side]:
     """The margins of loops that change alike, as far as a filter can reach them."""
     period, (omega, angles) = 1e3 * sensitivity.period, crossings(sensitivity)
-    gains = (("gain_up_db", 1.0), ("gain_down_db", -1.0))
-    for key, sign in gains:
+    for key, sign in (("gain_up_db", 1.0), ("gain_down_db", -1.0)):
         if math.isfinite(getattr(limits, key)):
             yield key, getattr(limits, key), 0.0, partial(_gain, sign)
     is_bound = (sensitivity.eigenvalues[-1].real > 0.5).all()  # a gain below 1 at Nyquist's
@@ -100,6 +98,9 @@ def _sides(limits: Limits, sensitivity: Sensitivity) -> Iterator[Side]:
     if angles.size == 1 and angles[0] > 0.0:  # an all-pass lags, and more at higher frequencies
         all_pass = partial(_phase, float(omega[0]) * sensitivity.period)
         yield "phase_margin_deg", limits.phase_margin_deg, 0.0, all_pass
+    if getattr(limits, "disk_margin", math.inf) < WHOLE:  # that of all loops
+        size, worst, phases = disk_margin(sensitivity)
+        yield "disk_margin", size, 0.0, partial(_disk, worst * sensitivity.period, phases)
 
 
 def _share(value: float, step: float, share: float) -> float:
@@ -109,7 +110,7 @@ def _share(value: float, step: float, share: float) -> float:
     return step * (math.floor if share < 1.0 else math.ceil)(share * value / step)
 
 
-def _only(filters: Filters, changed: Array) -> Filters:
+def _only(filters: Filters, changed: Which) -> Filters:
     """Return filters (taps, n) in the loops that change, and none in the others."""
     b, a = (np.where(changed, each, 0.0) for each in filters)
     b[0], a[0] = (np.where(changed, each[0], 1.0) for each in filters)

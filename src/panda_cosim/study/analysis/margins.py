@@ -353,10 +353,8 @@ def analyze(
     with opened(prepared, inputs, tick, loop) as measurement:
         responses = measurement.responses()
         margins = judge(responses, prepared.scenario.coupling)
-        confirmed: tuple[Confirmation, ...] = ()
-        if verify and margins.loops:
-            loops = {each.input: each for each in margins.loops}
-            confirmed = confirm(margins, loops, responses.sensitivity, measurement.bears)
+        wanted = verify and margins.stable
+        confirmed = confirm(margins, responses.sensitivity, measurement.bears) if wanted else ()
     connections = prepared.assembly.system.connections
     fed_by = {".".join(c.target): c.source[0] for c in connections}[responses.inputs[0]]
     return Analysis(

@@ -6,6 +6,7 @@ What the responses need beside these is identified, and has no meaning.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -46,8 +47,12 @@ def realised(
     with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below
         # Its own sampling time would scale B: it is for responses to pulses of area 1.
         whole, _ = control.eigensys_realization(scaled.transpose(1, 2, 0), order, rows, columns)
-    size, error = _smallest(whole, scaled)
-    a, b, c = whole.A[:size, :size], whole.B[:size], whole.C[:, :size] * peaks[:, None]
+    errors: list[float] = []  # by order
+    while len(errors) <= order and min(errors, default=math.inf) > FIT:
+        errors.append(_misfit(*_first(whole, len(errors)), scaled))
+    size = int(np.argmin(errors))
+    a, b, c = _first(whole, size)
+    c = c * peaks[:, None]
     period, inputs, outputs, name = about
     states = _independent(c, physical)
     names = [outputs[i] for i in states]
@@ -56,19 +61,11 @@ def realised(
     basis[: len(states)] = c[states]
     inverse = np.linalg.inv(basis)
     matrices = basis @ a @ inverse, basis @ b, c @ inverse, pulses[0]
-    return system(*matrices, period, inputs, outputs, name, names), error
+    return system(*matrices, period, inputs, outputs, name, names), errors[size]
 
 
-def _smallest(whole: control.StateSpace, pulses: Array) -> tuple[int, float]:
-    """Order from which a model of balanced states gives the responses, or the best, and error."""
-    best, error = 0, np.inf
-    for size in range(len(whole.A) + 1):
-        misfit = _misfit(whole.A[:size, :size], whole.B[:size], whole.C[:, :size], pulses)
-        if misfit < error:
-            best, error = size, misfit
-        if error <= FIT:
-            break
-    return best, error
+def _first(balanced: control.StateSpace, states: int) -> tuple[Array, Array, Array]:
+    return balanced.A[:states, :states], balanced.B[:states], balanced.C[:, :states]
 
 
 def _misfit(a: Array, b: Array, c: Array, pulses: Array) -> float:
