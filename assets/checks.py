@@ -50,7 +50,7 @@ def refusals(measures: Iterable[Measure]) -> list[str]:
     names = [
         CHECKS[key].error
         for key, values, bounds, _ in measures
-        if (np.abs(values) >= AT_LIMIT * bounds).any()
+        if not (np.abs(values) < AT_LIMIT * bounds).all()  # nor are they numbers at all
     ]
     return [*dict.fromkeys(names)]
 

@@ -198,6 +198,14 @@ def test_joint_motions_are_refused_in_the_tick_that_the_limits_say(seed: int, si
     assert np.flatnonzero(found)[:1].tolist() == expected[:1].tolist()
 
 
+@pytest.mark.parametrize("generator", [g for g in wire.Generator if 0 < g < 5])
+def test_what_is_no_number_is_refused(generator: wire.Generator) -> None:
+    start, nothing = np.array(HOME_Q), {"has_elbow": 0}
+    for name, size in (("q_c", 7), ("dq_c", 7), ("O_T_EE_c", 16), ("O_dP_EE_c", 6)):
+        nothing[name] = np.full(size, np.nan)
+    assert MOTIONS[generator](Kinematics(), start, start, generator).errors(nothing)
+
+
 @pytest.mark.parametrize(("angles", "error"), [
     (lambda k: 1e-3 * (k > 5), "cartesian_motion_generator_velocity_discontinuity"),
     (lambda k: 4e-6 * k * k, "cartesian_motion_generator_velocity_limits_violation"),
