@@ -30,7 +30,7 @@ import numpy as np
 from ..errors import CosimError, InputError, SimulationEndedError, SimulationError
 from ..interface.variables import Value
 from ..processes import Child, listen
-from .calls import OK, OnMessage, Spent
+from .calls import OnMessage, Spent
 from .fmu import REALS, FmuSlave
 from .fmu_file import Fmu
 from .kernel import GONE, LATE, STEPPED, Kernel, make_kernel
@@ -279,7 +279,7 @@ class RemoteStep:
             self._remote.heard = 0
             self.slave.told()
 
-    def fail(self, status: int, time: float) -> NoReturn:
+    def fail(self, status: int, time: float) -> None:
         """Raise the error of a step."""
         self.slave.time = time
         if status == LATE:
@@ -287,14 +287,14 @@ class RemoteStep:
         if status == GONE:
             self.slave.fail_gone()
         self.slave.told()
-        self.slave.fail_gone()  # it does not say why
 
-    def ending(self, _time: float, _reached: float) -> SimulationEndedError:
+    def ending(self, time: float, reached: float) -> SimulationEndedError:
         """What says that the FMU has ended the simulation."""
         try:
-            self.fail(OK, _time)
+            self.slave.told()
         except SimulationEndedError as ended:
             return ended
+        return SimulationEndedError("ended", reached=reached, time=time, instance=self.slave.name)
 
 
 def is_shared(block: Shared) -> bool:

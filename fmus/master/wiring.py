@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,22 +200,12 @@ class Moved:
         self.call(0)
 
 
-class Memory(Protocol):
-    """What holds the values of an FMU in another process."""
-
-    def refresh(self) -> None:
-        """Have the FMU's present outputs written there, unless they are."""
-
-    def note(self, put: Shared) -> None:
-        """Have values set before anything else is asked of the FMU."""
-
-
 class Shared:
     """Exchanges rows of a block with an FMU in another process, by memory that both have."""
 
     name = "exchange"
 
-    def __init__(self, slave: Memory, index: int, block: Array, memory: Array, *, reads: bool):
+    def __init__(self, slave: Any, index: int, block: Array, memory: Array, *, reads: bool) -> None:
         self.slave, self.index, self.block, self.memory = slave, index, block, memory
         self._reads = reads
 
