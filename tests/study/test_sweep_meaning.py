@@ -1,21 +1,29 @@
 """What a sweep's rows are of, what they are compared with, and how they are ranked."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import pyarrow as pa
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
+from bounded import ran
 from forked import command
 from panda_cosim import InputError, Recording, Sweep, load_scenario, sweep
 from panda_cosim.study.sweep.again import promote_row, scenario_of
+from panda_cosim.study.sweep.convergence import convergence
 from panda_cosim.study.sweep.packed import Loaded, identity, pack
 from panda_cosim.study.sweep.store import Store
 from panda_cosim.task.input_table import InputTable
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep
 
+EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
 pytestmark = pytest.mark.usefixtures("forked_workers")
 
 
@@ -147,3 +155,50 @@ def test_a_search_needs_a_margin(tmp_path):
     definition = short_sweep(tmp_path, 2, design="search", scenario=(str(bare),))
     with pytest.raises(InputError, match="no margin to search by: it has no criteria"):
         sweep(definition, tmp_path / "out")
+
+
+# Studies of step sizes.
+
+
+ORDERS, SIZES = st.floats(0.5, 5.0), st.floats(0.2, 5.0)
+
+
+@settings(max_examples=50, deadline=None)
+@given(ORDERS, st.floats(-1.0, 1.0), SIZES, st.permutations([1.0, 0.5, 0.2, 0.1]))
+def test_margins_that_follow_a_power_of_the_step_have_its_order_and_limit(
+    order, limit, size, steps
+):
+    assume(abs(size * 0.1**order) > 1e-6)  # of which rounding is no part
+    columns = {
+        "index": range(4),
+        "step": steps,
+        "margin.a": [limit + size * h**order for h in steps],
+    }
+    content = SimpleNamespace(keys=["step"], nominal={"it": {}}, columns=["margin", "margin.a"])
+    store: Any = SimpleNamespace(content=content, table=pa.table(columns).select)
+    (found,) = convergence(store)
+    assert found.criterion == "a"
+    assert found.finest == limit + size * 0.1**order
+    assert found.order == pytest.approx(order, abs=1e-6)
+    assert found.limit == pytest.approx(limit, abs=1e-6)
+
+
+def test_the_study_of_steps_finds_order_and_limit_of_a_held_force(tmp_path):
+    said = ran(["sh", EXAMPLES / "step_size.sh", tmp_path / "new"], timeout=300).stdout
+    (line,) = (line.split() for line in said.splitlines() if line.startswith("place "))
+    name, finest, order, limit = line[0], *map(float, line[1:])
+    store = Store(tmp_path / "new" / "study")
+    assert name == "place" and finest == pytest.approx(store.row(3)["margin.place"], rel=1e-5)
+    assert order == pytest.approx(1.0, abs=0.05)
+    assert limit == pytest.approx(-math.cos(2.0), abs=1e-4)  # [m] left of the middle
+
+
+def test_steps_of_an_fmu_and_what_else_a_system_states_can_vary(tmp_path):
+    ran(["sh", EXAMPLES / "step_size.sh", tmp_path / "new"], timeout=300)
+    spring, vary = tmp_path / "new" / "spring", ("steps.spring=1,2", "tolerance=0,0.1")
+    done = command("sweep", spring, *(f"--vary={each}" for each in vary), "--out", tmp_path / "out")
+    rows = rows_of(tmp_path / "out")
+    assert done.returncode == 0 and "steps.spring" not in done.stderr
+    assert [row["steps.spring"] for row in rows] == [1.0, 1.0, 2.0, 2.0]
+    assert rows[0]["margin.place"] != rows[2]["margin.place"]
+    assert rows[0]["margin.place"] == rows[1]["margin.place"]

@@ -29,7 +29,7 @@ Values = Mapping[str, ParameterValue | type]
 # Texts and numbers of a scenario that have no key: they say what it is, not how it is.
 _FIXED: Final = ("name", "purpose", "system", "expect", "expect_reason")
 _SECTIONS: Final = ("table.", "push[", "success.", "mismatch.")
-_BY_NAME: Final = ("inputs", "fmus", "plant", "controller")  # sections with names of variables
+_BY_NAME: Final = ("inputs", "fmus", "steps", "plant", "controller")  # sections with names
 _OF_SCENE: Final = ("plant.scene", "plant.robot")  # parameters of our plant that a scenario states
 _WAY: Final = re.compile(r"\w+(\[\d{1,6}\])?(\.\w+(\[\d{1,6}\])?)*", re.A)
 _STEP: Final = re.compile(r"\[(\d+)\]|(\w+)", re.A)
@@ -108,7 +108,7 @@ class _Places:
     def steps(self, key: str) -> Steps:
         """Return the way to a key's place."""
         section, dot, name = key.partition(".")
-        if dot and section in _BY_NAME[:2]:
+        if dot and section in _BY_NAME[:3]:
             return section, name
         if key in _OF_SCENE and self._has_our_plant:
             return (name,)

@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -19,6 +19,7 @@ from ...run.folder import default_folder, keep_scenario, refuse_existing
 from ...run.prepare import prepare
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.sweep.again import promote_row, show_row
+from ...study.sweep.convergence import Convergence, convergence
 from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
 from ...study.sweep.engine import SweepResult, check_sweep
 from ...study.sweep.engine import sweep as run_sweep
@@ -42,6 +43,11 @@ from ..options import (
     announce_build,
 )
 from ..outcome import write_case
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.table import Table
 
 FLIPS = 10  # flipped rows that are shown, of each kind
 
@@ -125,7 +131,8 @@ def command(  # noqa: PLR0913 - one for each option
             write_case(junit, "sweep", name, time.perf_counter() - began, FAILED, str(error))
         raise
     if json:
-        show_json({"folder": done.folder, "counts": done.counts, "min_success": done.gate})
+        about = {"folder": done.folder, "counts": done.counts, "min_success": done.gate}
+        show_json({**about, "convergence": [*convergence(Store(done.folder))]})
     else:
         _show_counts(done, definition)
     if done.gate is not None:
@@ -185,10 +192,23 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
         show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
     if good and (beyond := Store(done.folder).beyond_limits()) is not None:
         show(f"{beyond} of the {good} successes exceeded a limit of the robot")
+    if found := [*convergence(Store(done.folder))]:
+        show(_convergence_table(found))
     if done.gate is not None:
         show(criterion_line(done.gate), "bold green" if done.gate.ok else "bold red")
     show(f"{done.folder}/results/  {total} rows")
     tell(f"Next: panda-cosim sweep report {quote(str(done.folder))}")
+
+
+def _convergence_table(found: Sequence[Convergence]) -> Table:
+    """Return a table with the order of convergence of each criterion's margin."""
+    columns = ("margin", "smallest step", "order", "step 0")
+    numbers = ((each.finest, each.order, each.limit) for each in found)
+    rows = [
+        (as_cell(each.criterion), *("-" if n is None else f"{n:.6g}" for n in row))
+        for each, row in zip(found, numbers, strict=True)
+    ]
+    return table(columns, rows, right=columns[1:])
 
 
 def report(

@@ -166,7 +166,8 @@ def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> b
 
 def _differ(one: Scenario, other: Scenario) -> bool:
     """Tell whether two scenarios differ in start values, inputs or criteria."""
-    own = ("ticks", "coupling", "success", "asked", "mujoco", "input_scale")
+    own = ("ticks", "coupling", "success", "asked", "mujoco", "input_scale", "steps",
+           "tolerance", "order", "not_finite")  # fmt: skip
     if any(getattr(one, name) != getattr(other, name) for name in own):
         return True
     runs = prepare(one), prepare(other)
