@@ -189,7 +189,20 @@ def test_info_names_every_variable(instance):
     told = call("info", instance).stdout
     rows = {line.partition(" ")[0].partition("[")[0] for line in told.splitlines()}
     assert {variable.name for variable in INTERFACES[instance].variables} <= rows
+    assert max(map(len, told.splitlines())) <= 100
     assert "plant.jac[1..6,1..7] controller.jac[1..6,1..7]" in " ".join(told.split())
+
+
+def test_info_filters_variables_and_connections():
+    told = json.loads(call("info", "--filter", "TORQUE", "--json").stdout)
+    for name, fmu in told["fmus"].items():
+        for variable in INTERFACES[name].variables:
+            words = f"{name}.{variable.name} {variable.description}".lower()
+            is_told = variable.name in [each["name"] for each in fmu["variables"]]
+            assert is_told == ("torque" in words), variable.name
+    assert told["fmus"]["plant"]["variables"]
+    everything = json.loads(call("info", "--json").stdout)["connections"]
+    assert told["connections"] == [c for c in everything if "torque" in f"{c}".lower()]
 
 
 def test_a_run_leaves_recording_summary_and_scenario(finished):

@@ -209,6 +209,9 @@ def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path):
 def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_path):
     arm, run = write_arm(tmp_path / "arm"), tmp_path / "run"
     assert any("PythonFMU slave" in d.text for d in check_folder(arm))
+    told = CliRunner().invoke(app, ["info", str(arm)]).stdout
+    assert "a step late" in told
+    assert "FMUs are stepped in the order controller, plant" in told
     for arguments in (
         ["run", str(arm), "--no-video", "--plot", "--isolate", "--out", str(run)],
         ["export", str(run), str(tmp_path / "t.csv")],

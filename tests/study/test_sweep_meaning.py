@@ -188,7 +188,8 @@ def test_the_study_of_steps_finds_order_and_limit_of_a_held_force(tmp_path):
     (line,) = (line.split() for line in said.splitlines() if line.startswith("place "))
     name, finest, order, limit = line[0], *map(float, line[1:])
     store = Store(tmp_path / "new" / "study")
-    assert name == "place" and finest == pytest.approx(store.row(3)["margin.place"], rel=1e-5)
+    assert name == "place"
+    assert finest == pytest.approx(store.row(3)["margin.place"], rel=1e-5)
     assert order == pytest.approx(1.0, abs=0.05)
     assert limit == pytest.approx(-math.cos(2.0), abs=1e-4)  # [m] left of the middle
 
@@ -198,7 +199,8 @@ def test_steps_of_an_fmu_and_what_else_a_system_states_can_vary(tmp_path):
     spring, vary = tmp_path / "new" / "spring", ("steps.spring=1,2", "tolerance=0,0.1")
     done = command("sweep", spring, *(f"--vary={each}" for each in vary), "--out", tmp_path / "out")
     rows = rows_of(tmp_path / "out")
-    assert done.returncode == 0 and "steps.spring" not in done.stderr
+    assert done.returncode == 0
+    assert "steps.spring" not in done.stderr
     assert [row["steps.spring"] for row in rows] == [1.0, 1.0, 2.0, 2.0]
     assert rows[0]["margin.place"] != rows[2]["margin.place"]
     assert rows[0]["margin.place"] == rows[1]["margin.place"]

@@ -63,11 +63,15 @@ def _console(*, stderr: bool) -> Console:
     return console
 
 
-def show(item: str | Table, style: str | None = None) -> None:
-    """Print a result: text without wrapping, or a table; nothing is cut off."""
+def show(item: str | Table, style: str | None = None, *, most: int = WIDEST) -> None:
+    """Print a result: text without wrapping, or a table; nothing is cut off.
+
+    With `most`, text is wrapped, too, and a table as narrow, if what may not wrap is.
+    """
     console = _console(stderr=False)
+    console.width = min(console.width, most)
     if isinstance(item, str):
-        console.print(item, style=style, markup=False, soft_wrap=True)
+        console.print(item, style=style, markup=False, soft_wrap=most == WIDEST)
     else:  # a narrower terminal breaks the lines
         console.width = max(console.width, _least_width(console, item))
         console.print(item)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import compress, groupby
 from operator import attrgetter
 from pathlib import Path
@@ -21,10 +22,11 @@ from ...run.system.assembly import assemble, system_scenario
 from ...run.system.parts import UnreadSlaveError
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ..console import as_cell, show, show_json, table
-from ..forms import argument, flag
+from ..forms import argument, flag, option
 from ..options import JSON, announce_python
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
+WIDTH = 100  # characters of a line
 LATE = "a step late"
 _MANY = 3  # different bounds; more are shown as one range
 
@@ -34,13 +36,16 @@ def command(
         "[plant|controller|sensors|FILE.fmu|FILE.ssp|FOLDER]", None, show_default=False
     ),
     markdown: bool = flag("--markdown"),
+    text: str = option("--filter TEXT", ""),
     json: bool = JSON,
 ) -> None:
     """Show the FMUs' variables and how they are connected.
 
+    Of a scenario's parts in Python, PythonFMU slaves are run to learn their variables.
+
     ```
     panda-cosim info
-    panda-cosim info controller
+    panda-cosim info controller --filter torque
     panda-cosim info Motor.fmu
     panda-cosim info ./my-scenario
     ```
@@ -49,10 +54,13 @@ def command(
         fmu: One of the project's FMUs, any .fmu or .ssp file, or a scenario's folder. Default:
             plant and controller.
         markdown: Print the variables as a Markdown table.
+        text: Show only variables with this text in their names or descriptions.
     """
     interfaces, connections, order, held = _read(fmu)
     faults = known_faults(Path(fmu)) if fmu and fmu.endswith(".fmu") else []
     code = {name: _code(name, interface, Path(fmu or "")) for name, interface in interfaces.items()}
+    if text:
+        interfaces, connections = _filtered(text.lower(), interfaces, connections)
     if json:
         described = _described(interfaces, connections)
         show_json({**described, "code": code, "order": order, "late": held,
@@ -63,7 +71,15 @@ def command(
         show("\n\n".join([*map(variables_markdown, interfaces.values()), *drawing]))
         return
     for name, interface in interfaces.items():
+<<<<<<< HEAD
         _show_fmu(name, interface, code[name])
+=======
+        show(f"{interface.model} (instance {name}): {interface.description}", "bold", most=WIDTH)
+        show(f"What runs in it: {code[name]}{', as it has no twin in C' * (name == 'sensors')}")
+        for variables in _variables_tables(interface):
+            show(variables, most=WIDTH)
+        show("")
+>>>>>>> 25bcc60d (info: 100 columns, a filter, and systems with PythonFMU slaves)
     for fault in faults:
         show(as_cell(fault), "yellow")
     announce_python()
@@ -85,13 +101,19 @@ def _show_connections(connections: Sequence[Connection], held: Sequence[str]) ->
     if connections:
         show("Connections\n", "bold")
         rows = [(s, t, LATE * (f"{s} -> {t}" in held)) for s, t, _ in by_variable(connections)]
+<<<<<<< HEAD
         show(table(("from", "to", ""), (map(as_cell, row) for row in rows)))
+=======
+        show(table(("from", "to", ""), (map(as_cell, row) for row in rows)), most=WIDTH)
+    if len(order) > 1:
+        show(shown(order, []))
+>>>>>>> 25bcc60d (info: 100 columns, a filter, and systems with PythonFMU slaves)
 
 
 def _read(
     name: str | None,
 ) -> tuple[Mapping[str, Interface], Sequence[Connection], list[str], list[str]]:
-    """Return FMUs, connections, order and what is late; files are read, and no code is run."""
+    """Return FMUs, connections, order and what is late; of code, only PythonFMU slaves are run."""
     if name is None:
         order = stepping_order(INTERFACES, CONNECTIONS)
         return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling)
@@ -113,12 +135,22 @@ def _read(
         )
     try:
         assembly = assemble(scenario, run_code=False)
-    except UnreadSlaveError as error:
-        raise InputError(
-            f"{error}; `panda-cosim build --slave FILE.py:CLASS` makes an FMU that can be shown"
-        ) from None
+    except UnreadSlaveError:  # its variables are only known when it is run
+        assembly = assemble(scenario)
     order, held = [*assembly.interfaces], assembly.late(scenario.coupling)
     return assembly.interfaces, assembly.connections, order, held
+
+
+def _filtered(
+    text: str, interfaces: Mapping[str, Interface], connections: Sequence[Connection]
+) -> tuple[dict[str, Interface], list[Connection]]:
+    """Return the variables with a text in name or description, and connections with it in names."""
+    shown = {}
+    for name, interface in interfaces.items():
+        named = ((v, f"{name}.{v.name} {v.description}".lower()) for v in interface.variables)
+        shown[name] = replace(interface, variables=tuple(v for v, words in named if text in words))
+    ends = ((each, f"{'.'.join(each.source)} {'.'.join(each.target)}") for each in connections)
+    return shown, [each for each, words in ends if text in words.lower()]
 
 
 def _code(name: str, interface: Interface, file: Path) -> str:
