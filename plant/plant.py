@@ -92,7 +92,7 @@ class Plant:
         self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._contact_force = np.zeros(6)
         self._contact_kinds = kinds_of(self.model)
-        self._warnings = self.data.warning.number  # (n,) counts, by kind
+        self.warnings = self.data.warning.number  # (n,) of the engine, by kind, since the start
         self._sensors = self.data.sensordata
         self._normals = np.zeros(self.model.nsensordata)  # 1 for (normal, tangent, tangent)'s first
         for side in ("left", "right"):
@@ -174,8 +174,8 @@ class Plant:
         for name, value in self._values().items():
             self.outputs[name] = value
         self.outputs["contact_force"] = mujoco.mju_dot(self._normals, self._sensors)
-        for kind in DIVERGED if np.count_nonzero(self._warnings) else ():
-            if self._warnings[kind]:
+        for kind in DIVERGED if np.count_nonzero(self.warnings) else ():
+            if self.warnings[kind]:
                 index = self.data.warning[int(kind)].lastinfo
                 raise DivergenceError(
                     f"the physics diverged at t = {self.data.time:.3f} s: {kind.name[7:]} "

@@ -145,8 +145,8 @@ class SharedSlave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
 
     def _apply_parameters(self) -> None:
         """Start from parameters that have changed, or tune the object that runs."""
-        first = self._inputs.size + self._outputs.size
-        given = (self._start_time, self._values[first:].tobytes(), tuple(self._texts.values()))
+        parameters = (self._views[v.name].tobytes() for v in self.interface.of("parameter"))
+        given = (self._start_time, *parameters, *self._texts.values())
         if given != self._applied:
             (self.tune if self._is_started else partial(self.start, self._start_time))()
             self._applied = given

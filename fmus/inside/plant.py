@@ -12,6 +12,7 @@ from ...assets import asset_files
 from ...plant.mujoco_warnings import taken_warnings
 from ...plant.parameters import PlantParameters
 from ...plant.plant import Plant
+from ..interface.engine import COUNTED
 from ..interface.plant import PLANT
 from .base import SharedSlave
 
@@ -30,11 +31,14 @@ class PlantSlave(SharedSlave):
         given: dict[str, Any] = {v.name: self.parameter(v.name) for v in PLANT.of("parameter")}
         with self._logged():
             self._plant = Plant(PlantParameters(**given), self._inputs, self._outputs)
+        self._views[COUNTED.name][:] = self._seen = np.zeros(COUNTED.size)
+        self._count()
 
     def advance(self, count: int) -> None:
         """Step the plant."""
         with self._logged():
             self._plant.step(count)
+        self._count()
 
     def get_state(self) -> bytes:
         """MuJoCo's state for integration."""
@@ -46,6 +50,13 @@ class PlantSlave(SharedSlave):
         with self._logged():
             self._plant.set_state(np.frombuffer(state))
         self._outputs[:] = outputs
+        self._seen = self._plant.warnings[: COUNTED.size].copy()
+
+    def _count(self) -> None:
+        """Add the engine's warnings since the last time."""
+        now = self._plant.warnings[: COUNTED.size]
+        self._views[COUNTED.name] += now - self._seen
+        self._seen = now.copy()
 
     @contextmanager
     def _logged(self) -> Iterator[None]:

@@ -7,6 +7,7 @@ import numpy as np
 from ...assets.franka import CTRL_OPEN, HOME_Q, ROBOTS, TORQUE_MAX
 from ...plant.parameters import MOVING_LINKS, PlantParameters
 from ...plant.signals import INPUTS, OUTPUTS
+from .engine import COUNTED
 from .own import Values, parameters, read_table, signals
 from .variables import Interface
 
@@ -32,6 +33,7 @@ PLANT = Interface(
         *signals(_TABLE["input"], INPUTS, "input", _VALUES),
         *signals(_TABLE["output"], OUTPUTS, "output"),
         *parameters(_TABLE["parameter"], PlantParameters, fixed=_TABLE["parameter"]),
+        COUNTED,
     ),
     {"robot": ROBOT},
     is_model=True,

@@ -226,7 +226,8 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
                     f"model's {kind}s; put the <include> before {kind}s of your own"
                 )
     own_names = {variable.name for variable in own}
-    taken = [v for v in base.variables if v.name not in own_names and v.source != "scene"]
+    left_out = ("scene", COUNTED.source)
+    taken = [v for v in base.variables if v.name not in own_names and v.source not in left_out]
     for i, variable in enumerate(taken):
         if variable.source in ("qpos", "qvel"):
             row = sources.find("output", variable.source)

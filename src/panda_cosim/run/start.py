@@ -71,7 +71,8 @@ def check_tolerances(scenario: Scenario, assembly: Assembly) -> None:
     """Check that the signals of the scenario's tolerances will be recorded."""
     if scenario.regression.values:
         columns = assembly.recorded(scenario.coupling)
-        scenario.regression.check_names(c.name for c in columns if c.type not in TEXTS)
+        numbers = [column.name for column in columns if column.type not in TEXTS]
+        scenario.regression.check_names([*numbers, *addresses(columns)])
 
 
 def start_pose(values: StartValues) -> StartPose:

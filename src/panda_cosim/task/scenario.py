@@ -160,6 +160,7 @@ class Scenario:
             open.
         not_finite: Outputs that may be NaN or infinite. All others end the run, since a NaN
             spreads in silence.
+        left_out: Outputs that are neither read nor recorded, as one that an FMU cannot give.
         steps: Steps of an FMU as multiples of the system's, for slow controllers; between them
             its outputs are held.
         inputs: Values of unconnected inputs; `file` names a table of inputs over time. Given here
@@ -208,6 +209,7 @@ class Scenario:
     tolerance: Annotated[float, Quantity(0.0, 1.0, "1")] = 0.0
     order: tuple[Annotated[str, Line()], ...] = ()
     not_finite: tuple[Annotated[str, Line()], ...] = ()
+    left_out: tuple[Annotated[str, Line()], ...] = ()
     steps: Mapping[str, Annotated[int, Whole(1, 1_000_000)]] = field(default_factory=dict)
     inputs: Parameters = field(default_factory=dict)
     input_table: InputTable = field(default_factory=InputTable)

@@ -48,7 +48,8 @@ class Assembly:
     notes: Sequence[str]  # unconnected inputs, or what has no effect in an .ssp file
     asked: frozenset[str]  # signals of criteria, recorded in any case
     steps: Mapping[str, int]  # of FMUs, in the system's
-    not_finite: Sequence[Name]  # outputs that may be NaN or infinite
+    not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
+    left_out: Sequence[Name] = ()  # outputs that are not read
     # Of an .ssp file: the system in it, its start values and start time [s].
     ssp: System | None = None
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
@@ -70,14 +71,13 @@ class Assembly:
     @cached_property
     def outputs(self) -> Mapping[str, Sequence[str]]:
         """Recorded outputs, the plant's first; those of an .ssp file, connected ones first."""
-        if self.ssp:
-            return self.ssp.outputs
         order = sorted(self.interfaces, key=lambda name: name != "plant")
-        return {
+        known = self.ssp.outputs if self.ssp else {
             name: [n for v in self.interfaces[name].of("output") if self._is_recorded(name, v)
                    for n in v.names()]
             for name in order
         }  # fmt: skip
+        return {i: [n for n in names if (i, n) not in self.left_out] for i, names in known.items()}
 
     def late(self, coupling: str) -> list[str]:
         """Connections whose target gets values of the step before."""
@@ -189,7 +189,9 @@ def assemble(
         return _connected(scenario, parts, from_outside=from_outside)
     except InputError as error:
         from_file = scenario.folder and not any(map(os.path.isabs, scenario.fmus.values()))
-        if not (from_file and str(error).startswith(("[", "order: ", "not_finite: "))):
+        if not (
+            from_file and str(error).startswith(("[", "order: ", "not_finite: ", "left_out: "))
+        ):
             raise
         raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
 
@@ -222,7 +224,7 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     ]
     order = scenario.order or stepping_order(interfaces, connections)
     made = Assembly(interfaces, parts, connections, external, driven, notes, scenario.asked,
-                    scenario.steps, _not_finite(scenario, interfaces))  # fmt: skip
+                    scenario.steps)  # fmt: skip
     return _ordered(scenario, made, order, from_outside=from_outside)
 
 
@@ -242,6 +244,11 @@ def _ordered(
     names = ((name, s.name) for name, each in interfaces.items() for s in each.scalars())
     places = {name: place for place, name in enumerate(names)}
     external = [*made.external, *sorted(made.driven, key=places.__getitem__)]
+    left_out = _outputs("left_out", scenario.left_out, interfaces)
+    for each in made.connections if left_out else ():
+        if each.source in left_out:
+            raise InputError(f"left_out: {'.'.join(each.source)}: feeds {'.'.join(each.target)}; "
+                             "must be an output that feeds nothing")  # fmt: skip
     unfed = _unfed(interfaces, made.connections, external) if from_outside else []
     return replace(
         made,
@@ -249,6 +256,8 @@ def _ordered(
         parts=sorted(made.parts, key=lambda part: order.index(part.name)),
         connections=sorted(made.connections, key=lambda each: places[each.target]),
         external=[*unfed, *external],
+        not_finite=_outputs("not_finite", scenario.not_finite, interfaces),
+        left_out=left_out,
     )
 
 
@@ -257,19 +266,19 @@ def _no_fmu(name: str, interfaces: Mapping[str, Interface]) -> str:
     return f"no FMU of this name; valid: {', '.join(interfaces)}{hint}"
 
 
-def _not_finite(scenario: Scenario, interfaces: Mapping[str, Interface]) -> list[Name]:
-    """Outputs that a scenario allows to be NaN or infinite, one by one."""
-    outputs: dict[str, list[Name]] = {}
-    for instance, interface in interfaces.items():
-        for variable in interface.of("output"):
-            names = [(instance, name) for name in variable.names()]
-            outputs |= {".".join(name): [name] for name in names}
-            outputs[f"{instance}.{variable.name}"] = names
-    for text in scenario.not_finite:
-        if text not in outputs:
-            hint = did_you_mean(text, outputs)
-            raise InputError(f"not_finite: {text!r}; must be an output, FMU.NAME{hint}")
-    return [scalar for text in scenario.not_finite for scalar in outputs[text]]
+def _outputs(key: str, texts: Sequence[str], interfaces: Mapping[str, Interface]) -> list[Name]:
+    """Outputs that a key of a scenario names, as FMU.NAME, one by one."""
+    found: list[Name] = []
+    for text in texts:
+        ends = [(i, each.end(text[len(i) + 1 :], "output")) for i, each in interfaces.items()
+                if text.startswith(f"{i}.")]  # fmt: skip
+        names = [(i, name) for i, end in ends if end is not None for name in end.names()]
+        if not names:
+            valid = [f"{i}.{v.name}" for i, each in interfaces.items() for v in each.of("output")]
+            raise InputError(f"{key}: {text!r}; must be an output, FMU.NAME"
+                             f"{did_you_mean(text, valid)}")  # fmt: skip
+        found += names
+    return found
 
 
 def _unfed(
@@ -321,8 +330,8 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     connector.drive([connection.target for connection in system.connections])
     connector.drive(driven)
     made = Assembly(interfaces, parts, system.connections, [], driven, coupled.warnings,
-                    scenario.asked, scenario.steps, _not_finite(scenario, interfaces), system,
-                    coupled.start_values, coupled.start_time)  # fmt: skip
+                    scenario.asked, scenario.steps, ssp=system, start=coupled.start_values,
+                    start_time=coupled.start_time)  # fmt: skip
     order = scenario.order or [*system.fmus]
     return _ordered(scenario, made, order, from_outside=from_outside)
 

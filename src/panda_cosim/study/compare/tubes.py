@@ -28,11 +28,13 @@ TIME_SLACK: Final = 1e-6  # of a step: rounding of k * dt
 def widths(run: Recording, tolerances: Tolerances) -> dict[str, float]:
     """Return the half-width of the tube around each column of a reference, in its unit."""
     extents = _extents(run)
-    ours = of_ours(run.units)
+    ours, values = of_ours(run.units), tolerances.values
+    addresses = {column: address for address, column in run.addresses.items()}
     found = dict.fromkeys(run.texts, EQUAL)
     for name in run.columns:
         unit, signal = run.units[name], signal_of(name)
-        given = tolerances.values.get(name, tolerances.values.get(signal))
+        names = (name, addresses.get(name, name), signal)
+        given = next((values[each] for each in names if each in values), None)
         if given is not None:
             found[name] = given
         elif signal in ours:
