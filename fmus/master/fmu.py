@@ -23,6 +23,7 @@ import numpy as np
 
 from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
+from ..processes import run
 from .calls import ERROR, FATAL, WARNING, Access, Caller, Lists, OnMessage
 from .fmu_file import Fmu
 from .wiring import Array, Exchange, Moved, together
@@ -32,6 +33,7 @@ from .wiring import Array, Exchange, Moved, together
 _loading = Lock()
 REALS: Final = ("Real", "Float64")  # of FMI 2.0 and 3.0
 _MISSING: Final = re.compile(r"(\S+): cannot open shared object file: No such file")  # of dlopen
+LOADERS: Final = "lib*/ld-linux*.so.*"  # of glibc, which list what a library needs
 
 
 def working_directory() -> Path:
@@ -51,6 +53,25 @@ def _keep_signatures(fmpy_class: type) -> None:
     """Keep the signatures of FMPy's methods, which it would find out again for each instance."""
     for _, method in inspect.getmembers(fmpy_class, inspect.isfunction):
         method.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]
+
+
+def check_libraries(fmu: Fmu) -> None:
+    """Refuse an FMU whose library needs another one that is not here; no code of it is run."""
+    for loader in [*Path("/").glob(LOADERS)][:1]:
+        missing = _MISSING.search(run([str(loader), "--list", str(fmu.library)]).stderr)
+        if missing and not _is_loaded(missing[1]):
+            raise InputError(f"{fmu.label}: {_lack(missing[1])}")
+
+
+def _is_loaded(library: str) -> bool:
+    """Whether this process has a library, as it has Python's, which the loader does not find."""
+    with suppress(OSError):
+        return bool(ctypes.CDLL(library))
+    return False
+
+
+def _lack(library: str) -> str:
+    return f"its library needs {library}, which is not on this machine"
 
 
 class FmuSlave(Caller, ABC):
@@ -159,8 +180,8 @@ class FmuSlave(Caller, ABC):
             )
         except Exception as error:  # not a library, or one that lacks FMI functions
             missing = _MISSING.search(str(error))
-            why = f"its library needs {missing[1]}, which is not on this machine" if missing else ""
-            raise InputError(f"{self.fmu.label}: {why or one_line(error)}") from error
+            why = _lack(missing[1]) if missing else one_line(error)
+            raise InputError(f"{self.fmu.label}: {why}") from error
         finally:
             with suppress(OSError):
                 os.chdir(here)  # FMPy does not go back if the library cannot be loaded

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import ctypes
 import time as clock
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -109,6 +110,7 @@ class Master:
         multiples: Mapping[str, int] = MappingProxyType({}),  # ticks of a slave's step, if not one
         stepper: Stepper = "kernel",
         not_finite: Collection[Name] = (),  # outputs that may be NaN or infinite
+        at_end: Collection[str] = (),  # slaves whose outputs belong to the end of their step
     ) -> None:
         self.step_size, self.start = step_size, start
         self.external = tuple(external)
@@ -117,6 +119,7 @@ class Master:
         self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects, not_finite)
         rows = self._buffer.rows
         self.connections, self._stepper = connections, stepper
+        self._multiples, self._at_end = multiples, at_end
         self.slaves = [
             SlowSlave(slave, multiple) if (multiple := multiples.get(slave.name, 1)) > 1 else slave
             for slave in slaves
@@ -167,6 +170,7 @@ class Master:
         with self._rows_kept():
             for slave in self._bound:
                 slave.get_outputs(0)
+        self._buffer.set_ahead(self._ahead(), 0)
 
     def step(
         self,
@@ -276,9 +280,19 @@ class Master:
     def couple(self, coupling: Coupling) -> None:
         """Change the coupling from the next step on; leaders' outputs keep their last values."""
         self._buffer.hold(self._row)
+        self.flush()
         ended = self.ended
         self._set_coupling(coupling)
         self._step.ended = ended
+        self._buffer.set_ahead(self._ahead(), self._row)
+
+    def _ahead(self) -> dict[int, list[int]]:
+        """Columns of leaders whose rows have values of the end of the step, by rows of a step."""
+        ahead = defaultdict[int, list[int]](list)
+        for leader in self._step.leaders:
+            if leader.slave.name in self._at_end:
+                ahead[self._multiples.get(leader.slave.name, 1)] += leader.outputs
+        return {**ahead}
 
     def time_calls(self) -> None:
         """Have the calls that are made in C timed, too; those of Python always are."""

@@ -295,6 +295,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             multiples=multiples,
             stepper=stepper,
             not_finite=system.not_finite,
+            at_end=[name for name, fmu in fmus.items() if fmu.is_model or not fmu.is_ours],
         )
         if external is not None or not system.external:
             try:

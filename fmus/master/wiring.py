@@ -277,10 +277,19 @@ class RowBuffer:
         self._start, self._step_size = start, step_size
         self.first = self.filled = self._flushed = 0
         self.set_held([])
+        self._ahead: Mapping[int, Sequence[int]] = {}
 
     def set_held(self, columns: Sequence[int]) -> None:
         """Choose the output columns that `hold` copies, besides the external inputs."""
         self._held = np.array([*range(1, 1 + self.external), *columns], np.intp)
+
+    def set_ahead(self, columns: Mapping[int, Sequence[int]], row: int) -> None:
+        """Choose output columns, by number of rows, that hold values of so many rows later.
+
+        The sink is given each value in the row of its instant. So far, up to `row`, none is ahead.
+        """
+        self._ahead = columns
+        self._before = np.repeat(self.rows[row : row + 1], max(columns, default=0), axis=0)
 
     def begin(self, sink: Callable[[Array], None]) -> None:
         """Start a recording; the sink is called with complete rows (n, columns)."""
@@ -326,7 +335,17 @@ class RowBuffer:
         """Pass complete rows to the sink."""
         if self.filled > self._flushed:
             flushed, self._flushed = self._flushed, self.filled
-            self._sink(self.rows[flushed : self.filled])
+            self._sink(self._at_their_instants(self.rows[flushed : self.filled]))
+
+    def _at_their_instants(self, rows: Array) -> Array:
+        if not self._ahead:
+            return rows
+        before = len(self._before)
+        whole, rows = np.concatenate((self._before, rows)), rows.copy()
+        for ahead, columns in self._ahead.items():
+            rows[:, columns] = whole[before - ahead : len(whole) - ahead, columns]
+        self._before = whole[len(whole) - before :]
+        return rows
 
     def non_finite(self, row: int) -> SimulationError | None:
         """Return the error that names the first value of a row that is not finite, if one is."""

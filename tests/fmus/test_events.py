@@ -134,3 +134,47 @@ def test_a_value_that_is_not_finite_is_allowed_by_name(tmp_path):
     assert "is not finite" in told
     recording = Recording.open(tmp_path / "run")
     assert np.isnan(recording["f.rough"]).tolist() == [True, True, *[False] * 9]
+
+
+@pytest.mark.parametrize("way", [*WAYS, ("--coupling", "jacobi")])
+def test_a_row_holds_the_values_of_its_instant_also_of_an_fmu_that_feeds_another(tmp_path, way):
+    """The output of the first one is the time plus its input, which is 0."""
+    for name in ("a", "b"):
+        toy_fmu(tmp_path / f"{name}.fmu", 2)
+    alone = '[fmus]\na = "a.fmu"\n'
+    run(tmp_path, alone, *way)
+    wanted = Recording.open(tmp_path / "run")
+    (tmp_path / "run").rename(tmp_path / "alone")
+    run(tmp_path, f'{alone}b = "b.fmu"\n[connect]\n"b.u[1,1]" = "a.y[2,1]"\n', *way)
+    found = Recording.open(tmp_path / "run")
+    assert np.ptp(wanted["a.y[2,1]"]) > 0.0
+    for name in (name for name in found.columns if name.startswith("a.y")):
+        np.testing.assert_array_equal(found[name], wanted[name])
+
+
+def test_an_output_is_left_out_by_name_unless_it_feeds_another(tmp_path):
+    toy_fmu(tmp_path / "a.fmu", 2)
+    fmus = '[fmus]\na = "a.fmu"\nb = "a.fmu"\n[connect]\n"b.u[1,1]" = "a.y[2,1]"\n'
+    run(tmp_path, f'left_out = ["a.y[1,2]"]\n{fmus}')
+    columns = Recording.open(tmp_path / "run").columns
+    assert "a.y[1,2]" not in columns
+    assert {"a.y[2,1]", "b.y[1,2]"} <= {*columns}
+    told = run(tmp_path, f'left_out = ["a.y"]\n{fmus}', code=2)
+    assert "left_out: a.y[2,1]: feeds b.u[1,1]; must be an output that feeds nothing" in told
+
+
+def test_an_fmu_that_refuses_the_event_mode_that_it_declares_is_run_without(tmp_path):
+    source = SOURCE.read_text(encoding="utf-8").replace(
+        "    model *m = calloc(1, sizeof *m);",
+        "    if (events) return NULL;\n    model *m = calloc(1, sizeof *m);",
+    )
+    (tmp_path / "refusing.c").write_text(source)
+    text = events(tmp_path)
+    content = {
+        "modelDescription.xml": DESCRIPTION.format(events='hasEventMode="true"'),
+        f"binaries/{fmpy.platform_tuple}/events.so": library(tmp_path / "refusing.c"),
+    }
+    pack(tmp_path / "events.fmu", content)
+    told = run(tmp_path, text)
+    assert "Warning: f: it refuses the event mode that it declares, and is run without" in told
+    assert Recording.open(tmp_path / "run")["f.updates"].tolist() == [0] * (TICKS + 1)

@@ -18,6 +18,7 @@ from ...fmus.build.identity import mujoco_version
 from ...fmus.errors import CosimError, InputError, did_you_mean
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
+from ...fmus.master.fmu import check_libraries
 from ...fmus.master.system import conversions, notes, read_fmus
 from ...fmus.sources.model_fmu import load_binary
 from ...plant.parameters import PlantParameters
@@ -120,6 +121,8 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     """Describe a scenario of other FMUs, whose code is not run; no robot's conditions are seen."""
     scenario, assembly = prepared.scenario, prepared.assembly
     fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
+    for fmu in fmus.values():
+        check_libraries(fmu)
     seen = (f"{name}: {text}" for name, text in notes(fmus, assembly.system, scenario.step))
     hints = _diagnostics("hint", [*assembly.notes, *suggestions(assembly), *seen])
     hints += _diagnostics("good", conversions(fmus, assembly.system))
