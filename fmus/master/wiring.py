@@ -278,6 +278,7 @@ class RowBuffer:
         self.first = self.filled = self._flushed = 0
         self.set_held([])
         self._ahead: Mapping[int, Sequence[int]] = {}
+        self._before = self.rows[:0]
 
     def set_held(self, columns: Sequence[int]) -> None:
         """Choose the output columns that `hold` copies, besides the external inputs."""
@@ -288,13 +289,15 @@ class RowBuffer:
 
         The sink is given each value in the row of its instant. So far, up to `row`, none is ahead.
         """
+        if columns == self._ahead:
+            return
         self._ahead = columns
         self._before = np.repeat(self.rows[row : row + 1], max(columns, default=0), axis=0)
 
     def begin(self, sink: Callable[[Array], None]) -> None:
         """Start a recording; the sink is called with complete rows (n, columns)."""
         self._sink = sink
-        self.rows[:] = 0.0
+        self.rows[:], self._ahead = 0.0, {}
         self.first = self.filled = self._flushed = 0
         self._set_times()
 
@@ -322,6 +325,7 @@ class RowBuffer:
     def go_back(self, tick: int, row: Array) -> None:
         """Make a tick's row the first."""
         self.rows[0] = row
+        self._before = np.repeat(self.rows[:1], len(self._before), axis=0)
         self.first, self.filled, self._flushed = tick, 0, 0
         self._set_times()
 
