@@ -15,6 +15,7 @@ Attributes:
     ROBOT: Real robot whose limits count: the Panda is fer.
     ISOLATE: Run each FMU in a process of its own, so that a crash ends only that process.
     STEP_TIMEOUT: With --isolate: stop the run if an FMU takes longer for one step.
+    SSV: Parameter set of SSP, by FMU.VARIABLE, in any units; --set goes before it.
     OUT_RUN: New folder for the run. Default: one in runs/.
     VIDEO: Draw the video and the contact sheet.
     PLOT: Draw the plot. Default: as for the video.
@@ -68,6 +69,7 @@ PLANT = option("--plant FILE")
 ROBOT = option("--robot")
 ISOLATE = flag("--isolate")
 STEP_TIMEOUT = option("--step-timeout SECONDS")
+SSV = option("--ssv FILE")
 OUT_RUN = option("--out -o DIR")
 VIDEO = option("--video/--no-video", True)
 PLOT = option("--plot/--no-plot")

@@ -18,7 +18,7 @@ from ...task.scenario import shipped_scenarios
 from ...task.values import Values
 from ..console import show, show_json
 from ..forms import scenario_argument
-from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, Robot, values_of
+from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, SSV, Robot, values_of
 from ..outcome import STYLES
 
 
@@ -28,6 +28,7 @@ def command(  # noqa: PLR0913 - one for each option
     controller: str | None = CONTROLLER,
     plant: str | None = PLANT,
     robot: Robot | None = ROBOT,
+    ssv: Path | None = SSV,
     json: bool = JSON,
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
@@ -75,8 +76,21 @@ def command(  # noqa: PLR0913 - one for each option
                 raise InputError(f"{name}: not for an .fmu, whose experiments set their own values")
         _check_fmu(folder, as_json=json)
         return
+<<<<<<< HEAD
     diagnostics = _found(folder, values_of(assignments, controller, plant), robot)
     levels = {diagnostic.level for diagnostic in diagnostics}
+=======
+    values = values_of(assignments, controller, plant)
+    if folder.suffix in SUFFIXES:
+        if values or not robot:
+            option = "--set" if values else "--robot"
+            must = "not for a motion" if values else "is missing; must be fer or fr3"
+            raise InputError(f"{folder}: {option}: {must}")
+        diagnostics = [*check_motion(folder, robot)]
+    else:
+        diagnostics = check_folder(folder, values, robot or "", ssv)
+    wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
+>>>>>>> 40a01ba0 (check --ssv; a cache that was cleared is read again)
     if json:
         show_json({"folder": folder, "ok": "wrong" not in levels, "findings": diagnostics})
     for diagnostic in () if json else diagnostics:

@@ -14,9 +14,8 @@ from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.stopping import stopping_on_signals
-from ...run.system.assembly import assemble, system_scenario
+from ...run.system.assembly import system_scenario, with_parameter_set
 from ...task.scenario import Scenario
-from ...task.values import Values
 from ..console import tell
 from ..forms import argument, flag, option, scenario_argument
 from ..options import (
@@ -31,6 +30,7 @@ from ..options import (
     PLANT,
     PLOT,
     SETTINGS,
+    SSV,
     STEP_TIMEOUT,
     VIDEO,
     VIEW,
@@ -57,7 +57,7 @@ def command(  # noqa: PLR0913 - one for each option
     isolate: bool = ISOLATE,
     step_timeout: float | None = STEP_TIMEOUT,
     master: Stepper = option("--master NAME", "kernel"),
-    ssv: Path | None = option("--ssv FILE"),
+    ssv: Path | None = SSV,
     log: list[str] | None = option("--log FMU"),
     profile: bool = flag("--profile"),
     kind: Kind = KIND,
@@ -92,7 +92,6 @@ def command(  # noqa: PLR0913 - one for each option
             FILE.ssp`.
         master: What steps the FMUs, with equal bits: kernel, in C where it can, or fmpy, by FMPy's
             methods.
-        ssv: Parameter set of SSP, by FMU.VARIABLE, in any units; --set goes before it.
         log: Show all that an FMU logs, its debug messages, too, on standard error. May repeat.
         profile: Measure the time of each FMU by call; it stands in the summary and on the page.
     """
@@ -112,7 +111,7 @@ def command(  # noqa: PLR0913 - one for each option
     values = values_of(assignments, controller, plant, coupling=coupling, mujoco=mujoco or None)
     changed = chosen.changed(values)
     if ssv is not None:
-        changed = changed.changed(_set_of(ssv, changed, options)).changed(values)
+        changed = with_parameter_set(changed, ssv, values, kind)
     prepared = prepare(changed, options)  # refuses bad input
     is_alone = realtime or bool(prepared.listening)
     output = Output(out, video, plot, view, junit, json, fps, realtime, is_alone)
@@ -160,13 +159,6 @@ def replay(  # noqa: PLR0913 - one for each option
         return journal.replay(run, folder, options, progress=update)
 
     perform(scenario, options.kind, output, repeat)
-
-
-def _set_of(file: Path, scenario: Scenario, options: Options) -> Values:
-    """Return the values of a parameter set, for the FMUs of a scenario."""
-    from ...fmus.master.ssp_parameters import read_parameters  # noqa: PLC0415 - rarely needed
-
-    return read_parameters(file, assemble(scenario, options.kind).interfaces)
 
 
 def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:

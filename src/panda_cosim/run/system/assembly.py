@@ -26,6 +26,7 @@ from ...fmus.master.wiring import Array, Name
 from ...fmus.sources.targets import Kind
 from ...result.recording import Column
 from ...task.scenario import MAX_STEPS, SCENARIO_FILE, Coupling, Scenario
+from ...task.values import Values
 from .connector import RARE, Connector
 from .driven import DrivenInput, driven_inputs
 from .parts import Part, measures_a_panda, read_parts
@@ -194,6 +195,16 @@ def assemble(
         ):
             raise
         raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
+
+
+def with_parameter_set(
+    scenario: Scenario, file: Path, values: Values, kind: Kind = "auto", *, run_code: bool = True
+) -> Scenario:
+    """Return a scenario with the values of an SSV file, before which those by key go."""
+    from ...fmus.master.ssp_parameters import read_parameters  # noqa: PLC0415 - rarely needed
+
+    found = read_parameters(file, assemble(scenario, kind, run_code=run_code).interfaces)
+    return scenario.changed(found).changed(values)
 
 
 def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool) -> Assembly:

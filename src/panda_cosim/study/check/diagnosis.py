@@ -42,7 +42,7 @@ from ...run.start import (
     unsuitable_gains,
 )
 from ...run.summary import unrecorded
-from ...run.system.assembly import system_scenario
+from ...run.system.assembly import system_scenario, with_parameter_set
 from ...run.system.parts import UnreadSlaveError
 from ...task.client import MissingPackageError
 from ...task.files import as_argument
@@ -70,13 +70,19 @@ def check_folder(
     folder: Path,
     values: Values | None = None,
     robot: str = "",
+    ssv: Path | None = None,
 ) -> list[Diagnostic]:
-    """Check a scenario's folder, or an .ssp file, as `run` prepares it, also for a `robot`."""
+    """Check a scenario's folder, or an .ssp file, as `run` prepares it, also for a `robot`.
+
+    `ssv` is a parameter set of SSP.
+    """
     if folder.suffix != SYSTEM and not folder.is_dir():
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
         read = system_scenario if folder.suffix == SYSTEM else Scenario.read
         scenario = read(folder).changed(values or {})
+        if ssv is not None:
+            scenario = with_parameter_set(scenario, ssv, values or {}, run_code=False)
         scenario = replace(scenario, preflight=robot or scenario.preflight)
         prepared = prepare(scenario, run_code=False)
         is_foreign = prepared.scenario.has_own_parts
