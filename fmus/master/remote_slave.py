@@ -180,6 +180,7 @@ class RemoteSlave:
         put, self._put, self._is_current = self._put, {}, False
         self._waiting = True
         try:
+            self.step.end()
             self._connection.send((method, arguments, put))
             if limit is not None and not self._connection.poll(limit):
                 self.fail_late(limit)
@@ -218,8 +219,8 @@ class RemoteSlave:
 
 class _Remote(ctypes.Structure):
     _fields_ = [
-        ("socket", ctypes.c_int32), ("heard", ctypes.c_int32), ("order", ctypes.c_void_p),
-        ("interrupted", ctypes.c_void_p),
+        ("socket", ctypes.c_int32), ("heard", ctypes.c_int32), ("asked", ctypes.c_int32),
+        ("order", ctypes.c_void_p), ("interrupted", ctypes.c_void_p),
     ]  # fmt: skip
 
 
@@ -231,7 +232,7 @@ class RemoteStep:
     def __init__(self, slave: RemoteSlave, descriptor: int) -> None:
         self.slave, self._socket = slave, descriptor
         interrupted = ctypes.cast(_INTERRUPTED, ctypes.c_void_p).value
-        self._remote = _Remote(descriptor, 0, slave.memory.ctypes.data, interrupted)
+        self._remote = _Remote(descriptor, 0, 0, slave.memory.ctypes.data, interrupted)
         if slave.step_timeout is not None:
             part, whole = math.modf(min(slave.step_timeout, 1e9))
             limit = struct.pack("ll", int(whole), max(int(1e6 * part), 1))
@@ -272,6 +273,12 @@ class RemoteStep:
     def for_c(self) -> dict[str, int | None]:
         """Return what the kernel calls."""
         return {"instance": ctypes.addressof(self._remote)}
+
+    def end(self) -> None:
+        """Take the answer of a step that C has asked for and not awaited, as another has failed."""
+        if self._remote.asked:
+            self._remote.asked = 0
+            os.read(self._socket, 1)
 
     def hear(self) -> None:
         """Hear messages that were logged while C asked for steps."""

@@ -64,6 +64,7 @@ typedef struct {
 typedef struct {
     int32_t socket;
     int32_t heard;             /* set if it has logged messages, which wait there */
+    int32_t asked;             /* set from asking for a step to its answer */
     double *order;             /* begin and size of the step that it is to take [s] */
     void (*interrupted)(void); /* called if a signal comes while it is waited for */
 } remote;
@@ -127,14 +128,22 @@ static unsigned access(const call *c, double *row)
 }
 
 #if defined(_WIN32)
-static unsigned ask(remote *f, double time, double size) { return GONE; }
+static void ask(remote *f, double time, double size) {}
+static unsigned answer(remote *f) { return GONE; }
 #else
-static unsigned ask(remote *f, double time, double size)
+static void ask(remote *f, double time, double size)
 {
-    char byte = TAKE_STEP;
+    const char byte = TAKE_STEP;
     f->order[0] = time, f->order[1] = size;
-    if (send(f->socket, &byte, 1, 0) != 1) return GONE;
+    f->asked = send(f->socket, &byte, 1, 0) == 1;
+}
+
+static unsigned answer(remote *f)
+{
+    char byte;
     ssize_t count;
+    if (!f->asked) return GONE;
+    f->asked = 0;
     while ((count = recv(f->socket, &byte, 1, 0)) < 0 && errno == EINTR) f->interrupted();
     if (count != 1) return count < 0 && (errno == EAGAIN || errno == EWOULDBLOCK) ? LATE : GONE;
     f->heard |= byte == HEARD;
@@ -145,7 +154,10 @@ static unsigned ask(remote *f, double time, double size)
 static unsigned step(course *r, const call *c, double time)
 {
     if (c->fmi == 0) {
-        const unsigned status = ask(c->instance, time, r->step_size);
+        /* All that are stepped next are asked at once, and step beside each other. */
+        for (const call *next = c; next < r->calls + r->call_count && next->action == STEP; next++)
+            if (next->fmi == 0 && !((remote *)next->instance)->asked) ask(next->instance, time, r->step_size);
+        const unsigned status = answer(c->instance);
         if (status == ENDED) r->ended = r->failed + 1;
         return status == ENDED ? 0 : status;
     }
