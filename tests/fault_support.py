@@ -91,6 +91,8 @@ def build_faulty(folder: Path) -> Path:
         if variable.causality == "output":
             known = variable.name in outputs.dtype.names
             start = float(outputs[variable.name].ravel()[scalar.element]) if known else 0.0
+        elif variable.causality == "local":
+            start = 0.0
         # PythonFMU has no enumerations; `scene` by its name in a String is taken, too.
         kind = "String" if variable.kind == "Enumeration" else variable.kind
         spec.append((scalar.name, kind, variable.causality, variable.variability, start))

@@ -135,6 +135,15 @@ def test_both_end_alike(folder, version, act):
 
 
 @needs_compiler
+def test_isolated_fmus_that_step_at_once_end_as_one_after_the_other_does(folder):
+    """The second has been asked for its step when the first one fails."""
+    acting = plan(2, start={"toy0": {"act": "error"}}, coupling="jacobi", versions=[2, 3, 2])
+    [[in_c, in_python]] = in_process(run, str(folder), [acting])
+    assert in_c == in_python == in_process(isolated, str(folder), acting)
+    assert "at t = 0.002 s, in FMU 'toy0'" in in_c
+
+
+@needs_compiler
 def test_both_end_at_a_value_that_is_not_finite(folder):
     spoilt = plan(2, spoilt=301)
     [[in_c, in_python]] = in_process(run, str(folder), [spoilt])
