@@ -76,21 +76,8 @@ def command(  # noqa: PLR0913 - one for each option
                 raise InputError(f"{name}: not for an .fmu, whose experiments set their own values")
         _check_fmu(folder, as_json=json)
         return
-<<<<<<< HEAD
-    diagnostics = _found(folder, values_of(assignments, controller, plant), robot)
+    diagnostics = _found(folder, values_of(assignments, controller, plant), robot, ssv)
     levels = {diagnostic.level for diagnostic in diagnostics}
-=======
-    values = values_of(assignments, controller, plant)
-    if folder.suffix in SUFFIXES:
-        if values or not robot:
-            option = "--set" if values else "--robot"
-            must = "not for a motion" if values else "is missing; must be fer or fr3"
-            raise InputError(f"{folder}: {option}: {must}")
-        diagnostics = [*check_motion(folder, robot)]
-    else:
-        diagnostics = check_folder(folder, values, robot or "", ssv)
-    wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
->>>>>>> 40a01ba0 (check --ssv; a cache that was cleared is read again)
     if json:
         show_json({"folder": folder, "ok": "wrong" not in levels, "findings": diagnostics})
     for diagnostic in () if json else diagnostics:
@@ -101,10 +88,12 @@ def command(  # noqa: PLR0913 - one for each option
         raise typer.Exit(MISSED.exit_code)
 
 
-def _found(folder: Path, values: Values, robot: Robot | None) -> Sequence[Diagnostic]:
+def _found(
+    folder: Path, values: Values, robot: Robot | None, ssv: Path | None
+) -> Sequence[Diagnostic]:
     """Return what is to be said of a scenario, an .ssp file or a motion."""
     if folder.suffix not in SUFFIXES:
-        return check_folder(folder, values, robot or "")
+        return check_folder(folder, values, robot or "", ssv)
     if values:
         raise InputError(f"{folder}: --set: not for a motion")
     if not robot:

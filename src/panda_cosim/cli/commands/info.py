@@ -71,15 +71,7 @@ def command(
         show("\n\n".join([*map(variables_markdown, interfaces.values()), *drawing]))
         return
     for name, interface in interfaces.items():
-<<<<<<< HEAD
         _show_fmu(name, interface, code[name])
-=======
-        show(f"{interface.model} (instance {name}): {interface.description}", "bold", most=WIDTH)
-        show(f"What runs in it: {code[name]}{', as it has no twin in C' * (name == 'sensors')}")
-        for variables in _variables_tables(interface):
-            show(variables, most=WIDTH)
-        show("")
->>>>>>> 25bcc60d (info: 100 columns, a filter, and systems with PythonFMU slaves)
     for fault in faults:
         show(as_cell(fault), "yellow")
     announce_python()
@@ -90,10 +82,15 @@ def command(
 
 def _show_fmu(name: str, interface: Interface, code: str) -> None:
     """Print what an FMU is, what runs in it, and its variables."""
+<<<<<<< HEAD
     show(f"{interface.model} (instance {name}): {interface.description}", "bold")
     show(f"What runs in it: {code}{', as it has no twin in C' * (name in ONLY_PYTHON)}")
+=======
+    show(f"{interface.model} (instance {name}): {interface.description}", "bold", most=WIDTH)
+    show(f"What runs in it: {code}{', as it has no twin in C' * (name == 'sensors')}")
+>>>>>>> 6f87385f (info, check: follow the shorter commands)
     for variables in _variables_tables(interface):
-        show(variables)
+        show(variables, most=WIDTH)
     show("")
 
 
@@ -101,13 +98,7 @@ def _show_connections(connections: Sequence[Connection], held: Sequence[str]) ->
     if connections:
         show("Connections\n", "bold")
         rows = [(s, t, LATE * (f"{s} -> {t}" in held)) for s, t, _ in by_variable(connections)]
-<<<<<<< HEAD
-        show(table(("from", "to", ""), (map(as_cell, row) for row in rows)))
-=======
         show(table(("from", "to", ""), (map(as_cell, row) for row in rows)), most=WIDTH)
-    if len(order) > 1:
-        show(shown(order, []))
->>>>>>> 25bcc60d (info: 100 columns, a filter, and systems with PythonFMU slaves)
 
 
 def _read(
