@@ -82,13 +82,8 @@ def command(
 
 def _show_fmu(name: str, interface: Interface, code: str) -> None:
     """Print what an FMU is, what runs in it, and its variables."""
-<<<<<<< HEAD
-    show(f"{interface.model} (instance {name}): {interface.description}", "bold")
-    show(f"What runs in it: {code}{', as it has no twin in C' * (name in ONLY_PYTHON)}")
-=======
     show(f"{interface.model} (instance {name}): {interface.description}", "bold", most=WIDTH)
-    show(f"What runs in it: {code}{', as it has no twin in C' * (name == 'sensors')}")
->>>>>>> 6f87385f (info, check: follow the shorter commands)
+    show(f"What runs in it: {code}{', as it has no twin in C' * (name in ONLY_PYTHON)}")
     for variables in _variables_tables(interface):
         show(variables, most=WIDTH)
     show("")
