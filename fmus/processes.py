@@ -129,6 +129,8 @@ class Program:
 
     def ended(self, limit: float = 0.0) -> int | None:
         """Wait for its end, for a time [s]; return the exit code, or minus the signal."""
+        if self._process.returncode is not None:
+            return self._process.returncode
         # It is not reaped yet, so that the number stays that of its group until `end`.
         asked, deadline = os.WEXITED | os.WNOHANG | os.WNOWAIT, time.monotonic() + limit
         while (end := os.waitid(os.P_PID, self._process.pid, asked)) is None:

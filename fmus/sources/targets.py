@@ -63,8 +63,6 @@ class Target:
 
     def kind_of(self, name: str) -> Kind:
         """Kind of one of the project's own FMUs; some run Python code in any."""
-        if name == "franka":  # PythonFMU's wrapper cannot end the simulation
-            return "python"
         if self.kind in ("python", "pythonfmu") and name not in HOSTED:
             return self.kind
         is_python = name in ONLY_PYTHON or (self.kind == "auto" and changed(name))

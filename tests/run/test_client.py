@@ -131,6 +131,9 @@ def test_ctrl_c_ends_a_run_that_waits_for_its_program(tmp_path):
         printed = line_with("sleeping", process)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 128 + signal.SIGINT
+        told = process.stderr.read()
+    assert "stopped by SIGINT" in told
+    assert "Traceback" not in told
     recording = Recording.open(tmp_path / "r")
     assert (recording.rows, recording.reason) == (201, "stopped by SIGINT")
     wait_until(lambda: not any(map(is_alive, processes_of(printed))))

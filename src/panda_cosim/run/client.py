@@ -68,10 +68,7 @@ class Client:
         words = scenario.client.words(folder, address)
         self.left = False  # whether its end has ended the run, where no FMU listens
         self._program = Program(words, folder, _tell if tells else lambda _: None)
-
-    def end(self) -> None:
-        """End the program with all that it has started."""
-        self._program.end()
+        self.end = self._program.end  # with all that it has started
 
     @property
     def unfinished(self) -> str:
@@ -100,7 +97,7 @@ class Client:
         while not done.wait(LOOKING):
             stop.poll()
             if stop.reason and not done.wait(GRACE):
-                self._program.end()
+                self.end()
             if not has_ended and self._program.ended() is not None:
                 has_ended = True
                 self._knock()

@@ -118,12 +118,12 @@ def _client_files(scenario: Scenario) -> dict[Path, bytes]:
     for path in map(Path, scenario.client.command) if scenario.client else ():
         if path.is_absolute() or ".." in path.parts or not (own / path).is_file():
             continue
-        files[path] = (own / path).read_bytes()
+        code = {path.name: (own / path).read_bytes()}
         if path.suffix == ".py":
             from ..fmus.sources.python_fmu import code_of  # noqa: PLC0415 - few have a client
 
             code = code_of(own / path, (own / path).parent, is_packed=False)
-            files |= {path.parent / name: content for name, content in code.items()}
+        files |= {path.parent / name: content for name, content in code.items()}
     return files
 
 
