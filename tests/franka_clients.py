@@ -242,7 +242,7 @@ def stopped(address: str) -> Any:
                 thread.start()
             control.readOnce()
     except franka.ControlException as error:
-        thread.join()
+        thread.join(timeout=10.0)
         return [str(error), str(robot.read_once().robot_mode)]
     return None
 

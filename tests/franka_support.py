@@ -100,7 +100,7 @@ def couple(
             with client(name, address, *more) as process:
                 made = _run(robot, Plant(plant), inputs, outputs, act, ticks, warnings)
                 robot.close()
-                text, made.errors = process.communicate()
+                text, made.errors = process.communicate(timeout=60.0)
             made.told = json.loads(text) if text else None
             return made
         finally:
