@@ -64,9 +64,10 @@ def confirm(margins: Margins, sensitivity: Sensitivity, bears: Bears) -> tuple[C
         bears: Runs with a filter in each loop, and tells whether they are stable.
     """
     numbers = np.arange(len(margins.loops))
+    alone = margins.loops if len(numbers) > 1 else ()
     parts: list[tuple[str, Limits, Sensitivity, Which]] = [
         ("", margins, sensitivity, numbers >= 0),
-        *((e.input, e, sensitivity.loop(i), numbers == i) for i, e in enumerate(margins.loops)),
+        *((e.input, e, sensitivity.loop(i), numbers == i) for i, e in enumerate(alone)),
     ]
     return tuple(
         Confirmation(*side[:2], name, *_run(bears, which, side, -1), *_run(bears, which, side, 1))
