@@ -17,5 +17,7 @@ globalThis.postMessage = (message) => {
   if (kind === "journal") process.stdout.write(JSON.stringify(told), () => process.exit(0));
 };
 (0, eval)(inflateSync(Buffer.from(part("worker"), "base64")).toString());
-onmessage({ data: { data: JSON.parse(part('view="&quot;engine&quot;"')), modules: Object.fromEntries(modules) } });
+const [live, engine] = ["live", "engine"].map((name) => JSON.parse(part(`view="&quot;${name}&quot;"`)));
+const { tunables, columns, plan } = live;
+onmessage({ data: { data: { ...engine, tunables, columns, plan }, modules: Object.fromEntries(modules) } });
 for (const command of [{ do: "pause" }, ...JSON.parse(given), { do: "journal" }]) onmessage({ data: JSON.stringify(command) });

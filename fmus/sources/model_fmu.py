@@ -227,15 +227,13 @@ def _spec(path: Path, robot: str) -> Any:
 
 def mjcf_of(path: Path, robot: str) -> str:
     """Return a model that `load` loads, in one file, for another version of MuJoCo."""
-    must = "must be MJCF without files of meshes, heights or pictures"
-    if path.suffix.lower() != ".xml":
-        raise InputError(f"{path}: {must}")
-    model, spec = load(path, robot=robot), _spec(path, robot)
-    spec.compile()
-    text = written_spec(spec, model)
     try:
+        spec = _spec(path, robot)
+        spec.compile()
+        text = written_spec(spec, load(path, robot=robot))
         mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
+        must = "must be MJCF without files of meshes, heights or pictures"
         raise InputError(f"{path}: {must}: {one_line(error)}") from error
     return text
 

@@ -77,13 +77,13 @@ def drag(page: Page, body: str, signal: str, by: tuple[float, float]) -> float:
     force = f"Math.hypot(...[1, 2, 3].map((i) => {RUN}.newest(`{signal}[${{i}}]`)))"
     page.wait(f"{force} > 0.5")
     size = float(page.value(force))
-    label = "document.querySelector('.pv-newtons')"
-    assert page.value(f"!{label}.hidden && /^[0-9.]+ N$/.test({label}.textContent)")
+    label = "document.querySelector('.pv-newtons:not([hidden])')"
+    assert page.value(f"/^[0-9.]+ N$/.test({label}.textContent)")
     at = newest(page, "time")
     page.wait(f"{RUN}.newest('time') > {at} + 0.03")
     mouse(page, "mouseReleased", x + by[0], y + by[1])
     page.wait(f"{force} === 0")
-    assert page.value(f"{label}.hidden")
+    page.wait(f"{label} === null")
     return size
 
 

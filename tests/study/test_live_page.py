@@ -41,6 +41,7 @@ FAST = """{
     speed.value = '4';
     speed.dispatchEvent(new Event('change'));
 }"""
+SPAN = "PandaView.viewer.runs[0].span[1]"
 SCENARIOS = ROOT / "scenarios"
 ALONE = [
     "beyond_reach", "collision", "elastic", "far_reach", "fast_circle", "heavy_block", "jacobi",
@@ -261,7 +262,7 @@ def test_chromium_and_node_compute_the_same_bits(written, ended, page: Page, nam
     page.open(written(name))
     page.wait(READY)
     page.value(FAST)
-    page.wait(f"PandaView.viewer.runs[0].span[1] >= {load_scenario(name).duration!r}")
+    page.wait(f"{SPAN} >= {load_scenario(name).duration!r}")
     columns = [f"plant.qpos[{i}]" for i in range(1, 17)]
     seen = page.value(f"Promise.all({json.dumps(['time', *columns])}.map({SERIES}))")
     usual = ended(name)
@@ -276,10 +277,46 @@ def test_chromium_and_node_compute_the_same_bits(written, ended, page: Page, nam
     assert not [url for url in page.requests if not url.startswith(LOCAL)]
 
 
+def test_a_page_begins_again_at_its_end_unless_it_is_told_not_to(written, page: Page):
+    page.open(written("elastic"))
+    page.wait(READY)
+    page.value(FAST)
+    page.wait(f"{SPAN} > 1.0")
+    page.wait(f"{SPAN} < 1.0")
+    page.click(".pv-again input")
+    page.wait("document.querySelector('.pv-says').textContent.startsWith('the scenario is over')")
+    page.value("new Promise((done) => setTimeout(done, 3000))")
+    assert page.value(SPAN) == pytest.approx(1.1)
+
+
+def test_a_push_is_drawn_and_a_parameter_is_reset(written, page: Page):
+    page.open(written("push"))
+    page.wait(READY)
+    page.click(".pv-run")  # pause
+    page.wait("document.querySelector('.pv-run').textContent === 'Run'")
+    sizes = (
+        "Array.from(document.querySelectorAll('.pv-newtons:not([hidden])'), (e) => e.textContent)"
+    )
+    assert page.value(sizes) == []
+    while page.value(SPAN) < 0.55:
+        page.value("document.querySelector('.pv-tick-on').click()")
+    page.wait(f"JSON.stringify({sizes}) === '[\"30.0 N\"]'")
+    assert page.value("document.querySelector('.pv-chart h3').textContent").startswith(
+        "Tracking error"
+    )
+    page.value("document.querySelectorAll('.pv-tab')[1].click()")
+    field = "document.querySelector('.pv-parameters input[aria-label=\"controller.kp 1\"]')"
+    back = f"{field}.parentElement.querySelector('.pv-reset')"
+    page.value(f"{field}.value = 20; {field}.dispatchEvent(new Event('change'))")
+    page.wait(f"!{back}.hidden")
+    page.value(f"{back}.click()")
+    page.wait(f"{back}.hidden && {field}.value === '8'")
+
+
 def test_the_journal_is_downloaded_as_an_archive(written, page: Page):
     page.open(written("push"))
     page.wait(READY)
-    page.wait("PandaView.viewer.runs[0].span[1] > 0.1")
+    page.wait(f"{SPAN} > 0.1")
     page.value("URL.createObjectURL = (blob) => ((window.saved = blob), 'blob:none')")
     page.click(".pv-journal")
     page.wait("window.saved !== undefined")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,17 +60,14 @@ def replay(
         return session.close()
 
 
-def _apart(seen: Mapping[str, float], session: Session) -> Iterator[str]:
+def _apart(seen: Mapping[str, float], session: Session) -> list[str]:
     """Say how far from here a page was at its end, whose engine is another one."""
-    now = session.numbers()
-    apart = {name: abs(now[name] - value) for name, value in seen.items() if name in now}
-    if apart:
-        name = max(apart, key=apart.__getitem__)
-        unit = next(c.unit for c in session.prepared.assembly.recorded() if c.name == name)
-        yield (
-            f"t = {session.time:.3f} s: the page, which has another engine, was {apart[name]:.1e} "
-            f"{unit} from here at most, in {name}"
-        )
+    now, about = session.numbers(), {c.name: c.unit for c in session.prepared.assembly.recorded()}
+    apart = [(abs(now[name] - value), about[name], name) for name, value in seen.items()]
+    words = (
+        "t = {:.3f} s: the page, which has another engine, was {:.1e} {} from here in {} at most"
+    )
+    return [words.format(session.time, *max(apart))] if apart else []
 
 
 def read_session(place: str | Path, options: Options) -> tuple[Scenario, Options]:

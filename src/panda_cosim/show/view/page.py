@@ -51,7 +51,7 @@ def live_page(
     data = data_element("live", run)
     if engine is None:
         return _view(title, data, "; connect-src 'self'")
-    data += data_element("engine", {**engine, "tunables": run["tunables"]})
+    data += data_element("engine", engine)
     parts = {"worker": _code()["worker"]["deflated"], "licences": _part(NOTICE)}
     parts |= {f'module="{n}"': each["deflated"] for n, each in json.loads(_part(ENGINE)).items()}
     for name, text in parts.items():

@@ -37,7 +37,9 @@ HAND: Final = {
 BLOCK: Final = {"obj": "block_force"}  # of our own plant
 SWING: Final = 10.0  # [rad/s] natural frequency of a free body on the drag's spring
 LOAD: Final = 60.0  # [m/s^2] largest acceleration of a free body by a drag
+ERROR: Final = "tracking error"  # which the page computes
 CURVES: Final = (
+    ("Tracking error", [ERROR]),
     ("Fingers on the block", ["plant.contact_force"]),
     ("Push on the hand", [f"{PUSH}[{i}]" for i in (1, 2, 3)]),
     ("Push on the block", [f"plant.block_force[{i}]" for i in (1, 2, 3)]),
@@ -50,6 +52,7 @@ CURVES: Final = (
 def page_of(session: Session, engine: Mapping[str, object] | None = None) -> str:
     """Return the page of a session as HTML; with an `engine_of` it, it simulates by itself."""
     columns, model = list(session.numbers()), _model(session)
+    values = {f"{i}.{n}": v for i, own in session.parameters.items() for n, v in own.items()}
     bounds = column_bounds(session.scenario.robot) if session.is_panda else {}
     content = {
         "name": session.scenario.name,
@@ -68,6 +71,8 @@ def page_of(session: Session, engine: Mapping[str, object] | None = None) -> str
         "tunables": [
             {
                 "name": name,
+                "reference": scalar.value_reference,
+                "start": values[name],
                 "unit": scalar.unit,
                 "words": scalar.variable.description,
                 "minimum": scalar.minimum,
@@ -118,7 +123,8 @@ def _model(session: Session) -> Any:
 
 
 def _about(session: Session) -> dict[str, object]:
-    scenario, curves = session.scenario, shown_curves(CURVES, dict.fromkeys(session.signals, ""))
+    columns = dict.fromkeys((*session.signals, ERROR), "")
+    scenario, curves = session.scenario, shown_curves(CURVES, columns)
     hint = ["drag the hand, the block or a waypoint"] if session.is_panda else []
     return {
         "title": f"{scenario.name.replace('_', ' ')}, live",

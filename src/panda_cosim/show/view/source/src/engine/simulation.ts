@@ -3,17 +3,11 @@
 import type { Command, Plan, Status, Tunable, Value } from "../live/link.ts";
 import { type Modules, System, type SystemData } from "./system.ts";
 
-/** A row of the table: its name, its place in its frame [m], and how that frame is turned about z [rad]. */
-interface TableRow {
-  label: string;
-  position: number[];
-  turn: number;
-}
-
 export interface SimulationData extends SystemData {
   tunables: Tunable[];
-  rows: TableRow[];
-  moves: string; // why waypoints cannot be moved; "" if they can
+  plan: Plan;
+  offsets: number[][]; // of each row in its frame: x, y, z [m], and how the frame is turned about z [rad]
+  moves: boolean; // whether waypoints can be moved
   head: object; // of the journal
   files: Record<string, string>; // of the scenario, for the journal
 }
@@ -58,7 +52,7 @@ export class Simulation {
   async restart(): Promise<void> {
     if (this.failed || !this.run) this.system = await System.open(this.data, this.modules);
     this.failed = false;
-    this.values = { ...this.data.values };
+    this.values = Object.fromEntries(this.data.tunables.map(({ name, start }) => [name, start]));
     this.coupling = this.data.coupling;
     this.actions = [];
     this.message = "";
@@ -180,7 +174,7 @@ export class Simulation {
 
   private tune(tunables: readonly Tunable[], values: readonly Value[]): void {
     const numbers = tunables.map((tunable, i) => numberOf(tunable, values[i]));
-    this.guarded(() => tunables.forEach(({ name }, i) => this.system.set(name, numbers[i])));
+    this.guarded(() => tunables.forEach((tunable, i) => this.system.set(tunable, numbers[i])));
     tunables.forEach(({ name }, i) => (this.values[name] = values[i]));
   }
 
@@ -192,17 +186,17 @@ export class Simulation {
 
   /** Move a row to a place in the world; returns the place in the row's own frame [m]. */
   private move(row: number, place: readonly number[]): number[] {
-    const { rows, moves } = this.data;
+    const { offsets, plan } = this.data;
     const { trajectory, time } = this.system;
-    if (moves) throw new Refused(moves);
-    if (!(row in rows)) throw new Refused(`waypoint: row ${row}; must be from 0 to ${rows.length - 1}`);
-    if (trajectory.times[row] <= time) throw new Refused(`waypoint ${rows[row].label} has passed`);
-    const { turn, position } = rows[row];
+    if (!this.data.moves) throw new Refused("waypoints stay where they are in a page if `timing` is set");
+    if (!(row in offsets)) throw new Refused(`waypoint: row ${row}; must be from 0 to ${offsets.length - 1}`);
+    if (trajectory.times[row] <= time) throw new Refused(`waypoint ${plan.waypoints[row].label} has passed`);
+    const [px, py, pz, turn] = offsets[row];
     const [x, y, z] = place.map((value, axis) => value - this.data.trajectory.positions[row][axis]);
     const [cosine, sine] = [Math.cos(turn), Math.sin(turn)];
     trajectory.move(row, place);
     this.tellPlan();
-    return [position[0] + cosine * x + sine * y, position[1] + cosine * y - sine * x, position[2] + z];
+    return [px + cosine * x + sine * y, py + cosine * y - sine * x, pz + z];
   }
 
   /** Whatever an engine fails at ends the run, and is told. */
@@ -261,7 +255,7 @@ export class Simulation {
     const isCurved = data.trajectory.interpolation === "spline";
     const time = isCurved ? Array.from({ length: POINTS }, (_, i) => first + (i / (POINTS - 1)) * (last - first)) : [...times];
     const points = isCurved ? time.flatMap((t) => system.trajectory.sample(t).slice(0, 3)) : positions.flat();
-    const waypoints = data.rows.map(({ label }, i) => ({ time: times[i], label, place: positions[i] as [number, number, number] }));
+    const waypoints = data.plan.waypoints.map((mark, i) => ({ ...mark, place: positions[i] as [number, number, number] }));
     const plan: Plan = { time, points, waypoints };
     this.say({ plan });
   }

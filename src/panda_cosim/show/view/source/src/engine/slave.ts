@@ -1,21 +1,15 @@
 // An FMU as a module beside MuJoCo's: calls of FMI 3.0, and the rows that it reads and writes.
+import type { Tunable } from "../live/link.ts";
 import { type MuJoCo, system } from "./mujoco.ts";
 
 type Call = (...values: number[]) => number;
 type Exports = Record<string, Call> & Record<"__global_base" | "__heap_base", WebAssembly.Global>;
 
-/** A scalar variable: its value reference, and the kind of its values. */
-export interface Scalar {
-  reference: number;
-  kind: string; // Real, Boolean or Enumeration
-}
-
 /** An input and what feeds it: the column of a value, with factor and offset on its way. */
 export type Feed = [reference: number, column: number, factor: number, offset: number];
 
 export interface SlaveData {
-  name: string; // of the instance
-  module: string; // of the library that it is an instance of
+  name: string; // of the instance, and of its module
   token: string;
   table: string; // variables and options, with the scenario's start values
   models: Record<string, string>; // MJCF by the name of the resource that is compiled of it
@@ -24,6 +18,7 @@ export interface SlaveData {
 }
 
 const OK = 1; // the highest status that is no failure
+// By the kind of a parameter.
 const SETTERS: Record<string, string> = { Real: "fmi3SetFloat64", Boolean: "fmi3SetBoolean", Enumeration: "fmi3SetInt64" };
 
 /** A failure that ends the run: of an FMU at an instant. */
@@ -138,7 +133,7 @@ export class Slave {
   }
 
   /** Set a parameter; the number of an enumeration's item counts from 1. */
-  set({ reference, kind }: Scalar, value: number): void {
+  set({ reference, kind }: Tunable, value: number): void {
     const one = new Values(this.engine, [reference]);
     const [references, count, place] = one.arguments;
     const memory = new DataView(this.engine.functions.memory.buffer);

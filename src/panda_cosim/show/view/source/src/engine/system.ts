@@ -1,15 +1,13 @@
 // The coupled system of a page: its FMUs, their rows, and the inputs that the scenario gives them.
-import type { Value } from "../live/link.ts";
+import type { Tunable } from "../live/link.ts";
 import { MuJoCo } from "./mujoco.ts";
-import { type Scalar, Slave, type SlaveData } from "./slave.ts";
+import { Slave, type SlaveData } from "./slave.ts";
 import { initialize, Step } from "./step.ts";
 import { Trajectory, type TrajectoryData } from "./trajectory.ts";
 
 /** What src/panda_cosim/study/live/alone.py writes of a prepared run. */
 export interface SystemData {
   slaves: SlaveData[]; // in the order of stepping
-  parameters: Record<string, Scalar & { slave: string }>; // that can be tuned
-  values: Record<string, Value>; // theirs at the start
   coupling: string;
   step: number; // [s]
   ticks: number; // to the end
@@ -47,7 +45,7 @@ export class System {
     const engine = await MuJoCo.start(modules.mujoco);
     const place = engine.block(BLOCK); // first, so that it is where the FMUs were linked for
     const slaves: Slave[] = [];
-    for (const slave of data.slaves) slaves.push(await Slave.open(engine, modules[slave.module], [place, place + BLOCK], slave));
+    for (const slave of data.slaves) slaves.push(await Slave.open(engine, modules[slave.name], [place, place + BLOCK], slave));
     return new System(data, slaves);
   }
 
@@ -95,9 +93,8 @@ export class System {
     this.step = this.coupled(coupling);
   }
 
-  set(name: string, value: number): void {
-    const parameter = this.data.parameters[name];
-    this.slaves.find(({ data }) => data.name === parameter.slave)!.set(parameter, value);
+  set(tunable: Tunable, value: number): void {
+    this.slaves.find(({ data }) => tunable.name.startsWith(`${data.name}.`))!.set(tunable, value);
   }
 
   private coupled(coupling: string): Step {

@@ -1,5 +1,5 @@
 // Pushes bodies with the mouse or a finger, by a spring and damper from the grabbed point to the pointer.
-import { ArrowHelper, Vector3 } from "three";
+import { ArrowHelper, type Vector2, Vector3 } from "three";
 import { make } from "../dom.ts";
 import type { Stage } from "../scene/stage.ts";
 import { Hold } from "./hold.ts";
@@ -19,9 +19,34 @@ export interface Push {
 
 type Send = (signal: string, force: [number, number, number] | null) => void;
 
-export class Drag extends Hold {
+/** A force that is drawn: an arrow from where it acts, with its size. */
+class Force {
   private readonly arrow = new ArrowHelper(new Vector3(1, 0, 0), new Vector3(), 0.1, COLOUR, 0.03, 0.02);
   private readonly newtons = make("output", "pv-newtons");
+
+  constructor(stage: Stage) {
+    stage.scene.add(this.arrow);
+    stage.element.append(this.newtons);
+  }
+
+  /** Show a force [N]; `seen` is where a place is in the picture. */
+  show(from: Vector3, force: Vector3, seen: (place: Vector3) => Vector2): void {
+    const size = force.length();
+    this.arrow.visible = size > SAME;
+    this.newtons.hidden = !this.arrow.visible;
+    if (!this.arrow.visible) return;
+    const length = Math.max(size * METRES_PER_NEWTON, 0.04);
+    this.arrow.position.copy(from);
+    this.arrow.setDirection(force.clone().normalize());
+    this.arrow.setLength(length, 0.03, 0.02);
+    const tip = seen(force.clone().setLength(length).add(from));
+    this.newtons.textContent = `${size.toFixed(1)} N`;
+    this.newtons.style.transform = `translate(${tip.x + 10}px, ${tip.y - 10}px)`;
+  }
+}
+
+export class Drag extends Hold {
+  private readonly forces: readonly Force[]; // one for each push
   private push: Push | null = null;
   private readonly grip = new Vector3(); // grabbed point in the body's frame
   private to: Vector3 | null = null;
@@ -35,16 +60,15 @@ export class Drag extends Hold {
     stage: Stage,
     private readonly pushes: readonly Push[],
     private readonly send: Send,
+    private readonly acting: (signal: string) => number[], // the force now
   ) {
     super(stage);
-    this.arrow.visible = false;
-    this.newtons.hidden = true;
-    stage.scene.add(this.arrow);
-    stage.element.append(this.newtons);
+    this.forces = pushes.map(() => new Force(stage));
   }
 
   /** Follow the moving body; the stage shows this instant [s]. */
   update(time: number): void {
+    for (const push of this.pushes) if (push !== this.push) this.show(push, this.body(push).localToWorld(new Vector3()), new Vector3(...this.acting(push.signal)));
     if (!this.push) return;
     const from = this.from(this.push);
     const passed = time - this.time;
@@ -75,8 +99,6 @@ export class Drag extends Hold {
   }
 
   protected drop(): void {
-    this.arrow.visible = false;
-    this.newtons.hidden = true;
     if (this.push && this.sent) this.send(this.push.signal, null);
     this.push = this.to = null;
     this.sent = 0;
@@ -96,25 +118,15 @@ export class Drag extends Hold {
     const from = this.from(this.push);
     const force = this.to.clone().sub(from).multiplyScalar(stiffness).addScaledVector(this.speed, -damping);
     force.clampLength(0, limit);
-    this.show(from, force);
+    this.show(this.push, from, force);
     if (performance.now() - this.sent < INTERVAL || (this.sent && force.distanceTo(this.last) < SAME)) return;
     this.sent = performance.now();
     this.last.copy(force);
     this.send(signal, [force.x, force.y, force.z]);
   }
 
-  private show(from: Vector3, force: Vector3): void {
-    const size = force.length();
-    this.arrow.visible = size > SAME;
-    this.newtons.hidden = !this.arrow.visible;
-    if (this.arrow.visible) {
-      this.arrow.position.copy(from);
-      this.arrow.setDirection(force.clone().normalize());
-      const tip = this.seen(force.clone().setLength(Math.max(size * METRES_PER_NEWTON, 0.04)).add(from));
-      this.newtons.textContent = `${size.toFixed(1)} N`;
-      this.newtons.style.transform = `translate(${tip.x + 10}px, ${tip.y - 10}px)`;
-      this.arrow.setLength(Math.max(size * METRES_PER_NEWTON, 0.04), 0.03, 0.02);
-    }
+  private show(push: Push, from: Vector3, force: Vector3): void {
+    this.forces[this.pushes.indexOf(push)].show(from, force, (place) => this.seen(place));
     this.stage.refresh();
   }
 }

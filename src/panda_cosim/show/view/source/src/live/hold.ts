@@ -3,6 +3,8 @@ import { Plane, Raycaster, Vector2, Vector3 } from "three";
 import type { Stage } from "../scene/stage.ts";
 
 export abstract class Hold {
+  /** Whether something can be grabbed now. */
+  enabled = false;
   protected readonly caster = new Raycaster();
   private readonly canvas: HTMLCanvasElement;
   private readonly plane = new Plane();
@@ -48,7 +50,7 @@ export abstract class Hold {
   }
 
   private press(event: PointerEvent): void {
-    if (event.button !== 0 || this.held || !event.isPrimary) return;
+    if (!this.enabled || event.button !== 0 || this.held || !event.isPrimary) return;
     this.aim(event);
     const place = this.take(event);
     if (!place) return;

@@ -18,6 +18,8 @@ export type Command =
 /** A tunable parameter. */
 export interface Tunable {
   name: string;
+  reference: number; // of its value
+  start: Value;
   unit: string;
   words: string;
   minimum: number | null;

@@ -9,11 +9,17 @@ import { type LiveData, LiveRun } from "./source.ts";
 import { Waypoints } from "./waypoints.ts";
 import { zip } from "./zip.ts";
 
+/** Return what a page that simulates by itself gives its worker, or null. */
+function engineOf({ tunables, columns, plan }: LiveData): object | null {
+  const engine = embedded("engine") as object | null;
+  return engine && { ...engine, tunables, columns, plan };
+}
+
 /** Return the viewer of the page's live simulation, or null if the page has none. */
 export async function openLive(into: HTMLElement): Promise<Viewer | null> {
   const data = embedded("live") as LiveData | null;
   if (!data) return null;
-  const link = new Link(embedded("engine"));
+  const link = new Link(engineOf(data));
   const send = (command: Command) => link.send(command);
   const run = new LiveRun(data);
   const bar = new Bar(send, link.isAlone);
@@ -31,12 +37,14 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
   const { stage } = viewer;
   const bodies = data.pushes.flatMap((push) => push.bodies);
   const waypoints = stage && new Waypoints(stage, bodies, (row, position) => send({ do: "waypoint", row, position }), (words) => bar.say(words));
-  const drag = stage && new Drag(stage, data.pushes, (name, value) => send(value ? { do: "set", name, value } : { do: "release", name }));
+  const drag = stage && new Drag(stage, data.pushes, (name, value) => send(value ? { do: "set", name, value } : { do: "release", name }), (signal) => [1, 2, 3].map((i) => run.newest(`${signal}[${i}]`)));
   if (waypoints) parameters.element.append(waypoints.element);
   viewer.clock.onTime((time) => {
     waypoints?.show(time);
     drag?.update(time);
   });
+  // What is not simulated cannot be dragged.
+  const hold = (can: boolean) => [waypoints, drag].forEach((each) => each && (each.enabled = can));
   // Rows may arrive faster than a slow machine draws, so they are shown once per frame.
   let waiting = 0;
   const catchUp = () => {
@@ -52,6 +60,7 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     status: (status) => {
       bar.show(status);
       parameters.show(status);
+      hold(status.acts && !status.over);
     },
     plan: (plan) => {
       run.use(plan);
@@ -59,7 +68,10 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     },
     refused: (words) => bar.say(words),
     journal: (files) => download("session.zip", zip(files)),
-    closed: () => bar.say("the simulation has ended; its folder holds the run and session.jsonl"),
+    closed: () => {
+      hold(false);
+      bar.say("the simulation has ended; its folder holds the run and session.jsonl");
+    },
   });
   return viewer;
 }

@@ -4,6 +4,7 @@ import type { Command, Status, Tunable, Value } from "./link.ts";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 const JOURNAL = "Download the scenario and the journal of your actions; panda-cosim replay repeats them";
+const END = 1500; // [ms] for which the end of a run is seen
 const REACH = 4; // a slider spans at most this multiple of the start value
 
 type Send = (command: Command) => void;
@@ -15,7 +16,9 @@ export class Bar {
   private readonly speed = make("select", "pv-speed");
   private readonly clock = make("output", "pv-clock");
   private readonly says = make("output", "pv-says");
+  private readonly again = make("input", "pv-switch");
   private playing = false;
+  private ended = 0; // number of the last run that was begun again
 
   constructor(
     private readonly send: Send,
@@ -28,7 +31,11 @@ export class Bar {
     const step = button("One step forward (.)", "pv-text pv-tick-on", () => this.step(), "1 tick");
     const restart = button("Start a new run from t = 0", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
     const actions = make("span", "pv-actions", ...(isAlone ? [this.written()] : [this.keeper(), this.kept()]));
-    this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, this.says, actions);
+    this.again.type = "checkbox";
+    this.again.checked = isAlone; // a server keeps a folder for each run
+    const repeat = make("label", "pv-again", this.again, "repeat");
+    hint(repeat, "Begin again at the end");
+    this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, repeat, this.says, actions);
   }
 
   /** A link to the journal that the server keeps. */
@@ -91,6 +98,17 @@ export class Bar {
     const late = status.behind > 0.1 ? `${status.behind.toFixed(1)} s behind real time` : "";
     this.say(status.acts ? "" : "view only: another page has control", status.message, late);
     for (const control of this.element.querySelectorAll("button, select")) control.toggleAttribute("disabled", !status.acts);
+    if (status.over && status.acts && this.again.checked && this.ended !== status.run) this.beginAgain(status.run);
+  }
+
+  /** Begin another run after a moment, in which the end is seen. */
+  private beginAgain(run: number): void {
+    this.ended = run;
+    setTimeout(() => {
+      if (!this.again.checked) return void (this.ended = 0);
+      this.send({ do: "restart" });
+      this.send({ do: "play" });
+    }, END);
   }
 
   showTime(time: number): void {
@@ -123,11 +141,10 @@ export class Parameters {
     }
     for (const [name, group] of groups) {
       const words = make("summary", "", make("code", "", name), " ", make("bdi", "", group[0].unit === "1" ? "" : group[0].unit));
-      hint(words, group[0].words);
       const each = group.map((tunable) => this.control(tunable));
       const alike = group.length > 1 && group.every(({ kind, unit }) => kind === "Real" && unit === group[0].unit);
       const single = alike ? [this.row(group[0], group), make("details", "", make("summary", "", `each of the ${group.length}`), ...each)] : each;
-      const box = make("details", "", words, ...single);
+      const box = make("details", "", words, make("p", "pv-words", group[0].words), ...single);
       box.open = name === "controller.kp";
       this.element.append(box);
     }
@@ -136,7 +153,7 @@ export class Parameters {
   show({ values, coupling, acts }: Status): void {
     this.coupling.value = coupling;
     for (const { tunable, show } of this.rows) show(values[tunable.name]);
-    for (const control of this.element.querySelectorAll("input, select")) control.toggleAttribute("disabled", !acts);
+    for (const control of this.element.querySelectorAll("input, select, button")) control.toggleAttribute("disabled", !acts);
   }
 
   /** Give a slider a useful range; the field beside it takes the whole range. */
@@ -167,10 +184,19 @@ export class Parameters {
 
   private named(tunable: Tunable, control: HTMLElement, show: (value: Value) => void): HTMLElement {
     control.dataset.name = tunable.name;
-    this.rows.push({ tunable, show });
-    const row = make("label", "pv-parameter", make("span", "pv-what", tunable.name.replace(/^[^[]*/, "") || "value"), control);
-    hint(row, tunable.words);
-    return row;
+    const place = tunable.name.replace(/^[^[]*/, "") || "value";
+    return make("label", "pv-parameter", make("span", "pv-what", place), control, this.reset(tunable, [tunable], show));
+  }
+
+  /** A button that sets parameters to what they are at the start; what shows the value tells it, too. */
+  private reset(tunable: Tunable, group: readonly Tunable[], show: (value: Value) => void): HTMLElement {
+    const { start } = tunable;
+    const name = group.length > 1 ? tunable.name.replace(/\[.*/, "") : tunable.name;
+    const value = group.length > 1 ? group.map((each) => Number(each.start)) : start;
+    const words = typeof start === "number" ? number(start) : String(start);
+    const back = button(`Back to ${words}`, "pv-reset", () => this.send({ do: "set", name, value }), "↺");
+    this.rows.push({ tunable, show: (now) => (show(now), back.toggleAttribute("hidden", now === start)) });
+    return back;
   }
 
   /** A slider and a field for a number, or for all elements of a group at once. */
@@ -198,10 +224,10 @@ export class Parameters {
       if (document.activeElement !== field) field.value = String(Number(value.toPrecision(8)));
     };
     const place = group.length ? "all" : name.replace(/^[^[]*/, "") || "value";
-    this.rows.push({ tunable, show });
     const range = minimum !== null && maximum !== null ? `${number(minimum)} to ${number(maximum)}` : "";
-    const row = make("label", "pv-parameter", make("span", "pv-what", place), slider, field);
-    hint(row, [words, [range, unit === "1" ? "" : unit].join(" ").trim()].filter(Boolean).join("; "));
+    const row = make("label", "pv-parameter", make("span", "pv-what", place), slider, field, this.reset(tunable, group.length ? group : [tunable], show));
+    const about = [words, [range, unit === "1" ? "" : unit].join(" ").trim(), `at the start ${number(Number(tunable.start))}`];
+    hint(row, about.filter(Boolean).join("; "));
     return row;
   }
 }

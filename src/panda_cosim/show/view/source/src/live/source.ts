@@ -23,6 +23,7 @@ export interface LiveData {
   plan: Plan;
 }
 
+const ERROR: Signal & { units: string[] } = { name: "tracking error", columns: ["tracking error"], unit: "mm", units: ["mm"], words: "Distance of the hand from its command" };
 const MOST = 30_000; // rows kept in the browser; the recording has all
 const SPARE = 1000;
 
@@ -46,10 +47,25 @@ export class LiveRun implements RunSource {
     this.use(data.plan);
     this.model = data.model;
     this.masses = data.masses;
-    this.signals = data.signals;
-    this.index = new Map(data.columns.map((column, at) => [column, at]));
-    for (const { columns, units } of data.signals) columns.forEach((column, at) => this.units.set(column, units[at]));
-    this.rows = [Float64Array.from(data.row)];
+    this.signals = this.canTrack ? [ERROR, ...data.signals] : data.signals;
+    this.index = new Map([...data.columns, ERROR.name].map((column, at) => [column, at]));
+    for (const { columns, units } of [ERROR, ...data.signals]) columns.forEach((column, at) => this.units.set(column, units[at]));
+    this.rows = [this.tracked(Float64Array.from(data.row))];
+  }
+
+  private get canTrack(): boolean {
+    return this.data.roles.actual?.length === 3 && this.data.roles.commanded?.length === 3;
+  }
+
+  /** Return a row with the tracking error at its end [mm]. */
+  private tracked(row: Float64Array): Float64Array {
+    const place = (role: Role) => this.data.roles[role]!.map((column) => row[this.index.get(column)!]);
+    const whole = new Float64Array(row.length + 1);
+    whole.set(row);
+    if (!this.canTrack) return whole;
+    const [actual, commanded] = [place("actual"), place("commanded")];
+    whole[row.length] = 1e3 * Math.hypot(...actual.map((value, axis) => value - commanded[axis]));
+    return whole;
   }
 
   get span(): readonly [number, number] {
@@ -64,7 +80,7 @@ export class LiveRun implements RunSource {
   take(values: Float64Array): void {
     const width = this.data.columns.length;
     for (let at = 0; at + width <= values.length; at += width) {
-      const row = values.subarray(at, at + width);
+      const row = this.tracked(values.subarray(at, at + width));
       while (this.rows.length && this.rows[this.rows.length - 1][0] >= row[0]) this.rows.pop();
       this.rows.push(row);
     }
