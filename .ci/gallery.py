@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
+import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Container
 from contextlib import closing
 from pathlib import Path
 
@@ -31,6 +36,18 @@ FIRST = {
 }  # fmt: skip
 CAMERAS = ("overview", "front", "closeup")  # of the others, in turn
 VERDICTS = (0, 1, 3)  # exit codes
+WRITTEN = (0, 2)  # of pages, which some scenarios cannot have
+# Elements of a page that simulates by itself that are alike in all: its engine.
+SHARED = "engine.js"
+MODULES = re.compile(
+    r'<script type="text/plain" data-(module|worker|licences)(?:="(\w+)")?>(.*?)</script>', re.S
+)
+ADD = """{
+    const element = document.createElement("script");
+    Object.assign(element, { type: "text/plain", textContent: text });
+    element.dataset[key] = value;
+    document.body.append(element);
+}"""
 # Pages beside those of the scenarios: title, text, what is shown, and the commands that make it.
 REPORTS = {
     "pictures": (
@@ -100,6 +117,9 @@ SCENARIO = Template(
 For authors of scenarios, an example: {{ purpose[0] | lower }}{{ purpose[1:] }}.
 {%- if reason %} It is meant to fail: {{ reason }}.{% endif %}
 {{ shown(name ~ "/view.html", name) }}
+{% if plays %}
+[Simulate it in this browser: push, drag and tune]({{ name }}/play.html)
+{% endif %}
 ```sh
 panda-cosim run {{ name }}
 ```
@@ -141,7 +161,10 @@ def gallery(docs: Path) -> str:
         _thumbnail(Recording.open(folder / name), folder / f"{name}.png", *look)
         purpose = scenario.purpose
         reason = summary.expect_reason
-        text = SCENARIO.render(name=name, purpose=purpose, reason=reason, criteria=summary.criteria)
+        plays = _page(name, folder)
+        text = SCENARIO.render(
+            name=name, purpose=purpose, reason=reason, criteria=summary.criteria, plays=plays
+        )
         (folder / f"{name}.md").write_text(text)
         title = name.replace("_", " ").capitalize()
         figures.append(FIGURE.render(name=name, title=title, text=purpose))
@@ -152,20 +175,41 @@ def gallery(docs: Path) -> str:
         (folder / f"{name}.md").write_text(page)
         links.append(f"- [{title}](gallery/{name}.md)")
     for path in folder.rglob("*.*"):
-        if path.suffix not in (".html", ".md", ".mp4", ".png"):
+        if path.suffix not in (".html", ".js", ".md", ".mp4", ".png"):
             path.unlink()  # data of the runs, which no page shows
     grid = "\n".join(figures)
     return "\n".join([f'<div class="gallery">\n{grid}\n</div>\n\n## Reports\n', *links])
 
 
-def _run(line: str, folder: Path) -> None:
+def _page(name: str, folder: Path) -> bool:
+    """Write a scenario's page that simulates by itself, unless a page cannot."""
+    page = folder / name / "play.html"
+    if _run(f"panda-cosim live {name} --page {name}/play.html", folder, WRITTEN):
+        return False
+    page.write_text(shared(page.read_text(encoding="utf-8"), folder / SHARED), encoding="utf-8")
+    return True
+
+
+def shared(page: str, script: Path) -> str:
+    """Return a page whose modules are in a script beside its folder, which all pages load."""
+    code = f"for (const [key, value, text] of {json.dumps(MODULES.findall(page))}) {ADD}"
+    script.write_text(code, encoding="utf-8")
+    digest = "sha256-" + base64.b64encode(hashlib.sha256(code.encode()).digest()).decode()
+    tag = f'<script src="../{script.name}" integrity="{digest}"></script>'
+    first = page.index(MODULES.search(page)[0])
+    page = page[:first] + tag + MODULES.sub("", page[first:])
+    return page.replace("script-src ", f"script-src '{digest}' ", 1)
+
+
+def _run(line: str, folder: Path, codes: Container[int] = VERDICTS) -> int:
     done = subprocess.run(
         [sys.executable, "-m", "panda_cosim", *shlex.split(line)[1:]],
         cwd=folder, capture_output=True, text=True, check=False,
     )  # fmt: skip
     print(f"{line}: {done.returncode}", flush=True)
-    if done.returncode not in VERDICTS:
+    if done.returncode not in codes:
         raise SystemExit(done.stderr)
+    return done.returncode
 
 
 def _thumbnail(recording: Recording, path: Path, camera: str, share: float) -> None:

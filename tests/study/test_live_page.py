@@ -324,3 +324,20 @@ def test_the_journal_is_downloaded_as_an_archive(written, page: Page):
     with zipfile.ZipFile(io.BytesIO(bytes(content))) as archive:
         assert archive.testzip() is None
         assert {"session.jsonl", "scenario/scenario.toml"} < {*archive.namelist()}
+
+
+# The tutorial.
+
+
+@pytest.mark.long
+def test_the_tutorials_numbers_are_those_of_runs(tmp_path):
+    text = (ROOT / "docs/learn/why.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (none|`.*`) \| (\S+) mm \| (\S+) mm \|$", text, re.M)
+    assert len(rows) == 11
+    for number, (changes, largest, rms) in enumerate(rows):
+        values = [word for change in changes.split("`")[1::2] for word in ("--set", change)]
+        folder = tmp_path / str(number)
+        command("run", "pick_and_place", "--out", folder, *QUIET, *values)
+        found = json.loads((folder / "summary.json").read_text())["tracking"]
+        assert float(f"{found['max_mm']:.3g}") == float(largest), changes
+        assert float(f"{found['rms_mm']:.3g}") == float(rms), changes
