@@ -33,7 +33,8 @@ SAME = 1e-5  # [rad], [m] between two versions of MuJoCo, in contact
 # Where they are further apart than a tube: times its width. Beyond its reach, the arm is all but
 # singular; MuJoCo 3.14 leaves the tube as far (763 times) where it runs natively.
 WIDER = {"beyond_reach": 1000.0}
-PYTHON = ("Error: --page: sensors (PandaSensors) runs Python", "Error: --page: controller (")
+PYTHON = ("Error: --page: sensors (PandaSensors) runs Python", "Error: --page: controller (",
+          "Error: --page: a client")  # fmt: skip
 LOCAL = ("file:", "blob:", "data:", "about:")
 SERIES = "(name) => PandaView.viewer.runs[0].series(name).then(({ values }) => Array.from(values))"
 FAST = """{
