@@ -282,8 +282,12 @@ def test_a_page_begins_again_at_its_end_unless_it_is_told_not_to(written, page: 
     page.open(written("elastic"))
     page.wait(READY)
     page.value(FAST)
+    gain = "document.querySelector('.pv-parameters input[aria-label=\"controller.ik_gain 1/s\"]')"
+    page.value(f"{gain}.value = 20; {gain}.dispatchEvent(new Event('change'))")
     page.wait(f"{SPAN} > 1.0")
     page.wait(f"{SPAN} < 1.0")
+    page.wait(f"{SPAN} > 0.2")
+    assert page.value(f"{gain}.value") == "20"
     page.click(".pv-again input")
     page.wait("document.querySelector('.pv-says').textContent.startsWith('the scenario is over')")
     page.value("new Promise((done) => setTimeout(done, 3000))")

@@ -22,8 +22,8 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
   const link = new Link(engineOf(data));
   const send = (command: Command) => link.send(command);
   const run = new LiveRun(data);
-  const bar = new Bar(send, link.isAlone);
   const parameters = new Parameters(send, data.tunables, data.couplings);
+  const bar = new Bar(send, link.isAlone, () => parameters.changes());
   const viewer = await Viewer.open([run], into, {}, true, {
     footer: bar.element,
     panel: ["Parameters", parameters.element],

@@ -23,18 +23,19 @@ export class Bar {
   constructor(
     private readonly send: Send,
     isAlone: boolean, // without a server, which keeps scenarios and journals
+    private readonly changes: () => Command[], // what was changed, and is changed again in the next run
   ) {
     this.play = button("Run or pause (space)", "pv-text pv-run", () => this.toggle(), "Run");
     this.speed.setAttribute("aria-label", "Speed");
     for (const factor of SPEEDS) this.speed.append(option(String(factor), `${factor}×`));
     this.speed.addEventListener("change", () => send({ do: "speed", factor: Number(this.speed.value) }));
     const step = button("One step forward (.)", "pv-text pv-tick-on", () => this.step(), "1 tick");
-    const restart = button("Start a new run from t = 0", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
+    const restart = button("Start a new run from t = 0, with the scenario's values", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
     const actions = make("span", "pv-actions", ...(isAlone ? [this.written()] : [this.keeper(), this.kept()]));
     this.again.type = "checkbox";
     this.again.checked = isAlone; // a server keeps a folder for each run
     const repeat = make("label", "pv-again", this.again, "repeat");
-    hint(repeat, "Begin again at the end");
+    hint(repeat, "Begin again at the end, with the parameters as they are");
     this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, repeat, this.says, actions);
   }
 
@@ -106,8 +107,8 @@ export class Bar {
     this.ended = run;
     setTimeout(() => {
       if (!this.again.checked) return void (this.ended = 0);
-      this.send({ do: "restart" });
-      this.send({ do: "play" });
+      const changes = this.changes();
+      for (const command of [{ do: "restart" } as const, ...changes, { do: "play" } as const]) this.send(command);
     }, END);
   }
 
@@ -125,10 +126,12 @@ export class Parameters {
   readonly element = make("div", "pv-facts pv-parameters");
   private readonly rows: { tunable: Tunable; show(value: Value): void }[] = [];
   private readonly coupling = make("select", "pv-coupling");
+  private first = ""; // coupling
+  private now: Status | null = null;
 
   constructor(
     private readonly send: Send,
-    tunables: readonly Tunable[],
+    private readonly tunables: readonly Tunable[],
     couplings: readonly string[],
   ) {
     for (const name of couplings) this.coupling.append(option(name));
@@ -150,7 +153,19 @@ export class Parameters {
     }
   }
 
-  show({ values, coupling, acts }: Status): void {
+  /** Return commands that change what now differs from the start. */
+  changes(): Command[] {
+    if (!this.now) return [];
+    const { values, coupling } = this.now;
+    const changed = this.tunables.filter(({ name, start }) => values[name] !== start);
+    const sets = changed.map(({ name }): Command => ({ do: "set", name, value: values[name] }));
+    return coupling === this.first ? sets : [...sets, { do: "coupling", coupling }];
+  }
+
+  show(status: Status): void {
+    const { values, coupling, acts } = status;
+    this.now = status;
+    this.first ||= coupling;
     this.coupling.value = coupling;
     for (const { tunable, show } of this.rows) show(values[tunable.name]);
     for (const control of this.element.querySelectorAll("input, select, button")) control.toggleAttribute("disabled", !acts);
