@@ -246,6 +246,7 @@ def test_the_modules_are_those_of_the_sources():
     done = subprocess.run(
         [sys.executable, ROOT / ".ci/engine.py", "--check"],
         check=False,
+        timeout=300.0,
         capture_output=True,
         text=True,
     )
