@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar, Final
 
@@ -71,6 +71,10 @@ class SharedSlave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
         self._inputs = self._values[:inputs]
         self._outputs = self._values[inputs : inputs + outputs]
         self._texts = texts
+
+    def parameters(self, names: Iterable[str]) -> dict[str, Any]:
+        """Values of parameters by their names."""
+        return {name: self.parameter(name) for name in names}
 
     def parameter(self, name: str) -> float | tuple[float, ...] | bool | str:
         """Value of a parameter, by its name without indices."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, Final, cast
+from typing import Final, cast
 
 import mujoco
 import numpy as np
@@ -39,8 +39,7 @@ class ControllerSlave(SharedSlave):
         self._controller = Controller(self._gains(), period, self._inputs, self._outputs)
 
     def _gains(self) -> Gains:
-        values: dict[str, Any] = {f.name: self.parameter(f.name) for f in fields(Gains)}
-        return Gains(**values)
+        return Gains(**self.parameters(f.name for f in fields(Gains)))
 
     def tune(self) -> None:
         """Use the new gains and switches."""

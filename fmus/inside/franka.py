@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, Final, NoReturn
+from typing import Final, NoReturn
 
 from ...controller.franka.line import EndedError
 from ...controller.franka.robot import Robot
@@ -24,7 +24,7 @@ class FrankaSlave(SharedSlave):
     def rebuild(self, start_time: float) -> None:
         """Make the robot; it listens once initialization has ended."""
         self.terminate()
-        given: dict[str, Any] = {f.name: self.parameter(f.name) for f in fields(Settings)}
+        given = self.parameters(f.name for f in fields(Settings))
 
         def warn(text: str) -> None:
             self.messages.append((WARNING, text))

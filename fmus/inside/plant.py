@@ -28,7 +28,7 @@ class PlantSlave(SharedSlave):
 
     def rebuild(self, start_time: float) -> None:
         """Make the plant."""
-        given: dict[str, Any] = {v.name: self.parameter(v.name) for v in PLANT.of("parameter")}
+        given = self.parameters(v.name for v in PLANT.of("parameter"))
         with self._logged():
             self._plant = Plant(PlantParameters(**given), self._inputs, self._outputs)
         self._views[COUNTED.name][:] = self._seen = np.zeros(COUNTED.size)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class SensorsSlave(SharedSlave):
         self._sensors.model_start()
 
     def _errors(self) -> SensorErrors:
-        given: dict[str, Any] = {f.name: self.parameter(f.name) for f in fields(SensorErrors)}
+        given = self.parameters(f.name for f in fields(SensorErrors))
         return SensorErrors(**given | {"delay": round(cast(float, given["delay"]) / STEP_SIZE)})
 
     def tune(self) -> None:

@@ -35,7 +35,8 @@ HEAD: Final = {"name": str, "description": str, "author": str, "keyframe": str, 
 KEYS: Final = {"source": str, "unit": str, "description": str, "start": object, "min": object,
                "max": object, "tunable": bool}  # fmt: skip
 _WORDS: Final = {str: "a text", bool: "true or false", dict: "a table"}
-Rows = dict[str, dict[str, Any]]  # keys of each variable, `source` at least, by name
+Keys = Mapping[str, Any]  # of a variable, or of the file
+Rows = dict[str, Keys]  # of each variable, by name; each has a `source` at least
 # Interfaces that a model with the same objects can take over, by name.
 EXTENDED: Final = {PLANT.model: PLANT}
 # Objects of PandaPlant whose values its vectors begin with, by kind.
@@ -166,7 +167,7 @@ def read_description(path: Path) -> Description:
     return description
 
 
-def _check(place: str, content: Mapping[str, Any], valid: Mapping[str, type]) -> None:
+def _check(place: str, content: Keys, valid: Mapping[str, type]) -> None:
     for key, value in content.items():
         if key not in valid:
             refuse(f"{place}: key", key, f"must be one of {', '.join(valid)}", valid)
@@ -236,7 +237,7 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
     return sorted([*taken, *own], key=lambda v: list(SECTIONS.values()).index(v.causality))
 
 
-def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> Variable:
+def _variable(place: str, name: str, keys: Keys, row: Variable) -> Variable:
     """Complete a model's variable with the keys of the interface file."""
     unit = keys.get("unit")
     if unit and unit not in OUR_UNITS:
@@ -262,7 +263,7 @@ def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> 
     return variable
 
 
-def _variability(place: str, keys: Mapping[str, Any], row: Variable) -> Variability:
+def _variability(place: str, keys: Keys, row: Variable) -> Variability:
     if not keys.get("tunable"):
         return row.variability
     if row.causality != "parameter":
@@ -272,7 +273,7 @@ def _variability(place: str, keys: Mapping[str, Any], row: Variable) -> Variabil
     return "tunable"
 
 
-def _numbers(place: str, key: str, keys: Mapping[str, Any], size: int, default: Any) -> Any:
+def _numbers(place: str, key: str, keys: Keys, size: int, default: Any) -> Any:
     """Values given either once for all elements or for each."""
     if key not in keys:
         return default

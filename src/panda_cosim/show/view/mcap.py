@@ -151,8 +151,8 @@ def _shapes(model: Any) -> Any:
 
     from .model import describe  # noqa: PLC0415 - imports MuJoCo
 
-    round_ends: dict[str, Any] = {"bottom_scale": 1.0, "top_scale": 1.0}
-    kinds: dict[str, tuple[str, Any, Sequence[int], dict[str, Any]]] = {
+    round_ends: dict[str, float] = {"bottom_scale": 1.0, "top_scale": 1.0}
+    kinds: dict[str, tuple[str, Any, Sequence[int], dict[str, float]]] = {
         "box": ("cubes", fox.CubePrimitive, (0, 1, 2), {}),  # axes of its size
         "sphere": ("spheres", fox.SpherePrimitive, (0, 0, 0), {}),
         "ellipsoid": ("spheres", fox.SpherePrimitive, (0, 1, 2), {}),

@@ -44,6 +44,7 @@ from ..work import processor
 from .tubes import widths
 
 Array = NDArray[np.float64]
+Models = Mapping[str, Any]  # mjModel of each FMU that is made of one, by its name
 
 FORMATS: Final = (1, 2)  # that are read; the last one is written
 REFERENCE_FILE: Final = "reference.parquet"
@@ -70,7 +71,7 @@ class Reference(Recording):
         models: What each MuJoCo model held, by instance, see `causes.elements`; older files: none.
     """
 
-    models: Mapping[str, Any] = MappingProxyType({})
+    models: Models = MappingProxyType({})
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class Reference(Recording):
         recording: Recording,
         summary: Summary,
         tolerances: Tolerances,
-        models: Mapping[str, Any] | None = None,
+        models: Models | None = None,
     ) -> Self:
         """Make a reference from a run; values are rounded to a tenth of their tolerances."""
         _check_run(recording, summary)
@@ -194,7 +195,7 @@ class Reference(Recording):
         return found
 
 
-def _packed(models: Mapping[str, Any]) -> str:
+def _packed(models: Models) -> str:
     """Pack what hardly anyone reads: a tenth of its size."""
     return base64.b85encode(zlib.compress(json.dumps(models).encode(), 9)).decode()
 

@@ -9,7 +9,7 @@ from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from ...fmus.errors import CosimError, InputError, located, refuse
 from ...result.judging.criterion import Criterion
@@ -28,7 +28,7 @@ from ..work import Workers
 from .against_reference import Comparison, Deviation, compare_with_reference
 from .causes import changed, is_parameter, models_of, named
 from .differences import Row
-from .reference import Reference, how_to_make, kept_metadata, reference_path
+from .reference import Models, Reference, how_to_make, kept_metadata, reference_path
 
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
@@ -234,9 +234,7 @@ def _compared(judged: Outcome, summary: Summary, exact: bool) -> Outcome:
     return judged
 
 
-def _causes(
-    recording: Recording, reference: Reference, models: Mapping[str, Any]
-) -> tuple[Row, ...]:
+def _causes(recording: Recording, reference: Reference, models: Models) -> tuple[Row, ...]:
     """Return what differs; of models, only if these of the run are given."""
     known = {name: reference.models[name] for name in models if name in reference.models}
     before = {**reference.metadata, "models": known}
