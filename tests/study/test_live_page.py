@@ -242,6 +242,7 @@ def test_a_page_is_small_and_allows_its_own_scripts_alone(written):
     assert "'wasm-unsafe-eval'" in allowed["script-src"]
 
 
+@needs_node
 def test_the_modules_are_those_of_the_sources():
     done = subprocess.run(
         [sys.executable, ROOT / ".ci/engine.py", "--check"],
