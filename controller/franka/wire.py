@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 Layout = np.dtype[np.void]
 Message = Any  # a record: its fields by their names, `message["q"]`; None without fields
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+ERRORS: Final[tuple[str, ...]] = tuple(_TABLES["errors"])
 
 
 class ProgramError(ValueError):
@@ -100,8 +102,6 @@ class Protocol:
             data = data[size:]
 
 
-_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-ERRORS: Final[tuple[str, ...]] = tuple(_TABLES["errors"])
 STATE, COMMAND, GRIPPER_STATE = (
     layout(_TABLES["packets"][name]) for name in ("state", "command", "gripper_state")
 )

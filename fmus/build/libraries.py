@@ -21,7 +21,7 @@ from ..atomic import cache_folder, cached, temporary_folder
 from ..errors import CosimError, InputError
 from ..processes import pip, run
 from .identity import digest, mujoco_package, mujoco_version
-from .platforms import PAGE, PLATFORMS, TARGETS, this_platform
+from .platforms import PAGE, PLATFORMS, targets, this_platform
 
 SOURCES: Final = Path(__file__).parents[1] / "native"
 _MADE_OF: Final = tomllib.loads((SOURCES / "libraries.toml").read_text(encoding="utf-8"))
@@ -44,13 +44,13 @@ def compile_library(backend: str | Path, platform: str | None = None) -> bytes:
             f"machine, a compiler named cc, gcc or clang"
         )
     with temporary_folder(cache_folder()) as folder:
-        compiled = folder / f"fmu{TARGETS[name].suffix}"
+        compiled = folder / f"fmu{targets()[name].suffix}"
         command = [
             *compiler(name),
             *FLAGS,
             *("-I.", *(f"-isystem{include}" for include in includes())),
             *_files(backend, name),
-            *TARGETS[name].flags,
+            *targets()[name].flags,
             *([f"-Wl,--global-base={PLACES[str(backend)]}"] if name == PAGE else ()),
             *("-o", str(compiled)),
         ]
@@ -77,7 +77,7 @@ def compiler(platform: str) -> tuple[str, ...]:
         return (compiler,)
     if find_spec("ziglang") is None:
         return ()
-    return (sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[platform].target)
+    return (sys.executable, "-m", "ziglang", "cc", "-target", targets()[platform].target)
 
 
 @cache

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform as host
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -12,6 +11,8 @@ from typing import Final
 from ..errors import CosimError
 
 _FILE: Final = Path(__file__).with_suffix(".toml")
+
+PAGE: Final = "wasm32"  # no platform of FMUs, but where pages simulate
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,13 @@ class Platform:
     flags: list[str]
 
 
-PAGE: Final = "wasm32"  # no platform of FMUs, but where pages simulate
-TARGETS: Final[Mapping[str, Platform]] = {
-    name: Platform(**row) for name, row in tomllib.loads(_FILE.read_text(encoding="utf-8")).items()
-}
-PLATFORMS: Final = {name: platform for name, platform in TARGETS.items() if name != PAGE}
+def targets() -> dict[str, Platform]:
+    """Return all that libraries are compiled for: platforms, and pages."""
+    rows = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+    return {name: Platform(**row) for name, row in rows.items()}
+
+
+PLATFORMS: Final = {name: platform for name, platform in targets().items() if name != PAGE}
 
 
 def this_platform() -> str:

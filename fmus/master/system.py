@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -270,13 +270,9 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         here = working_directory()
         stack.callback(return_to, here)
         slaves: dict[str, Instance] = {}
+        make = partial(_isolated, step_timeout) if isolate else open_slave
         for name, fmu in fmus.items():
-            if isolate:
-                from .remote_slave import RemoteSlave  # noqa: PLC0415 - loads multiprocessing
-
-                slaves[name] = RemoteSlave(name, fmu, on_message, step_timeout)
-            else:
-                slaves[name] = open_slave(name, fmu, on_message)
+            slaves[name] = make(name, fmu, on_message)
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
             # Ours may take a step beyond the end, for the last row.
@@ -298,14 +294,28 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             at_end=[name for name, fmu in fmus.items() if fmu.is_model or not fmu.is_ours],
         )
         if external is not None or not system.external:
-            try:
-                unsettled = master.initialize(np.empty((1, 0)) if external is None else external)
-            except SimulationError as error:  # nothing is recorded yet
-                raise InputError(f"initialization: {error}") from error
-            if unsettled and on_message is not None:
-                text = f"{unsettled[1]} does not settle between FMUs; start values are used"
-                on_message(unsettled[0], "Warning", f"initialization: {text}")
+            _settle(master, np.empty((1, 0)) if external is None else external, on_message)
         for slave in slaves.values():
             slave.exit_initialization()
         return_to(here)
         yield OpenSystem(master, slaves, fmus)
+
+
+def _isolated(
+    step_timeout: float | None, name: str, fmu: Fmu, on_message: OnMessage | None
+) -> Instance:
+    """Open an FMU in a process of its own."""
+    from .remote_slave import RemoteSlave  # noqa: PLC0415 - loads multiprocessing
+
+    return RemoteSlave(name, fmu, on_message, step_timeout)
+
+
+def _settle(master: Master, external: Array, on_message: OnMessage | None) -> None:
+    """Exchange values in initialization mode until they agree, or warn that they do not."""
+    try:
+        unsettled = master.initialize(external)
+    except SimulationError as error:  # nothing is recorded yet
+        raise InputError(f"initialization: {error}") from error
+    if unsettled and on_message is not None:
+        text = f"{unsettled[1]} does not settle between FMUs; start values are used"
+        on_message(unsettled[0], "Warning", f"initialization: {text}")
