@@ -68,6 +68,11 @@ def layout(fields: Mapping[str, str]) -> Layout:
     return np.dtype([*fields.items()]).newbyteorder("<")
 
 
+STATE, COMMAND, GRIPPER_STATE = (
+    layout(_TABLES["packets"][name]) for name in ("state", "command", "gripper_state")
+)
+
+
 @dataclass(frozen=True)
 class Protocol:
     """One of the two services: its version, and its requests in the order of their numbers."""
@@ -102,9 +107,6 @@ class Protocol:
             data = data[size:]
 
 
-STATE, COMMAND, GRIPPER_STATE = (
-    layout(_TABLES["packets"][name]) for name in ("state", "command", "gripper_state")
-)
 ROBOT, GRIPPER = (
     Protocol(name, each["version"], each["status"], layout(each["header"]),
              tuple((request, layout(fields)) for request, fields in each["requests"].items()))
