@@ -158,6 +158,11 @@ class Fmu:
         return (self.description.generationTool or "").startswith("panda-cosim")
 
     @property
+    def answers_at_end(self) -> bool:
+        """Whether its outputs belong to the end of a step; our controllers' belong to its begin."""
+        return self.is_model or not self.is_ours
+
+    @property
     def code(self) -> str:
         """What runs in it: "native" code, or "python" in our host or in PythonFMU's wrapper."""
         host = self.folder / "resources" / "python_host.py"

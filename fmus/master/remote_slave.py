@@ -429,6 +429,16 @@ class _Host:
         get, put = (together([*self._exchanges[each].values()]) for each in self._exchanges)
         bound: Any = SimpleNamespace(set_inputs=put, step=self._slave.step, get_outputs=get)
         self._step.leaders = [bound]
+        self._make_kernel()
+
+    def save_state(self, place: int) -> None:
+        """Keep the present state; from the first on, steps say that they may be repeated."""
+        was_final = self._slave.no_going_back
+        self._slave.save_state(place)
+        if was_final and self._kernel is not None:
+            self._make_kernel()
+
+    def _make_kernel(self) -> None:
         self._kernel = make_kernel(self._step, self._rows, 0.0, self._wants_answer)
 
     def step(self, time: float, step_size: float) -> dict[int, list[Any]]:

@@ -291,7 +291,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             multiples=multiples,
             stepper=stepper,
             not_finite=system.not_finite,
-            at_end=[name for name, fmu in fmus.items() if fmu.is_model or not fmu.is_ours],
+            at_end=[name for name, fmu in fmus.items() if fmu.answers_at_end],
         )
         if external is not None or not system.external:
             _settle(master, np.empty((1, 0)) if external is None else external, on_message)

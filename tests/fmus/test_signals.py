@@ -69,7 +69,7 @@ def test_differences_of_temperatures_have_no_offset(tmp_path):
     recording = run(
         tmp_path, '[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n"b.u[1,2]" = "a.y[2,1]"\n'
     )
-    wanted = recording["a.y[2,1]"][:-1] + TIMES[1:]
+    wanted = recording["a.y[2,1]"][1:] + TIMES[1:]
     np.testing.assert_allclose(recording["b.y[1,2]"][1:], wanted, rtol=1e-15)
 
 
@@ -255,8 +255,8 @@ def test_values_are_converted_or_the_user_is_told(tmp_path, fmi, one, other, wan
     assert told or not any(word in checked for word in ("no definition", "one side"))
     recording = rehearse(prepare(load_scenario(tmp_path))).recording
     giving, taking, time = recording["a.y"], recording["b.y"], recording.time
-    # b.y = u + t after the step; the last row's u is that of the step before
-    expected = wanted(giving[:-1, 0, 0]) + time[1:]
+    # b.y = u + t after the step, of whose end u is
+    expected = wanted(giving[1:, 0, 0]) + time[1:]
     assert taking[1:, 0, 0] == pytest.approx(expected, rel=1e-12)
     assert recording.units["b.y[1,2]"] == other[0]
 
@@ -272,7 +272,7 @@ def test_what_cannot_be_converted_is_refused_unless_it_is_asked_for(tmp_path, fm
     assert '"b.u[1,1]" = "convert(a.y[1,1])"' in refused
     assert "wrong" not in said(system(tmp_path, "convert(a.y[1,1])"))
     recording = rehearse(prepare(load_scenario(tmp_path))).recording
-    assert recording["b.y"][-1, 0, 0] == recording["a.y"][-2, 0, 0] + recording.time[-1]
+    assert recording["b.y"][-1, 0, 0] == recording["a.y"][-1, 0, 0] + recording.time[-1]
 
 
 ITEMS = st.dictionaries(st.sampled_from("abcd"), st.integers(-3, 3), max_size=4)

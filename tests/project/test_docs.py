@@ -159,8 +159,8 @@ def test_each_block_is_run_or_says_why_not(page):
     assert all(is_run(it) or it.file or it.why or it.kind == "text" for it in blocks(page))
 
 
-def test_there_are_seven_tutorials_with_commands():
-    assert len(TUTORIALS) == 7
+def test_there_are_eight_tutorials_with_commands():
+    assert len(TUTORIALS) == 8
     assert all(any(map(is_run, blocks(page))) for page in TUTORIALS)
 
 

@@ -6,7 +6,7 @@ See `experiments` for the format.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,8 +56,8 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
     for each in (*(Connection(name, name) for name in assembly.external), *assembly.connections):
         if assembly.scalars[each.target].variable.kind not in TEXTS:
             values, linear = recording[".".join(each.source)], in_units(fmus, each)
-            if scenario.coupling == "iterated" and each.source != each.target:
-                values = np.append(values[1:], values[-1:])  # each step has the inputs of its end
+            ahead = _ahead(each, scenario.coupling, fmus, multiples)
+            values = np.append(values[ahead:], np.repeat(values[-1:], ahead))
             fed[each.target] = linear.factor * values + linear.offset
     experiments = {}
     for instance, interface in assembly.interfaces.items():
@@ -75,6 +75,18 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
             stimuli=stimuli if driven else Series(),
         )  # fmt: skip
     return experiments
+
+
+def _ahead(
+    connection: Connection, coupling: str, fmus: Mapping[str, Fmu], multiples: Mapping[str, int]
+) -> int:
+    """Rows after the one of a step's begin that holds what the step was fed."""
+    (feeder, _), (fed, _) = connection.source, connection.target
+    if connection.source == connection.target or coupling == "jacobi":
+        return 0
+    order = [*fmus]
+    leads = order.index(feeder) < order.index(fed) and fmus[feeder].answers_at_end
+    return multiples.get(feeder, 1) if leads else int(coupling == "iterated")
 
 
 def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
