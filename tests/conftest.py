@@ -21,6 +21,9 @@ if not any(map(shutil.which, ("cc", "gcc", "clang"))) and find_spec("ziglang"):
     atexit.register(shutil.rmtree, LENT.parent)
     os.environ["PATH"] += f"{os.pathsep}{LENT.parent}"
 
+# Scripts, and programs of scenarios, call `panda-cosim` and `python` by name.
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+
 # Each test process has a core: NumPy's own threads would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # So that tests find the modules beside them, and the studies.
