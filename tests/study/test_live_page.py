@@ -347,5 +347,6 @@ def test_the_tutorials_numbers_are_those_of_runs(tmp_path):
         folder = tmp_path / str(number)
         command("run", "pick_and_place", "--out", folder, *QUIET, *values)
         found = json.loads((folder / "summary.json").read_text())["tracking"]
-        assert float(f"{found['max_mm']:.3g}") == float(largest), changes
-        assert float(f"{found['rms_mm']:.3g}") == float(rms), changes
+        # Three digits; the half of the last one, and what rounding adds to runs that diverge.
+        assert found["max_mm"] == pytest.approx(float(largest), rel=0.006), changes
+        assert found["rms_mm"] == pytest.approx(float(rms), rel=0.006), changes
