@@ -378,7 +378,8 @@ def wire(_: Path | None) -> str:
         _said([*RUN, "run", folder, "--out", f"{folder}/run", *QUIET])
         rates = json.loads(result.read_text())
     rates["load in the last minute"] = os.getloadavg()[0]
-    return _table([*rates], [[f"{value:.3g}" for value in rates.values()]])
+    texts = [f"{value:.3g}" if value < 100 else f"{value:.0f}" for value in rates.values()]
+    return _table([*rates], [texts])
 
 
 def engines(_: Path | None) -> str:
