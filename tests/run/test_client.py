@@ -119,14 +119,7 @@ def test_the_end_of_the_scenario_ends_the_program_and_what_it_has_started(tmp_pa
 
 
 def test_ctrl_c_ends_a_run_that_waits_for_its_program(tmp_path):
-    words = [
-        "panda-cosim",
-        "run",
-        write(tmp_path / "fill", "hang"),
-        *QUIET,
-        "--out",
-        tmp_path / "r",
-    ]
+    words = run_words(write(tmp_path / "fill", "hang"), tmp_path / "r")
     with running(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         printed = line_with("sleeping", process)
         process.send_signal(signal.SIGINT)
@@ -140,14 +133,7 @@ def test_ctrl_c_ends_a_run_that_waits_for_its_program(tmp_path):
 
 
 def test_a_killed_run_takes_its_program_with_it(tmp_path):
-    words = [
-        "panda-cosim",
-        "run",
-        write(tmp_path / "fill", "hang"),
-        *QUIET,
-        "--out",
-        tmp_path / "r",
-    ]
+    words = run_words(write(tmp_path / "fill", "hang"), tmp_path / "r")
     with running(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         line_with("sleeping", process)
         process.kill()

@@ -11,6 +11,7 @@ from forked import QUIET, command
 from franka_support import needs_clients
 from panda_cosim import Recording, Session, load_scenario, shipped_scenarios
 from panda_cosim.controller.franka.wire import ERRORS
+from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.prepare import prepare
 from panda_cosim.task.writer import make_scenario
 from refusals import refused
@@ -38,6 +39,10 @@ def test_the_program_of_a_new_scenario_picks_the_block_with_equal_bits(pick, tmp
     assert runs[0].sha256() == runs[1].sha256()
     lift = runs[0]["plant.qpos[12]"]
     assert lift.max() - lift[0] > 0.1  # m
+    # It commands poses, so that no rate of commanded torques is measured, and none is green.
+    found = Summary.open(tmp_path / "a").preflight
+    assert (found["interface"], found["torque_refusals"], found["refusals"]) == ("arm", None, 0)
+    assert found["torque_rate_share"] is None
 
 
 @needs_clients

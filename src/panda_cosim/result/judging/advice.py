@@ -191,12 +191,15 @@ def refusals(preflight: Metrics, *, complete: bool) -> Iterator[tuple[Level, str
     if not preflight:
         return
     robot, own = preflight["robot"], preflight["interface"]
+    what = f"over the {own} interface"
+    if own == "arm":  # a program's
+        what = "of what the arm did; the program's commands were judged as they came"
     if preflight["refusals"] is None:
         yield "wrong", f"{robot}: signals that the {own} interface is judged by are not recorded"
     elif not preflight["refusals"] and not complete:
-        yield "hint", f"{robot} refuses nothing over the {own} interface up to where the run ended"
+        yield "hint", f"{robot} refuses nothing {what} up to where the run ended"
     elif not preflight["refusals"]:
-        yield "good", f"{robot} refuses nothing over the {own} interface"
+        yield "good", f"{robot} refuses nothing {what}"
     for each in preflight["findings"]:
         yield _told(robot, own, each)
     if (preflight["refusals"] or 0) > 1:

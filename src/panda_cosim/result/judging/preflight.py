@@ -163,9 +163,11 @@ class _Arm:
         commanded[begins], needed[begins] = 0.0, 0.0
         rate: Array = np.diff(commanded, axis=0, prepend=self._torque[None]) / STEP_SIZE
         self._torque = commanded[-1]
+        is_commanded = np.full(count, True)
         if MODE in signals:
-            rate[signals[MODE][-count:] != TORQUES] = 0.0
-        yield torque_rate_measure(rate, limits)
+            is_commanded = signals[MODE][-count:] == TORQUES
+        if is_commanded.any():
+            yield torque_rate_measure(np.where(is_commanded[:, None], rate, 0.0), limits)
         external = needed
         for row in range(count):
             self._external += self._share * (needed[row] - self._external)
@@ -208,7 +210,7 @@ def preflight(recording: Recording, robot: str) -> Metrics:
             judge.see(time, arm.measures(signals, len(time)))
     if reference in signals:
         judge.see(time[-1:], end_measures(rates, limits))
-    return _result(robot, "joint" if reference else "torque", judge, lost)
+    return _result(robot, _own_interface(recording, reference), judge, lost)
 
 
 def _windows(recording: Recording, reference: str) -> Iterator[tuple[Array, dict[str, Array]]]:
@@ -273,6 +275,17 @@ def _reference(recording: Recording) -> str:
     angles = "controller.qpos_ref" not in recording and "controller.ctrl[8]" in recording
     follows = _gains(recording).get("use_reference", not angles)
     return "controller.qpos_ref" if follows else "controller.ctrl"
+
+
+def _own_interface(recording: Recording, reference: str) -> str:
+    """Return what a run is judged by: "arm" alone, if a program commanded motions of its own.
+
+    FrankaInterface has judged these as they came.
+    """
+    if reference:
+        return "joint"
+    is_of_program = MODE in recording and TORQUES not in recording[MODE]
+    return "arm" if is_of_program else "torque"
 
 
 def _has_motors(recording: Recording) -> bool:
