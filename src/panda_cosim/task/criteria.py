@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BeforeValidator, PlainValidator
+from pydantic import Field, PlainSerializer, PlainValidator
 
 from ..fmus.errors import did_you_mean, excerpt, located, refuse
-from .fields import Choice, Line, Quantity, Vector, checked, field_names, key_of
+from .fields import Choice, Line, Quantity, Vector, checked, field_names
 from .table import POSITION
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -64,6 +64,11 @@ def _signal(value: object) -> Signal:
     if len(set(names)) < len(names):
         raise ValueError(f"{operation}: value {excerpt(names)}; must be two different signals")
     return operation, tuple(Line()(name) for name in names)
+
+
+def _signal_key(signal: Signal) -> object:
+    """Return a signal or an operation as scenario.toml has it."""
+    return signal if isinstance(signal, str) else dict([signal])
 
 
 def check_instant(value: object) -> Instant:
@@ -126,9 +131,9 @@ class SignalCriterion:
         InputError: A value cannot be used, or the criterion cannot fail or cannot hold.
     """
 
-    signal: Annotated[Signal, PlainValidator(_signal)]
+    signal: Annotated[Signal, PlainValidator(_signal), PlainSerializer(_signal_key)]
     reduce: Annotated[str, Choice(tuple(REDUCTIONS))]
-    from_: Annotated[Instant, PlainValidator(check_instant)] = "start"
+    from_: Annotated[Instant, Field(alias="from"), PlainValidator(check_instant)] = "start"
     to: Annotated[Instant, PlainValidator(check_instant)] = "end"
     below: Annotated[float, _ANY] | None = None
     above: Annotated[float, _ANY] | None = None
@@ -257,22 +262,6 @@ def signal_text(signal: Signal) -> str:
     return f"|{text}|" if operation == "norm" else text
 
 
-def from_toml(value: object) -> object:
-    """Rename the key `from` to the field's name."""
-    if isinstance(value, Mapping):
-        return {("from_" if key == "from" else key): each for key, each in value.items()}
-    return value
-
-
-def toml_keys(criterion: SignalCriterion) -> dict[str, object]:
-    """Return a criterion's keys and values for scenario.toml."""
-    values = {key_of(name): getattr(criterion, name) for name in field_names(criterion)}
-    if not isinstance(criterion.signal, str):
-        operation, names = criterion.signal
-        values["signal"] = {operation: names}
-    return {key: value for key, value in values.items() if value not in (None, "")}
-
-
 @checked
 class BodyCriterion:
     """A criterion on one free body at one instant."""
@@ -359,7 +348,7 @@ class Success:
     max_engine_warnings: Annotated[float, Quantity(0.0, 1e9, "1")] | None = None
 
     # Criteria over recorded signals, [[success.signal]].
-    signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
+    signal: tuple[SignalCriterion, ...] = ()
     # Criteria about free bodies by name, [[success.body]].
     body: tuple[BodyCriterion, ...] = ()
 

@@ -182,7 +182,8 @@ def checked(cls: type[T]) -> type[T]:
     """Make a frozen dataclass whose fields check their values."""
     # A mapping given for a field that is such a class is made into one. Whatever cannot be used
     # raises an InputError; a `__post_init__` raises ValueError for what concerns several fields.
-    dataclass = pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
+    config = ConfigDict(extra="forbid", validate_by_name=True, validate_by_alias=True)
+    dataclass = pydantic_dataclass(frozen=True, config=config)(cls)
     plain = dataclass.__init__
 
     @functools.wraps(plain)
@@ -199,11 +200,6 @@ def checked(cls: type[T]) -> type[T]:
 def field_names(cls: Any) -> tuple[str, ...]:
     """Return the names of a dataclass's fields."""
     return tuple(entry.name for entry in dataclasses.fields(cls))
-
-
-def key_of(name: str) -> str:
-    """Return a field's key in the file: `from_` stands for `from`, a keyword of Python."""
-    return name.removesuffix("_")
 
 
 def check_rules(rules: Mapping[str, object]) -> None:
@@ -233,8 +229,9 @@ def _describe(error: ValidationError, cls: type) -> str:
     problem = (unknown or problems)[0]
     loc: Loc = problem["loc"]
     owner = _class_at(cls, loc[:-1])
-    if problem["type"] == "unexpected_keyword_argument":
-        return _section(loc[:-1]) + _unknown(str(loc[-1]), [*map(key_of, field_names(owner))])
+    if unknown:
+        valid = [name.removesuffix("_") for name in field_names(owner)]  # `from_` stands for `from`
+        return _section(loc[:-1]) + _unknown(str(loc[-1]), valid)
     if problem["type"] == "missing":
         return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {_required(owner)}"
     cause = problem.get("ctx", {}).get("error")
@@ -288,4 +285,4 @@ def _place(loc: Loc) -> str:
     while end and isinstance(loc[end - 1], int):
         end -= 1
     indices = "".join(f"[{int(part) + 1}]" for part in loc[end:])
-    return f"{_section(loc[: end - 1])}{key_of(str(loc[end - 1]))}{indices}"
+    return f"{_section(loc[: end - 1])}{loc[end - 1]}{indices}"

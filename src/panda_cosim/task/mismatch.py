@@ -8,7 +8,7 @@ the Franka Emika Panda Robot With Retrieval of Feasible Parameters", IEEE RA-L 4
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Final, cast
 
@@ -139,6 +139,13 @@ class Mismatch:
         """Whether PandaSensors is connected between plant and controller."""
         return any(self.values.get(name) for name in SENSOR_KEYS)
 
+    def items(self, name: str) -> Sequence[Any]:
+        """Return the items of a key: the FMU's own if neither preset nor scenario gives any."""
+        interface = SENSORS if name in SENSOR_KEYS else PLANT
+        variable = interface.end(name, "parameter")
+        own = [each.start for each in variable.scalars(0)] if variable else []
+        return cast("Sequence[Any]", self.values.get(name, own))
+
     def start_values(self) -> dict[str, dict[str, Any]]:
         """Start values by FMU and parameter."""
         values = self.values
@@ -147,11 +154,3 @@ class Mismatch:
             return {"plant": plant}
         sensors = {n: v for n, v in values.items() if n in SENSOR_KEYS}
         return {"plant": plant, "sensors": {"seed": float(self.seed), **sensors}}
-
-
-def default_of(name: str) -> Any:
-    """Value of a key where neither preset nor scenario gives one."""
-    variable = (SENSORS if name in SENSOR_KEYS else PLANT).variable(name)
-    start = variable.start
-    many = bool(variable.shape) and not isinstance(start, tuple)
-    return (start,) * variable.size if many else start

@@ -8,7 +8,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import BeforeValidator, PlainValidator, SkipValidation
+from pydantic import BeforeValidator, PlainSerializer, PlainValidator, SkipValidation
 
 from ..assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ..assets.franka import DEFAULT_ROBOT, ROBOTS
@@ -59,7 +59,11 @@ _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
 
 Parameter = Annotated[float | bool | str | tuple[float, ...], Value()]
 Parameters = Mapping[str, Parameter]  # by name
-Regression = Annotated[Tolerances, BeforeValidator(Tolerances.of)]
+Regression = Annotated[
+    Tolerances,
+    BeforeValidator(Tolerances.of),
+    PlainSerializer(lambda tolerances: tolerances.section),
+]
 
 
 @checked

@@ -22,9 +22,11 @@ from typing import Any, Final
 from ..fmus.errors import InputError, did_you_mean, excerpt
 from .fields import Quantity, Whole
 
-_EVENTS = Whole(0, 1_000_000)
-_TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide real differences
-_SCALE = Quantity(1e-3, 1e6)
+_OWN: Final = {
+    "time": Quantity(0.0, 1.0, "s"),  # a wider tube would hide real differences
+    "scale": Quantity(1e-3, 1e6),
+    "events": Whole(0, 1_000_000),
+}
 _VALUE = Quantity(1e-15, 1e15)  # in any unit
 
 OF_RANGE: Final = 1e-5  # the largest of a signal's elements of one unit
@@ -36,7 +38,6 @@ EQUAL: Final = 0.5  # of Integers, Booleans and Enumerations; a text is at 0 or 
 OURS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = tomllib.loads(
     Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
 )
-_OWN: Final = ("time", "scale", "events")
 _ELEMENT = re.compile(r"(?P<signal>.+)\[[\d,]+\]", re.A)
 
 
@@ -56,12 +57,10 @@ class Tolerances:
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.time is not None:
-            object.__setattr__(self, "time", _TIME.check("[regression] time", self.time))
-        object.__setattr__(self, "scale", _SCALE.check("[regression] scale", self.scale))
-        object.__setattr__(self, "events", _EVENTS.check("[regression] events", self.events))
-        checked = {n: _VALUE.check(f"[regression] {n}", value) for n, value in self.values.items()}
-        object.__setattr__(self, "values", checked)
+        stated = {name: getattr(self, name) for name in _OWN if getattr(self, name) is not None}
+        checked = {n: _OWN[n].check(f"[regression] {n}", each) for n, each in stated.items()}
+        values = {n: _VALUE.check(f"[regression] {n}", each) for n, each in self.values.items()}
+        vars(self).update(checked, values=values)
 
     @classmethod
     def of(cls, section: object) -> Tolerances:

@@ -12,16 +12,16 @@ import os
 import re
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import is_dataclass, replace
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.tables import INTERFACES
-from .fields import Line, check_keys, field_names
+from .fields import Line, field_names
 from .input_table import InputTable
-from .mismatch import Mismatch, default_of
+from .mismatch import Mismatch
 from .table import QUATERNION_COLUMNS
 
 Scenario = Any  # that of scenario.py, which imports this module
@@ -60,22 +60,35 @@ def _blamed(scenario: Scenario, values: Values, text: str) -> str:
 
 def _with_all(scenario: Scenario, values: Values) -> Scenario:
     """Change all values at once, so that no order of the keys is seen."""
-    parts = [key for key in values if key.startswith("fmus.")]
-    places = _Places(scenario, {*scenario.fmus, *(key[5:] for key in parts)})
-    if parts and scenario.system:
-        raise InputError(f"{parts[0]}: cannot be combined with system = {scenario.system!r}")
+    places = _Places(scenario, {*scenario.fmus, *(key[5:] for key in values if _is_part(key))})
     if "gains" in values and not places.has_our_controller:
         raise InputError("gains: acts only on the project's own controller; must be left out here")
-    given: dict[str, Any] = {key: _from_here(key, values[key]) for key in parts}
     # The scene and robot of the scenario outrank those of its plant.
     keys = sorted(values, key=lambda key: key not in _OF_SCENE)
-    changes: dict[Steps, Any] = {places.steps(key): given.get(key, values[key]) for key in keys}
-    if not scenario.is_commanded and any(steps[0] == "table" for steps in changes):
-        raise InputError("the scenario commands no hand, so that it has no trajectory.csv")
+    changes = {places.steps(key): _given(key, values[key]) for key in keys}
     if "inputs.file" in values:
         file = (scenario.folder or Path()) / str(values["inputs.file"])
         changes["input_table",] = InputTable.read(file)
-    return _changed(scenario, changes)
+    opened = _opened(scenario)
+    # Wholes come before their items, and `kp` before `kp[3]`.
+    for steps in sorted(changes, key=lambda steps: (len(steps), [*map(str, steps)])):
+        if steps[0] == "mismatch" and steps[2:]:  # an item of what preset and wholes result in
+            drawn = Mismatch(**_opened(opened["mismatch"]))
+            opened["mismatch"] = _opened(drawn) | {steps[1]: drawn.items(str(steps[1]))}
+        _put(opened, steps, changes[steps])
+    return type(scenario)(**opened)
+
+
+def _is_part(key: str) -> bool:
+    return key.startswith("fmus.")
+
+
+def _given(key: str, value: Any) -> Any:
+    """Return a value as a scenario has it; seeds may be drawn from an interval."""
+    if _is_part(key):
+        return _from_here(key, value)
+    is_seed = key == "mismatch.seed" and isinstance(value, float) and math.isfinite(value)
+    return int(value) if is_seed else value
 
 
 def _from_here(key: str, given: object) -> str:
@@ -144,53 +157,28 @@ class _Places:
         return InputError(f"{key}: no such key; valid: {', '.join(valid)}{hint}")
 
 
-def _changed(old: Any, changes: Mapping[Steps, Any], name: str = "") -> Any:
-    """Return an object, mapping or tuple with values changed at some places, wholes first."""
-    old = changes.get((), old)
-    parts: dict[Any, dict[Steps, Any]] = {}
-    for steps, value in changes.items():
-        if steps:
-            parts.setdefault(steps[0], {})[steps[1:]] = value
-    if not parts:
-        return old
-    if isinstance(old, Mapping):
-        return _merged(old, {n: _changed(old.get(n, {}), c, n) for n, c in parts.items()})
-    return (_of_class if is_dataclass(old) else _of_list)(old, parts, name)
+def _put(opened: Any, steps: Steps, value: Any, name: str = "") -> None:
+    """Put a value at a place in an opened object, which the classes check when they are made."""
+    step, *inner = steps
+    if isinstance(opened, dict):
+        for item in [each for each in opened if str(each).startswith(f"{step}[")]:
+            del opened[item]  # a new value of `kp` replaces the old one of `kp[3]`, too
+        opened.setdefault(step, {})
+    elif step not in range(len(opened)):
+        bound = f"must be 1 to {len(opened)}" if opened else "the scenario has none"
+        number = step + 1 if isinstance(step, int) else step
+        raise InputError(f"there is no {name.removesuffix('s')} {number}; {bound}")
+    if inner:
+        part = _opened(opened[step])
+        _put(part, tuple(inner), value, str(step))
+        value = part
+    opened[step] = value
 
 
-def _of_class(old: Any, parts: Mapping[str, dict[Steps, Any]], _: str) -> Any:
-    """Return a dataclass with some fields changed."""
-    check_keys("", list(map(str, parts)), field_names(old))
-    if isinstance(old, Mismatch):  # items are those of what preset and wholes result in
-        old = replace(old, **{n: _whole(n, c.pop(())) for n, c in parts.items() if () in c})
-    new = {n: _changed(_field(old, n), c, n) for n, c in parts.items() if c}
-    return replace(old, **new)
-
-
-def _of_list(old: Any, parts: Mapping[int, dict[Steps, Any]], name: str) -> tuple[Any, ...]:
-    """Return a list with some items changed, by index from 0."""
-    items = list(old) if isinstance(old, tuple | list) else []
-    for index, inner in parts.items():
-        if index not in range(len(items)):
-            bound = f"must be 1 to {len(items)}" if items else "the scenario has none"
-            number = index + 1 if isinstance(index, int) else index
-            raise InputError(f"there is no {name.removesuffix('s')} {number}; {bound}")
-        items[index] = _changed(items[index], inner, name)
-    return tuple(items)
-
-
-def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge both; a new value of `kp` replaces the old one of `kp[3]`, too."""
-    return {k: v for k, v in old.items() if k in new or k.partition("[")[0] not in new} | dict(new)
-
-
-def _field(old: Any, name: str) -> Any:
-    if isinstance(old, Mismatch) and name not in ("preset", "seed"):
-        return old.values.get(name, default_of(name))
-    return getattr(old, name)
-
-
-def _whole(name: str | int, value: Any) -> Any:
-    """Return the integer part of a seed, so that seeds can be drawn from an interval."""
-    is_number = isinstance(value, float) and math.isfinite(value)
-    return int(value) if name == "seed" and is_number else value
+def _opened(value: Any) -> Any:
+    """Return the fields of an object, or a copy of a mapping or list, to put values in."""
+    if is_dataclass(value):
+        return {name: getattr(value, name) for name in field_names(value)}
+    if isinstance(value, Mapping):
+        return dict(value)
+    return list(value) if isinstance(value, list | tuple) else []

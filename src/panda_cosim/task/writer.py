@@ -6,21 +6,22 @@ import json
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import TypeAdapter
 
 from ..fmus.atomic import check_replaceable, replacing
 from ..fmus.errors import InputError, refuse
-from .criteria import toml_keys
 from .files import csv_text, write_all
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
 from .trajectory import COMMANDS, POSTURE_COMMANDS
 
 TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
+_SCENARIO: Final = TypeAdapter(Scenario)
 INPUTS_FILE: Final = "inputs.csv"
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
@@ -110,42 +111,33 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
 
 def settings_text(scenario: Scenario) -> str:
     """Return the text of scenario.toml: the keys that differ from their defaults."""
-    values = {name: getattr(scenario, name) for name in KEYS}
-    # A default that is a mapping is made anew, empty, and the class does not have it.
-    given = {name: each for name, each in values.items() if each != getattr(Scenario, name, {})}
-    inputs = {name: value for name, value in scenario.inputs.items() if name != "file"}
+    given = _SCENARIO.dump_python(scenario, by_alias=True, exclude_defaults=True, include={*KEYS})
+    given["inputs"] = {name: each for name, each in scenario.inputs.items() if name != "file"}
     if scenario.input_table.columns:
-        inputs["file"] = INPUTS_FILE
-    sections = {
-        "inputs": inputs,
-        "client": asdict(scenario.client) if scenario.client else {},
-        "mismatch": scenario.mismatch.given,
-        "success": {
-            **asdict(scenario.success),
-            "signal": [*map(toml_keys, scenario.success.signal)],
-            "body": [*map(asdict, scenario.success.body)],
-        },
-        "regression": scenario.regression.section,
-        "push": [*map(asdict, scenario.push)],
-    }
-    return "\n".join(_section(given | sections)) + "\n"
+        given["inputs"]["file"] = INPUTS_FILE
+    return "\n".join(_section(given)) + "\n"
 
 
-def _section(values: Mapping[str, object], *path: str) -> Iterator[str]:
+def _section(values: Mapping[str, Any], *path: str) -> Iterator[str]:
     """Yield the lines of a section: its plain values, then those of the sections in it."""
-    inner = {name: each for name, each in values.items() if isinstance(each, Mapping | list)}
+    inner = {name: each for name, each in values.items() if _has_sections(each)}
     yield from _lines({name: each for name, each in values.items() if name not in inner})
     for name, each in inner.items():
         head = ".".join((*path, _key(name)))
-        if isinstance(each, list):
+        if isinstance(each, tuple):
             for item in each:
                 yield from ("", f"[[{head}]]", *_lines(item))
         elif each or path:  # an FMU that is named with no values is named again
             yield from ("", f"[{head}]", *_section(each, *path, _key(name)))
 
 
+def _has_sections(value: object) -> bool:
+    """Whether a value, or each item of it, has keys."""
+    return isinstance(value[0] if value and isinstance(value, tuple) else value, Mapping)
+
+
 def _lines(values: Mapping[str, object]) -> Iterator[str]:
-    return (f"{_key(name)} = {_literal(v)}" for name, v in values.items() if v is not None)
+    return (f"{_key(name)} = {_literal(value)}" for name, value in values.items())
 
 
 def _key(name: str) -> str:
