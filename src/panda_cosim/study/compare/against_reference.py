@@ -7,10 +7,10 @@ of its instant, widened by the signal's tolerance:
 
 A text must be one of those of the reference within `time`; any other is infinitely far away.
 The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
-the comparison fails. Where the reference, of format 1, holds only a column's bits, these must
-match. The other checks find signals that are missing, new or of another unit or type, values
-that are not finite, a different time axis or verdict and, on request, different bits. What else
-differs, parameters, models, versions and FMUs, is no problem, but the cause of one: see `causes`.
+the comparison fails. The other checks find signals that are missing, new or of another unit or
+type, values that are not finite, a different time axis or verdict and, on request, different bits.
+What else differs, parameters, models, versions and FMUs, is no problem, but the cause of one: see
+`causes`.
 """
 
 from __future__ import annotations
@@ -50,22 +50,22 @@ def event_problems(summary: Summary, reference: Reference, steps: int) -> Iterat
     """Check that the same events happened, earlier or later by so many steps at most."""
     for name, now in summary.events.items():
         before = reference.summary.events.get(name, now)
-        times = ["never" if at is None else f"at {instant(at)} s" for at in (now, before)]
-        apart = math.inf if None in (now, before) else abs((now or 0.0) - (before or 0.0))
-        if now != before and apart > (steps + TIME_SLACK) * reference.step_size:
+        apart = np.ptp(np.array([now, before], float))  # NaN: only one of them has it
+        if now != before and not apart <= (steps + TIME_SLACK) * reference.step_size:
+            times = ["never" if at is None else f"at {instant(at)} s" for at in (now, before)]
             told = f"event {name} happens {times[0]}, in the reference {times[1]}"
             yield f"{told}; may move by {steps} steps"
 
 
 def signal_problems(recording: Recording, reference: Reference) -> Iterator[str]:
     """Check that the signals and their units are those of the reference."""
-    missing = _words(name for name in reference.units if name not in recording.types)
-    added = _words(name for name in recording.types if name not in reference.units)
+    missing = _words(name for name in reference.types if name not in recording.types)
+    added = _words(name for name in recording.types if name not in reference.types)
     for signal, words in missing.items():
         near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
         yield f"signal {words} is missing{near.rstrip('?')}"
     yield from (f"signal {words} is new" for words in added.values())
-    units, types = (recording.units, reference.units), (recording.types, reference.kinds)
+    units, types = (recording.units, reference.units), (recording.types, reference.types)
     for what, (now, before) in (("unit", units), ("type", types)):
         for name, word in now.items():
             if before.get(name, word) != word:
@@ -96,19 +96,14 @@ def value_problems(recording: Recording) -> Iterator[str]:
 
 def time_problems(time: Array, reference: Reference) -> list[str]:
     """Check that the time axis is that of the reference."""
-    start, end = reference.time[[0, -1]].tolist()
-    first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
-    slack = TIME_SLACK * reference.step_size
-    if not (abs(first - start) <= slack and abs(last - end) <= slack):
-        spans = [f"{precise(a)} to {precise(b)} s" for a, b in ((first, last), (start, end))]
-        return [f"goes from {spans[0]}, the reference from {spans[1]}"]
-    if len(time) != reference.rows:
-        return [f"has {len(time)} rows, the reference {reference.rows}"]
-    off = np.flatnonzero(~(np.abs(time - reference.time) <= slack))
-    return [
-        f"time is {time[row]:.9f} s in row {row + 1}, must be {reference.time[row]:.9f} s"
-        for row in off[:1]
-    ]
+    expected, slack = reference.time, TIME_SLACK * reference.step_size
+    if len(time) == len(expected) and np.allclose(time, expected, rtol=0.0, atol=slack):
+        return []
+    now, before = (
+        f"{len(each)} rows from {precise(each[0])} to {precise(each[-1])} s"
+        for each in (time, expected)
+    )
+    return [f"has {now}, the reference {before}; all instants must be the same"]
 
 
 def bit_problems(recording: Recording, reference: Reference) -> list[str]:
@@ -173,7 +168,6 @@ class Comparison:
     problems: tuple[str, ...]  # one line each, the most important first
     deviations: tuple[Deviation, ...]  # of each compared column, the worst first
     engines: tuple[str, str] = ("", "")  # versions of MuJoCo: the run's, the reference's
-    equal: int = 0  # further columns, of which only the bits were compared
     uncompared: tuple[str, ...] = ()  # recorded columns that were not compared
     causes: tuple[Row, ...] = ()  # what the run was made with differently, the likeliest first
 
@@ -185,7 +179,7 @@ class Comparison:
     @property
     def worst(self) -> Deviation | None:
         """The column with the largest deviation."""
-        return self.deviations[0] if self.deviations else None
+        return next(iter(self.deviations), None)
 
     @property
     def first(self) -> Deviation | None:
@@ -196,7 +190,7 @@ class Comparison:
     @property
     def compared(self) -> int:
         """Number of compared columns."""
-        return len(self.deviations) + self.equal
+        return len(self.deviations)
 
     @property
     def constant_fits(self) -> list[str]:
@@ -238,42 +232,24 @@ def compare_with_reference(
     """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
     half, ticks = widths(reference, tolerances), tolerances.ticks(reference.step_size)
     _check_precision(reference, half)
-    time = recording.time
+    deviations = sorted(_deviations(recording, reference, half, ticks), key=lambda d: -d.share)
     problems = [
-        *([] if recording.complete else [f"ended early: {recording.reason}"]),
         *signal_problems(recording, reference),
         *value_problems(recording),
-        *time_problems(time, reference),
+        *time_problems(recording.time, reference),
         *verdict_problems(summary, reference),
         *event_problems(summary, reference, tolerances.events),
+        *_tube_problems(deviations),
     ]
-    rows = matching_rows(time, reference)
-    matched = rows >= 0
-    time, rows = time[matched], rows[matched]
-    deviations, equal, uncompared = [], 0, []
-    for name in (each for each in recording.types if each != "time"):
-        same_kind = (name in recording.texts) == (name in reference.texts)
-        if len(rows) and name in half and same_kind:
-            values = recording[name][matched]
-            deviations.append(_deviation(name, time, rows, values, reference, half[name], ticks))
-        elif reference.digests.get(name) == column_digest(recording[name]):
-            equal += 1
-        else:
-            uncompared.append(name)
-    deviations.sort(key=lambda d: -d.share)
-    if not deviations and not equal:
+    if not deviations:
         problems.append("no signal was compared")
-    if unknown := [name for name in uncompared if name in reference.units and name not in half]:
-        problems.append(
-            f"bits differ: {signal_names(unknown)}, of which the reference, of format 1, holds no "
-            "values; must be recorded again with --update"
-        )
-    problems += _tube_problems(deviations)
     if exact:
         problems += bit_problems(recording, reference)
     run, made = (each.metadata.get("versions", {}) for each in (recording, reference))
     engines = (run.get("mujoco", ""), made.get("mujoco", ""))
-    return Comparison(tuple(problems), tuple(deviations), engines, equal, tuple(uncompared))
+    compared = {"time", *(deviation.name for deviation in deviations)}
+    uncompared = tuple(name for name in recording.types if name not in compared)
+    return Comparison(tuple(problems), tuple(deviations), engines, uncompared)
 
 
 def _check_precision(reference: Reference, half: Mapping[str, float]) -> None:
@@ -287,42 +263,41 @@ def _check_precision(reference: Reference, half: Mapping[str, float]) -> None:
             )
 
 
-def _deviation(  # noqa: PLR0913 - one column with all that it is held against
-    name: str,
-    time: Array,
-    rows: Rows,
-    values: Array,
-    reference: Reference,
-    tolerance: float,
-    ticks: int,
-) -> Deviation:
-    expected = reference[name]
-    distance = distances(values, rows, expected, reference.quanta.get(name, 0.0) / 2, ticks)
-    worst = int(np.argmax(distance))
-    outside = distance > tolerance
-    found = (
-        f"{excerpt(values[worst])} at {instant(time[worst])} s, {excerpt(expected[rows[worst]])} in"
-    )
-    return Deviation(
-        name=name,
-        unit=reference.units[name],
-        tolerance=tolerance,
-        share=float(distance[worst]) / tolerance,
-        distance=float(distance[worst]),
-        time=float(time[worst]),
-        first=float(time[int(np.argmax(outside))]) if outside.any() else None,
-        outside=int(outside.sum()),
-        extent=extent_of(expected),
-        constant=holds_constant(expected, tolerance, ticks),
-        found=f"{found} the reference" if math.isinf(distance[worst]) else "",
-    )
+def _deviations(
+    recording: Recording, reference: Reference, half: Mapping[str, float], ticks: int
+) -> Iterator[Deviation]:
+    """Yield how far each column of both is from the reference's, at the instants of both."""
+    rows = matching_rows(recording.time, reference)
+    matched = rows >= 0
+    rows, time = rows[matched], recording.time[matched]
+    common = [name for name in recording.types if name in half and len(rows)]
+    for name in common:
+        if (name in recording.texts) != (name in reference.texts):
+            continue
+        values, expected, tolerance = recording[name][matched], reference[name], half[name]
+        distance = distances(values, rows, expected, reference.quanta.get(name, 0.0) / 2, ticks)
+        worst, outside = int(np.argmax(distance)), np.flatnonzero(distance > tolerance)
+        at, before = instant(time[worst]), excerpt(expected[rows[worst]])
+        found = f"{excerpt(values[worst])} at {at} s, {before} in the reference"
+        yield Deviation(
+            name=name,
+            unit=reference.units.get(name, ""),
+            tolerance=tolerance,
+            share=float(distance[worst]) / tolerance,
+            distance=float(distance[worst]),
+            time=float(time[worst]),
+            first=float(time[outside[0]]) if len(outside) else None,
+            outside=len(outside),
+            extent=extent_of(expected),
+            constant=holds_constant(expected, tolerance, ticks),
+            found=found if math.isinf(distance[worst]) else "",
+        )
 
 
 def matching_rows(time: Array, reference: Reference) -> Rows:
     """Return the reference's row at each instant, -1 if it has none."""
-    ticks = np.round(np.nan_to_num(time - reference.time[0], nan=-1.0) / reference.step_size)
-    inside = (ticks >= 0) & (ticks < reference.rows)
-    return np.where(inside, ticks, -1).astype(np.int64)
+    ticks = np.rint((time - reference.time[0]) / reference.step_size).astype(np.int64)
+    return np.where((ticks >= 0) & (ticks < reference.rows), ticks, -1)
 
 
 def _tube_problems(deviations: Sequence[Deviation]) -> list[str]:

@@ -4,8 +4,7 @@
 are rounded to a tenth of their tolerance, the quantum: int32, second differences of multiples of
 it above the first value, which makes a file of some 100 kB. Others are as they were recorded. The
 JSON under `METADATA_KEY` holds the quanta, the origin (versions, machine, FMUs, parameters), a
-digest of every column, and the summary. Files of format 1 lack the values of some columns, and all
-of texts.
+digest of every column, and the summary.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ import base64
 import hashlib
 import json
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -46,7 +44,7 @@ from .tubes import widths
 Array = NDArray[np.float64]
 Models = Mapping[str, Any]  # mjModel of each FMU that is made of one, by its name
 
-FORMATS: Final = (1, 2)  # that are read; the last one is written
+FORMAT: Final = 2  # that is written, and alone is read
 REFERENCE_FILE: Final = "reference.parquet"
 CHECKSUM_KEY: Final = b"panda-cosim.checksum"
 QUANTA: Final = 10  # quanta per tolerance
@@ -63,34 +61,24 @@ class Reference(Recording):
 
     Attributes:
         quanta: Rounding step of each Real, in its unit.
-        units: Unit of every recorded column; in format 1, not all of these have values.
-        digests: Digest of every recorded column's bits.
-        kinds: Type of every recorded column, as Arrow names it; none in format 1.
+        digests: Digest of every column's bits as they were recorded.
         step_size: Time between two rows [s].
         summary: Of the approved run.
-        models: What each MuJoCo model held, by instance, see `causes.elements`; older files: none.
+        models: What each MuJoCo model held, by instance, see `causes.elements`.
     """
 
-    models: Models = MappingProxyType({})
-
-    def __init__(
+    def __init__(  # noqa: PLR0913 - all that a file holds
         self,
         path: Path,
         source: Source,
         quanta: Mapping[str, float],
-        recorded: Mapping[str, Sequence[str]],
+        digests: Mapping[str, str],
         summary: Summary,
+        models: Models,
     ) -> None:
         super().__init__(path, source)
-        self.quanta, self.summary = quanta, summary
-        self.units = {name: unit for name, (unit, *_) in recorded.items()}
-        self.digests = {name: digest for name, (_, digest, *_) in recorded.items()}
-        self.kinds = {name: kind for name, (_, _, *kinds) in recorded.items() for kind in kinds}
+        self.quanta, self.digests, self.summary, self.models = quanta, digests, summary, models
         self.step_size: float = self.metadata["step_size"]
-
-    def is_real(self, name: str) -> bool:
-        """Whether a column is of real numbers."""
-        return name in self.quanta
 
     @classmethod
     def of(
@@ -120,20 +108,20 @@ class Reference(Recording):
         ]
         blocks = in_one_block(column)
         source = Source(tuple(columns), kept_metadata(recording), recording.rows, blocks)
-        recorded = {c.name: (c.unit, column_digest(recording[c.name]), c.type) for c in columns}
-        made = cls(recording.path, source, quanta, recorded, summary)
-        made.models = models or {}
-        return made
+        digests = {column.name: column_digest(recording[column.name]) for column in columns}
+        return cls(recording.path, source, quanta, digests, summary, models or {})
 
     def write(self, path: Path, recording: Recording) -> None:
         """Write the file atomically, block by block of the recording that it was made of."""
         origins = {name: float(recording[name][0]) for name in self.quanta}
-        parts = (self.units, self.digests, self.kinds)
         text = json.dumps(
             {
-                "format": FORMATS[-1],
+                "format": FORMAT,
                 "rows": self.rows,
-                "columns": {name: [part[name] for part in parts] for name in self.units},
+                "columns": {
+                    name: [self.units.get(name, ""), self.digests[name], kind]
+                    for name, kind in self.types.items()
+                },
                 "quanta": self.quanta,
                 "origins": origins,
                 "nominals": self.nominals,
@@ -142,7 +130,7 @@ class Reference(Recording):
                 "models": _packed(self.models),
             }
         )
-        schema, numbers = _schema(self.quanta, self.kinds), list(self.quanta)
+        schema, numbers = _schema(self.quanta, self.types), list(self.quanta)
         options = {"compression_level": 19, "store_schema": False}
         with parquet_writer(path, schema, numbers, **options) as writer:
             for columns in self._blocks(recording, origins):
@@ -151,7 +139,7 @@ class Reference(Recording):
 
     def _blocks(self, recording: Recording, origins: Mapping[str, float]) -> Iterator[list[Array]]:
         # Those of other types are not in blocks, which are of float64.
-        held = [recording[n] for n in self.kinds if n != "time" and n not in self.quanta]
+        held = [recording[n] for n in self.types if n != "time" and n not in self.quanta]
         row = before = 0  # `before`: rows at the start of a block that were in the one before
         for block in recording.in_blocks("time", *self.quanta, before=2):
             columns, end = [], row + len(block[0]) - before
@@ -172,7 +160,7 @@ class Reference(Recording):
             raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
         file, description = _open(path)
         quanta, metadata = description["quanta"], description["metadata"]
-        origins, nominals = description.get("origins", {}), description.get("nominals", {})
+        origins, nominals = description["origins"], description["nominals"]
         rows, recorded = description["rows"], description["columns"]
 
         def column(name: str) -> Array:
@@ -183,16 +171,16 @@ class Reference(Recording):
             if name not in quanta:
                 return values
             steps = values.astype(int).cumsum().cumsum()
-            return np.asarray(origins.get(name, 0.0) + steps * quanta[name])
+            return np.asarray(origins[name] + steps * quanta[name])
 
-        columns = [Column("time", "s")]
-        for field in file.schema_arrow:
-            name, kind = field.name, "double" if field.name in quanta else str(field.type)
-            columns.append(Column(name, recorded[name][0], "", kind, nominals.get(name)))
-        source = Source(tuple(columns), metadata, rows, in_one_block(column))
-        found = cls(path, source, quanta, recorded, Summary.read(description["summary"]))
-        found.models = _unpacked(description.get("models"))
-        return found
+        columns = tuple(
+            Column(name, unit, "", kind, nominals.get(name))
+            for name, (unit, _, kind) in recorded.items()
+        )
+        source = Source(columns, metadata, rows, in_one_block(column))
+        digests = {name: digest for name, (_, digest, _) in recorded.items()}
+        summary, models = Summary.read(description["summary"]), _unpacked(description["models"])
+        return cls(path, source, quanta, digests, summary, models)
 
 
 def _packed(models: Models) -> str:
@@ -200,8 +188,8 @@ def _packed(models: Models) -> str:
     return base64.b85encode(zlib.compress(json.dumps(models).encode(), 9)).decode()
 
 
-def _unpacked(text: str | None) -> dict[str, Any]:
-    return dict(json.loads(zlib.decompress(base64.b85decode(text)))) if text else {}
+def _unpacked(text: str) -> dict[str, Any]:
+    return dict(json.loads(zlib.decompress(base64.b85decode(text))))
 
 
 def _schema(quanta: Mapping[str, float], kinds: Mapping[str, str]) -> Any:
@@ -225,13 +213,9 @@ def _open(path: Path) -> tuple[Any, dict[str, Any]]:
         reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
         raise InputError(f"{path}: is not a reference: {reason}") from None
     description = json.loads(notes[METADATA_KEY])
-    if description["format"] not in FORMATS:
-        valid = " or ".join(map(str, FORMATS))
-        raise InputError(f"{path}: format {excerpt(description['format'])}; must be {valid}")
-    kinds = {n: kind for n, (_, _, *kinds) in description["columns"].items() for kind in kinds}
-    is_whole = file.metadata.num_rows == description["rows"]
-    if not (is_whole and file.schema_arrow == _schema(description["quanta"], kinds)):
-        raise InputError(f"{path}: is damaged: its columns are not those of its description")
+    if description["format"] != FORMAT:
+        found = f"format {excerpt(description['format'])}"
+        raise InputError(f"{path}: {found}; must be {FORMAT}; {how_to_make(path)} renews it")
     return file, description
 
 
