@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import zipfile
 from importlib.util import cache_from_source
 from pathlib import Path
@@ -151,6 +152,15 @@ def test_a_wheel_is_tagged_for_the_platform_of_its_libraries(installed):
     assert sorted(n.partition("-")[0] for n in names) == sorted(BACKENDS)
 
 
+def test_a_wheel_has_the_data_beside_each_module():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    package, packed = ROOT / "src" / "panda_cosim", set[Path]()
+    for name, globs in settings["tool"]["setuptools"]["package-data"].items():
+        packed |= {p for glob in globs for p in (ROOT / "src" / name.replace(".", "/")).glob(glob)}
+    data = {path for kind in ("css", "html", "toml") for path in package.rglob(f"*.{kind}")}
+    assert not {path for path in data - packed if "source" not in path.parts}
+
+
 # Every command, in an order in which each finds what it needs.
 LINES = [
     "run ./short --out first --no-video --plot",
@@ -173,6 +183,7 @@ LINES = [
     "run ./short --out second --no-video",
     "compare first second",
     "sweep ./short --vary controller.kp=7:8:2 --out swept",
+    "sweep report swept",
     "live --help",
     "replay --help",
     "mjcf2fmu --help",

@@ -262,6 +262,12 @@ def test_nested_scenarios_are_found_and_a_stray_sweep_is_named(approved, tmp_pat
     assert [each["name"] for each in results] == ["other", "group/same", "same"]
     assert all(each["compared"] == 162 and each["uncompared"] == [] for each in results)
     assert "sweep.toml: has no scenario.toml beside it, so that it is not run" in done.stderr
+    report = ("--report", tmp_path, "--set", "controller.gravity_feedforward=0.9")
+    cli("regress", "--scenarios", tmp_path / "mine", *report, code=1)
+    kept = [each.parent for each in (tmp_path / "runs").rglob("recording.parquet")]
+    assert {each.relative_to(tmp_path / "runs").as_posix() for each in kept} == {
+        each["name"] for each in results
+    }
     tests = run_pytest(tmp_path, "-v", "--panda-scenarios", "mine", "mine")
     assert "3 passed" in tests.stdout
     assert "has no scenario.toml beside it" in tests.stdout

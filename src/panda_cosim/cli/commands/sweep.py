@@ -228,8 +228,8 @@ def report(
     check_replaceable(out if out is not None else folder / REPORT_FILE, overwrite=overwrite)
     _warn_if_changed(folder)
     path = write_report(folder, out)
-    for line in missing(Store(folder)):
-        warn(line)
+    if lacking := missing(Store(folder)):
+        warn(lacking)
     show_file(path, open_page=open_page)
 
 

@@ -36,7 +36,7 @@ ROUNDING: Final = 1e-9  # relative; less is rounding where another engine compil
 MOST: Final = 20_000  # fields; of a larger model, only the hash is kept
 SHOWN: Final = 4  # causes in a line
 # The order in which they are named; FMUs last, as their hashes change with any of their files.
-_PARTS: Final = ("parameters.", "models.", "", "versions.", "fmus.")
+_PARTS: Final = ("parameters", "models", "", "versions", "fmus")
 
 
 def elements(model: Any) -> Elements:
@@ -100,22 +100,22 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
     rows = differing([dict(flattened(before)), dict(flattened(now))])
     engine = any(row.name == ENGINE for row in rows)
     rows = [row for row in rows if not (engine and _is_rounding(row))]
-    told = {".".join(row.name.split(".")[:2]) for row in rows if row.name[-5:] != ".hash"}
-    models = {row.name.split(".")[1] for row in rows if row.name.startswith("models.")}
+    split = {row.name: _split(row.name) for row in rows}
+    models = {instance for part, instance, _ in split.values() if part == "models"}
+    fields = {at for part, at, rest in split.values() if part == "models" and rest != "hash"}
 
-    def is_cause(part: str, name: str) -> bool:
-        instance, _, rest = name.partition(".")
-        if part == "fmus.":
+    def is_cause(name: str) -> bool:
+        part, instance, rest = split[name]
+        if part == "fmus":
             return rest == "sha256" and instance not in models
         if rest == "hash":
-            return not (engine or f"{part}{instance}" in told)
+            return not engine and instance not in fields
         return name != "scenario"  # its name
 
-    rows = [row for row in rows if is_cause(part := _part(row.name), row.name.removeprefix(part))]
-    order = [*_PARTS[:1], ENGINE, *_PARTS[1:]]
-    return sorted(
-        rows, key=lambda row: order.index(row.name if row.name == ENGINE else _part(row.name))
-    )
+    def rank(row: Row) -> float:
+        return 0.5 if row.name == ENGINE else _PARTS.index(split[row.name][0])
+
+    return sorted((row for row in rows if is_cause(row.name)), key=rank)
 
 
 def _is_rounding(row: Row) -> bool:
@@ -129,9 +129,13 @@ def is_parameter(row: Row) -> bool:
     return row.name.startswith("parameters.")
 
 
-def _part(name: str) -> str:
-    return next(part for part in ("parameters.", "models.", "versions.", "fmus.", "")
-                if name.startswith(part))  # fmt: skip
+def _split(name: str) -> tuple[str, str, str]:
+    """Return the part of a setting, or "", the instance, and what it is there."""
+    part, _, rest = name.partition(".")
+    if part not in _PARTS:
+        part, rest = "", name
+    instance, _, rest = rest.partition(".")
+    return part, instance, rest
 
 
 def named(rows: Sequence[Row], most: int = SHOWN) -> str:
@@ -144,20 +148,14 @@ def named(rows: Sequence[Row], most: int = SHOWN) -> str:
 
 def _words(rows: Sequence[Row]) -> Iterator[str]:
     for row in rows:
-        part, name = _part(row.name), row.name.removeprefix(_part(row.name))
-        instance, _, rest = name.partition(".")
-        if part == "models.":
-            name = f"{instance}: {rest}"
+        part, instance, rest = _split(row.name)
+        name, unit = f"{instance}.{rest}".rstrip("."), unit_of(f"{instance}.{rest}")
+        if part == "models":
+            field = signal_of(rest).rpartition(" ")[2]
+            name, unit = f"{instance}: {rest}", TABLES["units"].get(field, "")
         if rest == "hash":
             yield f"{instance}: other fields of its compiled model"
-        elif part == "fmus.":
+        elif part == "fmus":
             yield f"the code or files of FMU {instance!r}"
         else:
-            yield f"{replace(row, name=name)} {_unit(part, instance, rest)}".rstrip()
-
-
-def _unit(part: str, instance: str, name: str) -> str:
-    """Return the unit of a field, or of a parameter of an FMU of ours."""
-    if part == "models.":
-        return str(TABLES["units"].get(signal_of(name).rpartition(" ")[2], ""))
-    return unit_of(f"{instance}.{name}")
+            yield f"{replace(row, name=name)} {unit}".rstrip()

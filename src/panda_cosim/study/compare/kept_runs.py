@@ -7,6 +7,7 @@ to the user.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -21,10 +22,10 @@ MANIFEST_FILE: Final = "made-by-regress.json"
 
 def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
     """Check that no run would replace something that `regress` did not put there."""
-    own = {Path(file).parts[0] for file in _kept_files(folder)}
+    own = [folder / file for file in _kept_files(folder)]
     for place in (folder / name for name in names):
-        is_free = not place.exists() or (place.is_dir() and not any(place.iterdir()))
-        if not (is_free or place.name in own):
+        is_own = any(file.is_relative_to(place) for file in own)
+        if any(place.glob("*")) and not is_own:
             raise InputError(
                 f"{place}: was not made by regress, so it stays; move it, or choose "
                 "another folder with --report"
@@ -36,17 +37,16 @@ def replace_kept_runs(folder: Path, outcomes: Iterable[Outcome]) -> None:
     for name in (*_kept_files(folder), MANIFEST_FILE):
         (folder / name).unlink(missing_ok=True)
         with suppress(OSError):  # it holds something else
-            for parent in Path(name).parents:
-                (folder / parent).rmdir()
-    runs = [outcome.run for outcome in outcomes if not outcome.ok]
-    files = [(run, file) for run in runs for file in run.rglob("*") if file.is_file()]
-    moves = {file: Path(run.name, file.relative_to(run)) for run, file in files}
+            os.removedirs((folder / name).parent)
+    moves = {
+        file: Path(outcome.name, file.relative_to(outcome.run)).as_posix()
+        for outcome in outcomes if not outcome.ok
+        for file in outcome.run.rglob("*") if file.is_file()
+    }  # fmt: skip
     if moves:
-        listed = [place.as_posix() for place in moves.values()]
-        write_whole(folder / MANIFEST_FILE, json.dumps(listed, indent=1))
+        write_whole(folder / MANIFEST_FILE, json.dumps([*moves.values()], indent=1))
     for file, place in moves.items():
-        (folder / place).parent.mkdir(parents=True, exist_ok=True)
-        file.replace(folder / place)
+        os.renames(file, folder / place)
 
 
 def _kept_files(folder: Path) -> list[str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Final, Literal
 
 from ...fmus.errors import CosimError, InputError, located, refuse
 from ...result.judging.criterion import Criterion
@@ -33,6 +34,7 @@ from .reference import Models, Reference, how_to_make, kept_metadata, reference_
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
     from ...task.values import Values
+    from ..sweep.suite import SuiteSweep
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference", "skipped"]
 
@@ -46,17 +48,8 @@ class Meaning:
     fault: Literal["failure", "error", "skipped"] | None = None  # in JUnit
 
 
-# The worst first. What ran and differs comes before what could not be judged, so that errors hide
-# no difference.
-MEANINGS: Final[Mapping[Verdict, Meaning]] = {
-    "differs": Meaning("bad", CosimError.exit_code, "failure"),
-    "missed": Meaning("bad", CosimError.exit_code, "failure"),
-    "failed": Meaning("bad", CosimError.exit_code, "error"),
-    "no reference": Meaning("warn", InputError.exit_code, "error"),
-    "skipped": Meaning("warn", fault="skipped"),
-    "same": Meaning("good"),
-    "holds": Meaning("good"),
-}
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+MEANINGS: Final = {verdict: Meaning(**row) for verdict, row in _TABLES.items()}
 # Wall time of a scenario beyond its duration [s]; a hanging one must not hang the others.
 TIMEOUT: Final = 600.0
 
@@ -72,18 +65,6 @@ class Unusable:
     duration: float = 0.0
 
 
-class Judged(Protocol):
-    """What else a suite judges: its sweeps."""
-
-    @property
-    def name(self) -> str:
-        """Name in reports."""
-
-    @property
-    def purpose(self) -> str:
-        """What it shows, in a line."""
-
-
 @dataclass(frozen=True)
 class Outcome:
     """The outcome of one scenario, or of a sweep, which has no reference.
@@ -96,7 +77,7 @@ class Outcome:
     or the reference is damaged. It is `skipped` if the client needs a package that is not there.
     """
 
-    scenario: Scenario | Unusable | Judged
+    scenario: Scenario | Unusable | SuiteSweep
     verdict: Verdict
     run: Path  # folder of the run
     seconds: float  # wall time of the run [s]
@@ -322,16 +303,21 @@ def find_scenarios(
 ) -> list[Scenario | Unusable]:
     """Load scenarios by name, or all; an unusable folder becomes an `Unusable`."""
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
-    place = "the shipped ones" if folder is None else str(folder)
-    chosen = [_choose(name, known, place) for name in names or known]
-    own = {path: name for name, path in known.items()}
-    scenarios = [read_scenario(path, own.get(path, "")) for path in chosen]
+    for name in names:
+        if name not in known and not (Path(name) / SCENARIO_FILE).is_file():
+            place = "the shipped ones" if folder is None else folder
+            must = f"must be a folder with {SCENARIO_FILE}, or one of {place}: {', '.join(known)}"
+            refuse("scenario", name, must, known)
+    scenarios = [
+        read_scenario(known[name], name) if name in known else read_scenario(Path(name))
+        for name in names or known
+    ]
     name, count = Counter(scenario.name for scenario in scenarios).most_common(1)[0]
     if count > 1:
         raise InputError(f"scenario {name!r}: is listed twice")
-    unusable = [scenario for scenario in scenarios if isinstance(scenario, Unusable)]
-    if len(unusable) == len(scenarios):
-        raise InputError(unusable[0].error)
+    errors = [scenario.error for scenario in scenarios if isinstance(scenario, Unusable)]
+    if len(errors) == len(scenarios):
+        raise InputError(errors[0])
     return scenarios
 
 
@@ -363,13 +349,6 @@ def _scenarios_in(folder: Path) -> dict[str, Path]:
     }
 
 
-def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
-    if name not in known and not (Path(name) / SCENARIO_FILE).is_file():
-        must = f"must be a folder with {SCENARIO_FILE}, or one of {place}: {', '.join(known)}"
-        refuse("scenario", name, must, known)
-    return known.get(name, Path(name))
-
-
 def candidate(outcome: Outcome) -> Reference:
     """Make a reference from a run."""
     if not outcome.has_run:
@@ -390,15 +369,13 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
     except InputError as error:
         return [f"replaces a reference that cannot be used: {error}"]
     made = [(it.metadata["parameters"], it.models) for it in (old, new)]
-    if old.digests == new.digests and old.quanta == new.quanta and made[0] == made[1]:
+    found = {
+        "was made with other parameters or models": made[0] != made[1],
+        "is rounded anew, as its tolerances have changed": old.quanta != new.quanta,
+    }
+    others = [line for line, is_so in found.items() if is_so]
+    if old.digests == new.digests and not others:
         return []
-    compared, worst = outcome.comparison, outcome.worst
-    lines = list(compared.problems) if compared else []
-    if compared and not lines:
-        near = f"; furthest: {worst.described}" if worst and worst.share > 0 else ""
-        lines = [f"stays within all tolerances{near}"]
-    if made[0] != made[1]:
-        lines.append("was made with other parameters or models")
-    if old.quanta != new.quanta:
-        lines.append("is rounded anew, as its tolerances have changed")
-    return lines
+    worst = outcome.worst
+    near = f"; furthest: {worst.described}" if worst and worst.share > 0 else ""
+    return [*(outcome.problems or [f"stays within all tolerances{near}"]), *others]

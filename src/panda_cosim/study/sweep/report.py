@@ -53,7 +53,7 @@ def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
 def page(store: Store, beside: Path) -> str:
     """Return the page as HTML; links are relative to the folder that it stands in."""
     results, content = Results(store), store.content
-    definition, lacking = content.origin["definition"], list(missing(store))
+    definition, lacking = content.origin["definition"], missing(store)
     is_sample = definition["design"] in SAMPLED
     has_bounds = is_sample and not lacking
     order = influences(results.values, results.labels, results.margins[MARGIN])

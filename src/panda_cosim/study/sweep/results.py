@@ -16,7 +16,7 @@ import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 
-from .definition import Distribution
+from ..compare.wording import numbers
 from .row import MARGIN
 from .store import Store
 
@@ -90,11 +90,6 @@ def _of_words(key: str, codes: Array, result: Array) -> Influence:
     return Influence(key, math.sqrt(max(float(share), 0.0)))
 
 
-def number_text(value: float) -> str:
-    """Return a number in as few digits as read back as the same."""
-    return repr(value + 0.0).removesuffix(".0")
-
-
 class Results:
     """The columns of a sweep's table that its page needs, each (n,).
 
@@ -153,43 +148,13 @@ def _margins(table: Any, name: str, nominal: Mapping[str, Collection[str]]) -> A
     return column
 
 
-def missing(store: Store) -> Iterator[str]:
-    """Say which rows an unfinished sweep lacks; nothing if it is complete."""
-    content = store.content
-    axes: dict[str, Sequence[Any]] = {"scenario": list(content.nominal)}
-    if content.origin["definition"]["design"] == "grid":
-        vary = content.origin["vary"]
-        axes |= {key: list(Distribution(**each).grid()) for key, each in vary.items()}
-    table = store.table(["index", *axes])
-    absent = np.setdiff1d(np.arange(content.rows), table["index"].to_numpy())
+def missing(store: Store) -> str:
+    """Say which rows an unfinished sweep lacks; "" if it is complete."""
+    absent = np.setdiff1d(np.arange(rows := store.content.rows), store.done())
     if not len(absent):
-        return
+        return ""
     among = "" if np.ptp(absent) < len(absent) else "among "
-    span = f"{among}rows {absent[0]} to {absent[-1]}"
-    yield f"{len(absent)} of {content.rows} rows are missing: {span}."
-    for key, axis in axes.items():
-        there = set(table[key].unique().to_pylist())
-        lost = [place for place, value in enumerate(axis) if value not in there]
-        if lost:
-            yield f"No row has {key} = {_span(lost, axis)}."
-
-
-def _span(places: Sequence[int], axis: Sequence[Any]) -> str:
-    names = value_names(axis)
-    if len(places) > 2 and not isinstance(axis[0], str) and np.ptp(places) < len(places):
-        return f"{names[places[0]]} to {names[places[-1]]}"
-    return ", ".join(names[place] for place in places)
-
-
-def value_names(values: Sequence[Any]) -> list[str]:
-    """Return values as text, numbers in as few digits, three at least, as tell them apart."""
-    if not all(isinstance(value, float) for value in values):
-        return [str(value).lower() if isinstance(value, bool) else str(value) for value in values]
-    for digits in range(3, 18):
-        names = [number_text(float(f"{value:.{digits}g}")) for value in values]
-        if len(set(names)) == len(names):
-            break
-    return names
+    return f"{len(absent)} of {rows} rows are missing: {among}rows {absent[0]} to {absent[-1]}."
 
 
 class Axis:
@@ -210,16 +175,15 @@ class Axis:
         if key in results.labels or (few and len(values) <= MOST_VALUES):
             half = _half_widths(values)
             self.starts, self.ends = values - half, values + half
-            self.names = self.ticks = results.labels.get(key) or value_names(values.tolist())
+            self.names = self.ticks = results.labels.get(key) or numbers(values.tolist())
             return
         edges = np.linspace(values[0], values[-1], bins + 1)  # inner ones of few digits
         edges[1:-1] = np.round(edges[1:-1], math.ceil(1 - math.log10(np.ptp(values) / bins)))
         self.starts, self.ends = edges[:-1], edges[1:]
         self.part = np.clip(np.searchsorted(edges, column, "right") - 1, 0, bins - 1)
-        first, last = (f"{value:.3g}" for value in edges[[0, -1]])
-        texts = [first, *map(number_text, edges[1:-1].tolist()), last]
+        texts = numbers(edges.tolist())
         self.names = [f"{low} to {high}" for low, high in pairwise(texts)]
-        self.ticks = [first, *[""] * (bins - 2), last]
+        self.ticks = [texts[0], *[""] * (bins - 2), texts[-1]]
 
     def counts(self, results: Results, within: Axis | None = None) -> dict[str, list[int]]:
         """Return rows and failures in each part, or in those of another axis within each."""
