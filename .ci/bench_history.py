@@ -19,6 +19,7 @@ from statistics import median
 from typing import Any, Final
 
 from matplotlib.figure import Figure
+from rich.text import Text
 
 from panda_cosim.cli.commands.bench import tables
 from panda_cosim.cli.console import show, table
@@ -103,7 +104,7 @@ def show_changes(lines: Sequence[Line]) -> int:
     """Show the newest ratios beside those before; return the exit code."""
     columns = ("now", "median before")
     rows = [
-        (name, f"{now:.2f}", f"{before:.2f}", "[bold red]worse" if worse else "ok")
+        (name, f"{now:.2f}", f"{before:.2f}", Text("worse", "bold red") if worse else "ok")
         if before is not None
         else (name, f"{now:.2f}", "too few runs", "not compared")
         for name, (now, before, worse) in compared(lines).items()

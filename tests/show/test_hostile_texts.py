@@ -19,12 +19,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from rich.text import Text
 
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
 from live_support import READY
 from panda_cosim import Recording, Run, RunComparison, Scenario, TableRow, TrajectoryTable, compare
-from panda_cosim.cli.console import QuietConsole, as_cell, complain, table
+from panda_cosim.cli.console import QuietConsole, complain, table
 from panda_cosim.cli.outcome import verdict_table
 from panda_cosim.fmus.build.description import Layout, documentation, members
 from panda_cosim.fmus.build.native import NativeFmu
@@ -235,8 +236,8 @@ def test_a_notebook_shows_a_runs_texts(page, tmp_path):
 
 def test_a_terminal_gets_text(capsys):
     criterion = Criterion(TEXT, 1.0, 2.0, TEXT)
-    tables = [table((TEXT, f"{TEXT}*")), verdict_table(SimpleNamespace(criteria=[criterion]))]
-    tables[0].add_row(as_cell(TEXT), as_cell(TEXT))
+    plain = table((TEXT, f"{TEXT}*"), [[TEXT, Text(TEXT)]], title=TEXT)
+    tables = [plain, verdict_table(SimpleNamespace(criteria=[criterion]))]
     console = QuietConsole(file=io.StringIO(), width=200, highlight=False)
     for each in tables:
         console.print(each)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -22,6 +22,7 @@ from ..fmus.errors import printable
 if TYPE_CHECKING:
     from rich.table import Table
 
+Item: TypeAlias = "str | Text | Table"  # that is shown
 PLAIN_WIDTH = 160  # characters per line in a file or a pipe
 WIDEST = 10_000  # characters of a table's row
 FOLDED = 12  # characters to which a column that may wrap is narrowed at most
@@ -63,18 +64,27 @@ def _console(*, stderr: bool) -> Console:
     return console
 
 
-def show(item: str | Table, style: str | None = None, *, most: int = WIDEST) -> None:
+def show(item: Item, style: str | None = None, *, most: int = WIDEST) -> None:
     """Print a result: text without wrapping, or a table; nothing is cut off.
 
     With `most`, text is wrapped, too, and a table as narrow, if what may not wrap is.
     """
     console = _console(stderr=False)
     console.width = min(console.width, most)
-    if isinstance(item, str):
+    if isinstance(item, str | Text):
         console.print(item, style=style, markup=False, soft_wrap=most == WIDEST)
     else:  # a narrower terminal breaks the lines
         console.width = max(console.width, _least_width(console, item))
         console.print(item)
+
+
+def show_result(content: object, items: Iterable[Item], *, json: bool, most: int = WIDEST) -> None:
+    """Print a result: its content as JSON, or else the texts and tables that people read."""
+    if json:
+        show_json(content)
+        return
+    for item in items:
+        show(item, most=most)
 
 
 def _least_width(console: Console, shown: Table) -> int:
@@ -92,7 +102,7 @@ def show_json(result: object) -> None:
     from pydantic_core import to_jsonable_python  # noqa: PLC0415 - slow, and no help needs it
 
     plain = to_jsonable_python(result, fallback=str, inf_nan_mode="null")
-    show(json.dumps(plain, indent=2, allow_nan=False))
+    show(dumps(plain, indent=2, allow_nan=False))
 
 
 def show_file(path: Path, *, open_page: bool = False) -> None:
@@ -127,24 +137,24 @@ def _headed(head: str, style: str, text: str) -> None:
     _console(stderr=True).print(Text.assemble((f"{head}:", style), f" {line}"), soft_wrap=True)
 
 
-def as_cell(text: str) -> str:
-    """Return foreign text for a cell of a table: it is neither markup nor control characters."""
-    return escape(printable(text))
+def _cell(content: object) -> Text:
+    """Return a table's cell; what comes from elsewhere is neither markup nor control characters."""
+    return content if isinstance(content, Text) else Text(printable(str(content)))
 
 
 def table(
     columns: Sequence[str],
-    rows: Iterable[Iterable[str]] = (),
+    rows: Iterable[Iterable[object]] = (),
     *,
     right: Sequence[str] = (),
-    title: str | None = None,
+    title: str = "",
 ) -> Table:
-    """Return a table; a column whose heading ends in * may wrap."""
+    """Return a table; a column whose heading ends in * may wrap. Texts are shown as they are."""
     from rich.table import Table  # noqa: PLC0415 - a run imports it while its FMUs step
 
     result = Table(
         box=box.SIMPLE_HEAD,
-        title=title,
+        title=escape(title),
         title_justify="left",
         title_style="italic",
         show_edge=False,
@@ -153,13 +163,13 @@ def table(
     for column in columns:
         name = column.removesuffix("*")
         result.add_column(
-            "\n".join(map(as_cell, name.split("\n"))),
+            Text("\n".join(map(printable, name.split("\n")))),
             justify="right" if name in right else "left",
             no_wrap=name == column,
             overflow="fold",
         )
     for row in rows:
-        result.add_row(*row)
+        result.add_row(*map(_cell, row))
     return result
 
 

@@ -40,12 +40,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-from ..assets.checks import ARMS
+import typer
+
 from ..fmus.build.platforms import PLATFORMS
 from ..fmus.errors import InputError, did_you_mean
 from ..fmus.interface.parameters import ParameterValue, literal
 from ..fmus.sources.targets import Kind, Target, outdated
 from ..fmus.twins import IN_RUNS, notice
+from ..result.judging.verdicts import MISSED
 from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario
 from ..task.values import Values
 from .console import tell, warn
@@ -134,9 +136,10 @@ def values_of(
     return values | {key: value for key, value in others.items() if value is not None}
 
 
-def arm_of(robot: Robot | None) -> str | None:
-    """Return the scenario's word for an arm."""
-    return ARMS[robot] if robot else None
+def end(*, missed: bool) -> None:
+    """End a command; if what was asked for is missed, with the exit code that says so."""
+    if missed:
+        raise typer.Exit(MISSED.exit_code)
 
 
 def announce_python(kind: Kind = "auto", twins: Iterable[str] = IN_RUNS) -> None:

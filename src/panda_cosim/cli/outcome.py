@@ -16,6 +16,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import typer
+from rich.text import Text
 
 from ..fmus.atomic import check_replaceable
 from ..fmus.errors import CosimError, InputError, SimulationError
@@ -32,7 +33,7 @@ from ..show.pictures.gl import RenderError
 from ..show.pictures.motion import position_columns
 from ..task.scenario import Scenario
 from . import INTERRUPTS
-from .console import as_cell, progress, show, show_file, show_json, table, tell, warn
+from .console import progress, show, show_file, show_json, table, tell, warn
 from .options import announce_build, announce_python
 from .startup import meanwhile
 
@@ -40,7 +41,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
-STYLES = {"wrong": "bold red", "refused": "bold red", "hint": "yellow", "good": "green"}
+STYLES = {"wrong": "bold red", "refused": "bold red", "bad": "bold red", "hint": "yellow",
+          "warn": "yellow", "good": "green"}  # fmt: skip
 LEVELS = {"bad": "bold red", "plain": "bold", "good": "bold green"}  # of a verdict
 Progress = Callable[[int, int], None]  # completed and total steps
 
@@ -211,8 +213,8 @@ def verdict_table(summary: Summary) -> Table:
     right = ("measured", "required", "margin")
     rows = []
     for criterion in summary.criteria:
-        *texts, word = map(as_cell, cells(criterion))
-        rows.append((*texts, f"[{'green' if criterion.ok else 'bold red'}]{word}"))
+        *texts, word = cells(criterion)
+        rows.append((*texts, Text(word, "green" if criterion.ok else "bold red")))
     return table(("criterion*", *right, "verdict"), rows, right=right)
 
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from importlib import import_module
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from textwrap import fill
 from threading import Thread
 
 import numpy as np
-import typer
 from pydantic_core import to_json
 
 from ...fmus.atomic import MARK, check_replaceable, replacing, write_whole
-from ...result.judging.verdicts import MISSED
 from ...show.pictures.plot import own_style
 from ...study.analysis.confirm import REFUTED
 from ...study.analysis.margins import HEADS, Analysis, analyze, shown
@@ -22,7 +21,7 @@ from ...study.analysis.plot import draw_analyses
 from ...task.files import marked_json
 from ...task.scenario import Scenario
 from ...task.values import Values
-from ..console import show, show_json, table, tell, warn
+from ..console import Item, show_result, table, tell, warn
 from ..forms import argument, flag, option
 from ..options import (
     CONTROLLER,
@@ -31,6 +30,7 @@ from ..options import (
     OVERWRITE,
     PLANT,
     SETTINGS,
+    end,
     find_scenario,
     values_of,
 )
@@ -100,17 +100,12 @@ def command(  # noqa: PLR0913 - one for each option
         draw_analyses(found).savefig(path, format="png", metadata={"Comment": MARK})
     with replacing(files[2]) as path:
         np.savez(path, note=np.bytes_(MARK), allow_pickle=False, **first.matrices)
-    if json:
-        show_json(content)
-    else:
-        for name, analysis in found.items():
-            _show(name, analysis)
-        for remark in remarks:
-            warn(remark)
-        show(fill(f"Not in these margins: {LEFT_OUT}.", 79) + "\n")
-        show("\n".join(map(str, files)))
-    if any(each.verdict == REFUTED for a in found.values() for each in a.confirmed):
-        raise typer.Exit(MISSED.exit_code)
+    for remark in remarks:
+        warn(remark)
+    items = chain.from_iterable(_shown(name, analysis) for name, analysis in found.items())
+    rest = (fill(f"Not in these margins: {LEFT_OUT}.", 79), "", *map(str, files))
+    show_result(content, chain(items, rest), json=json)
+    end(missed=any(it.verdict == REFUTED for a in found.values() for it in a.confirmed))
 
 
 def _cases(words: list[str] | None, common: Values, *lists: str) -> dict[str, Scenario]:
@@ -134,22 +129,20 @@ def _cases(words: list[str] | None, common: Values, *lists: str) -> dict[str, Sc
     return found
 
 
-def _show(name: str, analysis: Analysis) -> None:
-    """Show what the loops bear, and what runs with more and less came to."""
-    show(f"{name} at t = {analysis.at:g} s; loops opened at")
-    show(fill(", ".join(analysis.inputs), 79) + "\n")
-    for line in analysis.margins.lines:
-        show(fill(line, 79))
-    show("")
+def _shown(name: str, analysis: Analysis) -> Iterator[Item]:
+    """Yield what the loops bear, and what runs with more and less came to."""
+    yield f"{name} at t = {analysis.at:g} s; loops opened at"
+    for line in (", ".join(analysis.inputs), "", *analysis.margins.lines, ""):
+        yield fill(line, 79)
     if analysis.margins.loops:
         title = "One loop, while the others stay as they are"
-        show(table(tuple(HEADS), analysis.margins.rows, right=tuple(HEADS), title=title))
-        show("")
+        yield table(tuple(HEADS), analysis.margins.rows, right=tuple(HEADS), title=title)
+        yield ""
     if analysis.confirmed:
         rows = [
             [e.margin, e.input or "all", *map(shown, (e.within, e.value, e.beyond)), e.verdict]
             for e in analysis.confirmed
         ]
         heads = ("margin", "loop", "stable at", "margin is", "unstable at", "runs say")
-        show(table(heads, rows, right=heads[2:5], title="Runs on both sides of each margin"))
-        show("")
+        yield table(heads, rows, right=heads[2:5], title="Runs on both sides of each margin")
+        yield ""

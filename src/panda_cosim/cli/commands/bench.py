@@ -49,7 +49,7 @@ def tables(result: BenchResult) -> Iterator[Table | str]:
     """Yield what is shown of a result."""
     columns = ("median", "quartiles")
     steps = [(LABELS[way], *cost.texts(1)) for way, cost in result.steps.items()]
-    title = f"Cost of a step of {result.scenario} \\[us]"
+    title = f"Cost of a step of {result.scenario} [us]"
     yield table(("way*", *columns), steps, right=columns, title=title)
     yield f"(c) runs at {result.real_time_factor:.1f} times real time\n"
     ratios = [(name, *r.texts(2), RATIOS[name][2]) for name, r in result.ratios.items()]

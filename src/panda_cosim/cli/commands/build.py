@@ -43,6 +43,7 @@ from ..options import (
     announce_python,
     find_scenario,
     target_of,
+    values_of,
 )
 
 SYSTEM_FILE: Final = "Panda.ssp"
@@ -93,9 +94,7 @@ def command(  # noqa: PLR0913 - one for each option
         fmu = _slave(slave)
         build = Build({out / f"{fmu.model}.fmu": _made(fmu, target)})
     else:
-        chosen = find_scenario(scenario)
-        if mujoco:
-            chosen = chosen.changed({"mujoco": mujoco})
+        chosen = find_scenario(scenario).changed(values_of((), mujoco=mujoco or None))
         if not chosen.is_system:
             announce_build(target)
             announce_python(kind, [name for name in FMUS if name not in chosen.fmus])
@@ -152,12 +151,8 @@ def build_of(scenario: Scenario, out: Path, target: Target) -> Build:
     files: dict[Path, Make] = {
         path: partial(shutil.copyfile, system.components[name].file) for name, path in paths.items()
     }
-    files[out / SYSTEM_FILE] = lambda path: write_ssp(path, system)
-
-    def experiments() -> dict[Path, Experiment]:
-        return {paths[name]: each for name, each in experiments_of(scenario).items()}
-
-    return Build(files, experiments)
+    files[out / SYSTEM_FILE] = partial(write_ssp, system=system)
+    return Build(files, lambda: {paths[n]: each for n, each in experiments_of(scenario).items()})
 
 
 def _container_of(scenario: Scenario, out: Path, target: Target) -> Build:
@@ -239,11 +234,10 @@ def mjcf2fmu(  # noqa: PLR0913 - one for each option
 
 def _paths(models: Sequence[Path], out: Path | None) -> dict[Path, Path]:
     """Where the FMU of each model is written."""
-    folder = out or Path()
-    if folder.suffix == ".fmu" and len(models) == 1:
-        return {models[0]: folder}
-    paths = {model: folder / f"{model.stem}.fmu" for model in models}
-    if len(set(paths.values())) < len(models) or folder.suffix == ".fmu":
+    place = out or Path()
+    is_file = place.suffix == ".fmu"
+    paths = {model: place if is_file else place / f"{model.stem}.fmu" for model in models}
+    if len({*paths.values()}) < len(models):
         raise InputError(
             f"{len(models)} models: --out must be a folder, and their file names must differ"
         )

@@ -7,18 +7,19 @@ from dataclasses import asdict
 from pathlib import Path
 
 import typer
+from rich.text import Text
 
 from ...fmus.errors import InputError
-from ...result.judging.verdicts import MISSED
+from ...result.judging.advice import Level
 from ...result.recording.logs import SUFFIXES
 from ...study.check.diagnosis import Diagnostic, check_folder
 from ...study.check.experiments import check_experiments
 from ...study.check.motion import check_motion
 from ...task.scenario import shipped_scenarios
 from ...task.values import Values
-from ..console import show, show_json
+from ..console import show_result
 from ..forms import scenario_argument
-from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, SSV, Robot, values_of
+from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, SSV, Robot, end, values_of
 from ..outcome import STYLES
 
 
@@ -74,18 +75,19 @@ def command(  # noqa: PLR0913 - one for each option
         for name, value in (("--set", assignments), ("--robot", robot)):
             if value:
                 raise InputError(f"{name}: not for an .fmu, whose experiments set their own values")
-        _check_fmu(folder, as_json=json)
+        _check_fmu(folder, json=json)
         return
-    diagnostics = _found(folder, values_of(assignments, controller, plant), robot, ssv)
-    levels = {diagnostic.level for diagnostic in diagnostics}
-    if json:
-        show_json({"folder": folder, "ok": "wrong" not in levels, "findings": diagnostics})
-    for diagnostic in () if json else diagnostics:
-        show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
+    found = _found(folder, values_of(assignments, controller, plant), robot, ssv)
+    levels = {diagnostic.level for diagnostic in found}
+    content = {"folder": folder, "ok": "wrong" not in levels, "findings": found}
+    show_result(content, (_line(each.level, each.text) for each in found), json=json)
     if "wrong" in levels:
         raise typer.Exit(InputError.exit_code)
-    if "refused" in levels:
-        raise typer.Exit(MISSED.exit_code)
+    end(missed="refused" in levels)
+
+
+def _line(level: Level, text: object) -> Text:
+    return Text(f"{level:<6} {text}", STYLES[level])
 
 
 def _found(
@@ -101,19 +103,16 @@ def _found(
     return [*check_motion(folder, robot)]
 
 
-def _check_fmu(path: Path, *, as_json: bool) -> None:
+def _check_fmu(path: Path, *, json: bool) -> None:
     """Run the experiments in an FMU, and print how far it is from their references."""
     outcomes = check_experiments(path)
-    is_ok = bool(outcomes) and all(each.ok for each in outcomes)
-    if as_json:
-        found = [{**asdict(each), "ok": each.ok} for each in outcomes]
-        show_json({"fmu": path, "ok": is_ok, "experiments": found})
-    for each in () if as_json else outcomes:
-        show(f"{each.level:<6} {each}", STYLES[each.level])
+    found = [{**asdict(each), "ok": each.ok} for each in outcomes]
+    is_ok = bool(found) and all(each["ok"] for each in found)
+    content = {"fmu": path, "ok": is_ok, "experiments": found}
+    show_result(content, (_line(each.level, each) for each in outcomes), json=json)
     if not outcomes:
         raise InputError(f"{path}: no experiments, so that nothing was compared")
     if not all(each.values for each in outcomes):
         nothing = "has no references at its instants, so that nothing was compared"
         raise InputError(f"{path}: an experiment {nothing}")
-    if not is_ok:
-        raise typer.Exit(MISSED.exit_code)
+    end(missed=not is_ok)

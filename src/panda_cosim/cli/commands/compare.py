@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
+
+from rich.text import Text
 
 from ...fmus.atomic import check_replaceable, write_whole
 from ...fmus.errors import InputError
 from ...study.compare.between_runs import RunComparison, compare
 from ...study.compare.wording import signal_names
-from ..console import as_cell, show, show_json, table
+from ..console import Item, show_result, table
 from ..forms import argument, option
 from ..options import JSON, MAP, OVERWRITE
 
@@ -51,29 +55,23 @@ def command(
     if out is not None:
         check_replaceable(out / PAGE, overwrite=overwrite)
         write_whole(out / PAGE, comparison.to_html())
-    if json:
-        show_json(comparison.to_dict())
-        return
-    _show(comparison)
-    if out is not None:
-        show(str(out / PAGE))
+    written = [] if out is None else [str(out / PAGE)]
+    show_result(comparison.to_dict(), chain(_shown(comparison), written), json=json)
 
 
-def _show(comparison: RunComparison) -> None:
+def _shown(comparison: RunComparison) -> Iterator[Item]:
     equal = comparison.identical and not comparison.unmet
-    show(comparison.verdict, "bold green" if equal else "bold")
-    _show_names("Only some runs have", comparison.missing)
-    _show_names("Not compared, as their units or types differ:", comparison.other_units)
+    yield Text(comparison.verdict, "bold green" if equal else "bold")
+    for what, columns in (
+        ("Only some runs have", comparison.missing),
+        ("Not compared, as their units or types differ:", comparison.other_units),
+    ):
+        if columns:
+            yield f"{what} {signal_names(columns, SHOWN)}"
     for title, each in comparison.tables.items():
         first, *others = each.head
         most = len(each.rows) if title == "Success criteria" else SHOWN
-        rows = [[as_cell(str(cell)) for cell in cells] for cells in each.rows[:most]]
-        if rows:
-            show(table((f"{first}*", *others), rows, right=others))
+        if each.rows:
+            yield table((f"{first}*", *others), each.rows[:most], right=others)
         if len(each.rows) > most:
-            show(f"and {len(each.rows) - most} more", "dim")
-
-
-def _show_names(what: str, columns: tuple[str, ...]) -> None:
-    if columns:
-        show(f"{what} {signal_names(columns, SHOWN)}")
+            yield Text(f"and {len(each.rows) - most} more", "dim")

@@ -11,28 +11,32 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import requires, version
 from typing import Literal, NamedTuple
 
+from rich.text import Text
+
 from ...fmus.atomic import cache_folder
 from ...fmus.build.engines import sparse_fault
 from ...fmus.build.identity import mujoco_version
 from ...fmus.build.libraries import BACKENDS, compiler, is_prebuilt
 from ...fmus.build.platforms import this_platform
 from ...fmus.errors import CosimError
-from ...fmus.extras import last_python
+from ...fmus.extras import last_python, no_release
 from ...fmus.twins import LONGER, changed, notice
-from ..console import as_cell, show, show_json, table, tell
+from ..console import Item, show_result, table, tell
 from ..forms import flag
 
 State = Literal["ok", "optional", "needed"]
 
 STATES = {
-    "ok": "[green]ok[/green]",
-    "optional": "[yellow]--[/yellow]",
-    "needed": "[bold red]MISSING[/bold red]",
+    "ok": Text("ok", "green"),
+    "optional": Text("--", "yellow"),
+    "needed": Text("MISSING", "bold red"),
 }
 OPTIONAL = {  # packages that not all commands need
     **dict.fromkeys(("imageio-ffmpeg", "matplotlib", "mediapy", "pillow"), "pictures"),
     **dict.fromkeys(("control", "scipy"), "analyze"),
 }
+
+EXTRAS = {"ompl": "route", "toppra": "retime"}  # packages that lag behind Python
 
 
 class Finding(NamedTuple):
@@ -62,21 +66,19 @@ def command(json: bool = flag("--json")) -> None:
     findings = examine()
     missing = [finding.what for finding in findings if finding.state == "needed"]
     optional = [finding.what for finding in findings if finding.state == "optional"]
-    if json:
-        listed = [finding._asdict() for finding in findings]
-        show_json({"ready": not missing, "findings": listed})
-    else:
-        show(table(("", "what*", "found*"), map(_row, findings)))
+    content = {"ready": not missing, "findings": [finding._asdict() for finding in findings]}
+    items: list[Item] = [table(("", "what*", "found*"), map(_row, findings))]
+    if not missing:
+        rest = f" Not found: {', '.join(optional)}." if optional else ""
+        items.append(Text(f"Scenarios can be run and recorded.{rest}", "bold green"))
+    show_result(content, items, json=json)
     if missing:
         raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}")
-    if not json:
-        rest = f" Not found: {', '.join(optional)}." if optional else ""
-        show(f"Scenarios can be run and recorded.{rest}", "bold green")
 
 
-def _row(finding: Finding) -> tuple[str, str, str]:
-    remedy = f"\n[bold]{as_cell(finding.remedy)}" if finding.remedy else ""
-    return STATES[finding.state], finding.what, as_cell(finding.detail) + remedy
+def _row(finding: Finding) -> tuple[Text, str, Text]:
+    remedy = f"\n{finding.remedy}" if finding.remedy else ""
+    return STATES[finding.state], finding.what, Text.assemble(finding.detail, (remedy, "bold"))
 
 
 def examine() -> list[Finding]:
@@ -88,15 +90,13 @@ def examine() -> list[Finding]:
 
 def _packages() -> Iterator[Finding]:
     """Find the package itself, and what it requires without extras."""
-    for requirement in ("panda-cosim", *(requires("panda-cosim") or ())):
+    for name, extra in EXTRAS.items():
+        if no_release(name):
+            what, remedy = f"{name} (for {extra})", f"Python 3.{last_python(name)}"
+            yield Finding(what, "optional", "has no release for this Python", remedy)
+    required = (each for each in requires("panda-cosim") or () if "extra ==" not in each)
+    for requirement in ("panda-cosim", *required):
         name = re.split(r"[^\w.-]", requirement)[0]
-        if extra := re.search(r'extra == "(retime|route)"', requirement):
-            last = last_python(name)
-            if last and sys.version_info[1] > last:
-                found = "has no release for this Python"
-                yield Finding(f"{name} (for {extra[1]})", "optional", found, f"Python 3.{last}")
-        if "extra ==" in requirement:
-            continue
         use = OPTIONAL.get(name)
         what = f"{name} (for {use})" if use else name
         try:
@@ -106,7 +106,7 @@ def _packages() -> Iterator[Finding]:
             yield Finding(what, state, "not installed", f"pip install '{requirement}'")
 
 
-def _checked(what: str, state: State, check: Callable[[], str], remedy: str = "") -> Finding:
+def _checked(what: str, state: State, check: Callable[[], str], remedy: str) -> Finding:
     """Return what a check says, or, of its error, the fault and the remedy."""
     try:
         return Finding(what, "ok", check())

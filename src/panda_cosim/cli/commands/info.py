@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress, groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.table import Table
+from rich.text import Text
 
 from ...fmus.build.engines import known_faults
 from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.fmu_file import Fmu, described_interface, read_fmu
-from ...fmus.master.order import by_variable, late, shown, stepping_order
+from ...fmus.master.order import by_variable, late, stepping_order
+from ...fmus.master.order import shown as order_line
 from ...fmus.sources.targets import ONLY_PYTHON, OWN, Target
 from ...run.system.assembly import assemble, system_scenario
 from ...run.system.parts import UnreadSlaveError
 from ...task.scenario import SCENARIO_FILE, Scenario
-from ..console import as_cell, show, show_json, table
+from ..console import WIDEST, Item, show_result, table
 from ..forms import argument, flag, option
 from ..options import JSON, announce_python
 
@@ -56,60 +59,65 @@ def command(
         markdown: Print the variables as a Markdown table.
         text: Show only variables with this text in their names or descriptions.
     """
-    interfaces, connections, order, held = _read(fmu)
-    faults = known_faults(Path(fmu)) if fmu and fmu.endswith(".fmu") else []
-    code = {name: _code(name, interface, Path(fmu or "")) for name, interface in interfaces.items()}
-    if text:
-        interfaces, connections = _filtered(text.lower(), interfaces, connections)
-    if json:
-        described = _described(interfaces, connections)
-        show_json({**described, "code": code, "order": order, "late": held,
-                   "faults": faults})  # fmt: skip
-        return
-    if markdown:
-        drawing = [_drawing(order, connections, held)] if len(order) > 1 else []
-        show("\n\n".join([*map(variables_markdown, interfaces.values()), *drawing]))
-        return
-    for name, interface in interfaces.items():
-        _show_fmu(name, interface, code[name])
-    for fault in faults:
-        show(as_cell(fault), "yellow")
+    found, path = _read(fmu), Path(fmu or "")
+    faults = known_faults(path) if path.suffix == ".fmu" else []
+    code = {name: _code(name, interface, path) for name, interface in found.interfaces.items()}
+    shown = _filtered(text.lower(), found)
     announce_python()
-    _show_connections(connections, held)
-    if len(order) > 1:
-        show(shown(order, []))
+    content = {**_described(shown), "code": code, "faults": faults}
+    items = _markdown(shown) if markdown else _texts(shown, code, faults)
+    show_result(content, items, json=json, most=WIDEST if markdown else WIDTH)
 
 
-def _show_fmu(name: str, interface: Interface, code: str) -> None:
-    """Print what an FMU is, what runs in it, and its variables."""
-    show(f"{interface.model} (instance {name}): {interface.description}", "bold", most=WIDTH)
-    show(f"What runs in it: {code}{', as it has no twin in C' * (name in ONLY_PYTHON)}")
-    for variables in _variables_tables(interface):
-        show(variables, most=WIDTH)
-    show("")
+class _Shown(NamedTuple):
+    """FMUs, how they are connected, and in which order they are stepped."""
+
+    interfaces: Mapping[str, Interface]
+    connections: Sequence[Connection]
+    order: Sequence[str]
+    late: Sequence[str] = ()  # connections
 
 
-def _show_connections(connections: Sequence[Connection], held: Sequence[str]) -> None:
-    if connections:
-        show("Connections\n", "bold")
-        rows = [(s, t, LATE * (f"{s} -> {t}" in held)) for s, t, _ in by_variable(connections)]
-        show(table(("from", "to", ""), (map(as_cell, row) for row in rows)), most=WIDTH)
+def _markdown(shown: _Shown) -> Iterator[str]:
+    """Yield a table of each FMU's variables, and a drawing of how they are connected."""
+    parts = [*map(variables_markdown, shown.interfaces.values())]
+    if len(shown.order) > 1:
+        parts.append(_drawing(shown))
+    yield "\n\n".join(parts)
 
 
-def _read(
-    name: str | None,
-) -> tuple[Mapping[str, Interface], Sequence[Connection], list[str], list[str]]:
-    """Return FMUs, connections, order and what is late; of code, only PythonFMU slaves are run."""
+def _texts(shown: _Shown, code: Mapping[str, str], faults: Sequence[str]) -> Iterator[Item]:
+    """Yield what each FMU is, what runs in it, its variables, and how they are connected."""
+    for name, interface in shown.interfaces.items():
+        yield Text(f"{interface.model} (instance {name}): {interface.description}", "bold")
+        yield f"What runs in it: {code[name]}{', as it has no twin in C' * (name in ONLY_PYTHON)}"
+        yield from _variables_tables(interface)
+        yield ""
+    for fault in faults:
+        yield Text(fault, "yellow")
+    if shown.connections:
+        yield Text("Connections\n", "bold")
+        yield table(
+            ("from", "to", ""),
+            ((source, target, LATE * (f"{source} -> {target}" in shown.late))
+             for source, target, _ in by_variable(shown.connections)),
+        )  # fmt: skip
+    if len(shown.order) > 1:
+        yield order_line(shown.order, [])
+
+
+def _read(name: str | None) -> _Shown:
+    """Read what is asked for; of its code, only PythonFMU slaves are run."""
     if name is None:
         order = stepping_order(INTERFACES, CONNECTIONS)
-        return INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling)
-    if name in INTERFACES:
-        return {name: INTERFACES[name]}, CONNECTIONS, [name], []
+        held = late(order, CONNECTIONS, Scenario.coupling)
+        return _Shown(INTERFACES, CONNECTIONS, order, held)
     if name in OWN:
-        return {name: OWN[name].interface}, (), [name], []
+        wires = [each for each in CONNECTIONS if name in (each.source[0], each.target[0])]
+        return _Shown({name: OWN[name].interface}, wires, [name])
     path = Path(name)
     if path.suffix == ".fmu":
-        return {path.stem: described_interface(Fmu(path))}, (), [path.stem], []
+        return _Shown({path.stem: described_interface(Fmu(path))}, (), [path.stem])
     if path.suffix == ".ssp":
         scenario = system_scenario(path)
     elif (path / SCENARIO_FILE).is_file():
@@ -120,23 +128,23 @@ def _read(
             f"scenario's folder{did_you_mean(name, OWN)}"
         )
     try:
-        assembly = assemble(scenario, run_code=False)
+        made = assemble(scenario, run_code=False)
     except UnreadSlaveError:  # its variables are only known when it is run
-        assembly = assemble(scenario)
-    order, held = [*assembly.interfaces], assembly.late(scenario.coupling)
-    return assembly.interfaces, assembly.connections, order, held
+        made = assemble(scenario)
+    held = made.late(scenario.coupling)
+    return _Shown(made.interfaces, made.connections, [*made.interfaces], held)
 
 
-def _filtered(
-    text: str, interfaces: Mapping[str, Interface], connections: Sequence[Connection]
-) -> tuple[dict[str, Interface], list[Connection]]:
-    """Return the variables with a text in name or description, and connections with it in names."""
-    shown = {}
-    for name, interface in interfaces.items():
+def _filtered(text: str, shown: _Shown) -> _Shown:
+    """Keep the variables with a text in name or description, and connections with it in names."""
+    interfaces = {}
+    for name, interface in shown.interfaces.items():
         named = ((v, f"{name}.{v.name} {v.description}".lower()) for v in interface.variables)
-        shown[name] = replace(interface, variables=tuple(v for v, words in named if text in words))
-    ends = ((each, f"{'.'.join(each.source)} {'.'.join(each.target)}") for each in connections)
-    return shown, [each for each, words in ends if text in words.lower()]
+        variables = tuple(v for v, words in named if text in words)
+        interfaces[name] = replace(interface, variables=variables)
+    ends = ((it, f"{'.'.join(it.source)} {'.'.join(it.target)}") for it in shown.connections)
+    wires = [each for each, words in ends if text in words.lower()]
+    return shown._replace(interfaces=interfaces, connections=wires)
 
 
 def _code(name: str, interface: Interface, file: Path) -> str:
@@ -146,15 +154,16 @@ def _code(name: str, interface: Interface, file: Path) -> str:
     return read_fmu(file).code if file.suffix == ".fmu" else "its own"
 
 
-def _drawing(order: Sequence[str], connections: Iterable[Connection], held: Sequence[str]) -> str:
+def _drawing(shown: _Shown) -> str:
     """Draw FMUs in the order of stepping, and connections, dashed if late, as Mermaid does."""
-    lines = [f'  {i}["{i} {_quoted(name)}"]' for i, name in enumerate(order, 1)]
-    ways: dict[tuple[int, str, int], list[str]] = {}
-    for source, target, ((feeder, _), (fed, _)) in by_variable(connections):
-        line = "-.->" if f"{source} -> {target}" in held else "-->"
-        way = (order.index(feeder) + 1, line, order.index(fed) + 1)
-        ways.setdefault(way, []).append(_quoted(target.removeprefix(f"{fed}.")))
-    lines += [f'  {a} {line}|"{", ".join(names)}"| {b}' for (a, line, b), names in ways.items()]
+    number = {name: i for i, name in enumerate(shown.order, 1)}
+    lines = [f'  {i}["{i} {_quoted(name)}"]' for name, i in number.items()]
+    ways = defaultdict[str, list[str]](list)
+    for source, target, ((feeder, _), (fed, _)) in by_variable(shown.connections):
+        line = "-.->" if f"{source} -> {target}" in shown.late else "-->"
+        way = f'  {number[feeder]} {line}|"%s"| {number[fed]}'
+        ways[way].append(_quoted(target.removeprefix(f"{fed}.")))
+    lines += [way % ", ".join(names) for way, names in ways.items()]
     return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 
 
@@ -162,18 +171,12 @@ def _quoted(text: str) -> str:
     return text.replace('"', "#quot;")
 
 
-def _described(
-    interfaces: Mapping[str, Interface], connections: Iterable[Connection]
-) -> dict[str, object]:
-    """Return all variables of some instances, and the connections from or to them."""
+def _described(shown: _Shown) -> dict[str, object]:
+    """Return plain values, for JSON."""
     about = ("model", "description", "variables")
-    fmus = {name: {key: getattr(i, key) for key in about} for name, i in interfaces.items()}
-    wires = [
-        {"from": ".".join(c.source), "to": ".".join(c.target)}
-        for c in connections
-        if {c.source[0], c.target[0]} & interfaces.keys()
-    ]
-    return {"fmus": fmus, "connections": wires}
+    fmus = {name: {k: getattr(it, k) for k in about} for name, it in shown.interfaces.items()}
+    ends = [{"from": ".".join(it.source), "to": ".".join(it.target)} for it in shown.connections]
+    return {"fmus": fmus, "connections": ends, "order": shown.order, "late": shown.late}
 
 
 def _variables_tables(interface: Interface) -> Iterator[Table]:
@@ -187,7 +190,7 @@ def _variables_tables(interface: Interface) -> Iterator[Table]:
             (_named(v), _short(v.unit), _short(v.start), _range(v), v.description) for v in group
         ]
         filled = [any(cells) for cells in zip(*rows, strict=True)]
-        cells = (map(as_cell, compress(row, filled)) for row in rows)
+        cells = (compress(row, filled) for row in rows)
         title = f"\n{causality}s, {variability}"
         yield table([*compress(_COLUMNS, filled)], cells, title=title)
 

@@ -69,9 +69,7 @@ def command(  # noqa: PLR0913 - one for each option
         page: Write one HTML file that simulates in the browser, without a server, and end.
     """
     chosen = find_scenario(scenario)
-    values = values_of(assignments)
-    if duration is not None:
-        values = {**values, "duration": duration}
+    values = values_of(assignments, duration=duration)
     if page is not None:
         _write(page, chosen, Options(kind=kind), values)
         return

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
 import typer
+from rich.text import Text
 
 from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder, writing
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
-from ...result.judging.verdicts import MISSED
 from ...result.recording import Recording
 from ...run.folder import default_folder
 from ...study.compare.engines import engine_rows, variants
@@ -42,7 +42,7 @@ from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores
 from ...task.scenario import Scenario
 from ...task.values import Values
-from ..console import as_cell, progress, show, show_file, show_json, table, warn
+from ..console import Item, progress, show, show_file, show_result, table, warn
 from ..forms import argument, flag, option
 from ..options import (
     ENGINES,
@@ -51,11 +51,12 @@ from ..options import (
     OVERWRITE,
     SETTINGS,
     announce_python,
+    end,
     values_of,
 )
+from ..outcome import STYLES
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
-STYLES = {"good": "green", "warn": "yellow", "bad": "bold red"}  # of the levels of a verdict
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -139,11 +140,14 @@ def command(  # noqa: PLR0913 - one for each option
         rows = engine_rows(given, len(engines), outcomes) if engines else []
         outcomes = [*chain.from_iterable(rows)] or outcomes
         if report is not None:
-            _write_reports(outcomes, report, values, quiet=json)
+            write_report(outcomes, report / REPORT_FILE, values)
+            write_junit(outcomes, report / JUNIT_FILE)
             stack.callback(replace_kept_runs, report / "runs", outcomes)  # once references are made
+        files = [str(report / name) for name in (REPORT_FILE, JUNIT_FILE)] if report else []
         if update:
-            return _update(outcomes, yes=yes)
-    _show_all(outcomes, engines, rows, json=json)
+            return _update(outcomes, files, yes=yes)
+    items = chain(files, _shown(outcomes), _of_engines(engines, rows))
+    show_result({"scenarios": [*map(_described, outcomes)]}, items, json=json)
     raise typer.Exit(exit_code(outcomes))
 
 
@@ -154,14 +158,6 @@ def _check_report(
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
         check_kept_runs(report / "runs", (each.name for each in parts))
-
-
-def _write_reports(outcomes: list[Outcome], report: Path, values: Values, *, quiet: bool) -> None:
-    """Write the page and the JUnit file, and name them unless `quiet`."""
-    write_report(outcomes, report / REPORT_FILE, values)
-    write_junit(outcomes, report / JUNIT_FILE)
-    if not quiet:
-        show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
 
 
 def _qualify(  # noqa: PLR0913 - of the command's options
@@ -185,18 +181,15 @@ def _qualify(  # noqa: PLR0913 - of the command's options
     found = score(findings)
     if file is not None:
         write_findings(findings, file)
-    if json:
-        listed = [{**asdict(each), "state": each.state} for each in findings]
-        show_json({"score": found, "changes": listed})
-    else:
-        rows = [
-            (as_cell(each.key), each.change, each.state, as_cell(_first_notice(each)))
-            for each in sorted(findings, key=lambda it: it.state)
-        ]
-        show(table(("Parameter", "change", "state", "by what first, where*"), rows))
-        show(f"{found:.0%} of the changes that have an effect are noticed")
-    if found < least:
-        raise typer.Exit(MISSED.exit_code)
+    listed = [{**asdict(each), "state": each.state} for each in findings]
+    rows = [
+        (each.key, each.change, each.state, _first_notice(each))
+        for each in sorted(findings, key=lambda it: it.state)
+    ]
+    items = (table(("Parameter", "change", "state", "by what first, where*"), rows),
+             f"{found:.0%} of the changes that have an effect are noticed")  # fmt: skip
+    show_result({"score": found, "changes": listed}, items, json=json)
+    end(missed=found < least)
 
 
 def _first_notice(finding: Finding) -> str:
@@ -209,8 +202,7 @@ def _first_notice(finding: Finding) -> str:
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
     """Run, with a line per scenario and a progress bar for all."""
-    ticks = dict.fromkeys((s.name for s in suite.scenarios), 0)
-    ticks |= {s.name: s.ticks for s in suite.scenarios if isinstance(s, Scenario)}
+    ticks = {each.name: getattr(each, "ticks", 0) for each in suite.scenarios}
     done, total = 0, sum(ticks.values())
     with progress(f"Running {len(ticks)} scenario{'s' if len(ticks) > 1 else ''}") as advance:
 
@@ -262,53 +254,41 @@ def _described(outcome: Outcome) -> dict[str, object]:
     }
 
 
-def _show_all(
-    outcomes: list[Outcome], engines: Sequence[str], rows: list[list[Outcome]], *, json: bool
-) -> None:
-    """Print what differs, how many match, and what each MuJoCo changes."""
-    if json:
-        show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
-        return
-    wrong = [
-        (as_cell(o.name), f"[{STYLES[o.meaning.level]}]{o.verdict}", as_cell(o.reason))
-        for o in outcomes
-        if not o.ok
-    ]
+def _shown(outcomes: list[Outcome]) -> Iterator[Item]:
+    """Yield what differs, how many match, and by what they were judged."""
+    wrong = [(o.name, Text(o.verdict, STYLES[o.meaning.level]), o.reason)
+             for o in outcomes if not o.ok]  # fmt: skip
     if wrong:
-        show(table(("Scenario", "Verdict", "Why*"), wrong))
-    show(headline(outcomes), "bold red" if exit_code(outcomes) else "bold green")
-    _show_conditions(outcomes)
-    _show_engines(engines, rows)
-
-
-def _show_conditions(outcomes: list[Outcome]) -> None:
-    """Print which MuJoCo was compared with which, and what no reference has judged."""
+        yield table(("Scenario", "Verdict", "Why*"), wrong)
+    yield Text(headline(outcomes), "bold red" if exit_code(outcomes) else "bold green")
     pairs = [outcome.comparison.engines for outcome in outcomes if outcome.comparison]
     if pairs:
         used, made = (", ".join(sorted(set(each))) for each in zip(*pairs, strict=True))
-        show(f"MuJoCo of the runs: {used}; of the references: {made}")
+        yield f"MuJoCo of the runs: {used}; of the references: {made}"
     alone = [outcome for outcome in outcomes if outcome.verdict in ("holds", "missed")]
     judged = [each.name for each in alone if isinstance(each.scenario, Scenario)]
     if judged:
-        show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
+        yield f"Without a reference, judged by their criteria alone: {', '.join(judged)}"
 
 
-def _show_engines(engines: Sequence[str], rows: list[list[Outcome]]) -> None:
-    """Print what each MuJoCo changes, and the signal that leaves its tube first."""
-    cells = []
-    for row in rows:
-        cells.append([as_cell(row[0].name)])
-        for outcome in row:
-            first = outcome.comparison.first if outcome.comparison else None
-            left = f"{first.name} leaves its tube at {first.first:.3f} s" if first else ""
-            told = (outcome.verdict, outcome.difference, left, outcome.cause)
-            cells[-1].append(as_cell("; ".join(filter(None, told))))
-    if cells:
-        show(table(("Scenario", "own", *engines), cells))
+def _of_engines(engines: Sequence[str], rows: list[list[Outcome]]) -> Iterator[Item]:
+    """Yield what each MuJoCo changes."""
+    if rows:
+        cells = ([row[0].name, *map(_of_engine, row)] for row in rows)
+        yield table(("Scenario", "own", *engines), cells)
 
 
-def _update(outcomes: list[Outcome], *, yes: bool) -> None:
+def _of_engine(outcome: Outcome) -> str:
+    """Say what a MuJoCo changes, and which signal leaves its tube first."""
+    first = outcome.comparison.first if outcome.comparison else None
+    left = f"{first.name} leaves its tube at {first.first:.3f} s" if first else ""
+    return "; ".join(filter(None, (outcome.verdict, outcome.difference, left, outcome.cause)))
+
+
+def _update(outcomes: list[Outcome], reports: list[str], *, yes: bool) -> None:
     """Show what changes, and overwrite the references."""
+    for file in reports:
+        show(file)
     changed, refused = _changed(outcomes)
     replaced = sum(outcome.reference_path.exists() for outcome, _ in changed)
     if replaced and not yes:
@@ -350,5 +330,4 @@ def _ask(question: str, changed: list[Outcome]) -> None:
     write_report(changed, page, {})
     show_file(page)  # with the differences from the references, before they are gone
     if not typer.confirm(question):
-        warn("nothing was overwritten")
-        raise typer.Exit(1)
+        raise CosimError("nothing was overwritten")

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...assets import STEP_SIZE
+from ...assets.checks import ARMS
 from ...fmus.atomic import write_whole
 from ...fmus.errors import InputError
 from ...result.recording.logs import SUFFIXES
@@ -21,7 +22,7 @@ from ...task.timing.demand import Shares
 from ...task.writer import write_scenario
 from ..console import show, table, tell
 from ..forms import flag, option, scenario_argument
-from ..options import ROBOT, SCENARIO, SETTINGS, Robot, arm_of, find_scenario, values_of
+from ..options import ROBOT, SCENARIO, SETTINGS, Robot, find_scenario, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -66,7 +67,7 @@ def command(  # noqa: PLR0913 - one for each option
     if Path(scenario).suffix in SUFFIXES:
         _retime_motion(Path(scenario), out, robot, share or Scenario.timing_share, suffix)
         return
-    chosen = find_scenario(scenario).changed(values_of(assignments, robot=arm_of(robot)))
+    chosen = find_scenario(scenario).changed(values_of(assignments, robot=ARMS.get(robot or "")))
     folder = out or Path(f"{chosen.name}_{suffix}")
     check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
     tell(f"Timing {chosen.name} ...")
@@ -144,7 +145,7 @@ def route(
     Args:
         out: New folder. Default: NAME_routed.
     """
-    chosen = find_scenario(scenario).changed(values_of(assignments, robot=arm_of(robot)))
+    chosen = find_scenario(scenario).changed(values_of(assignments, robot=ARMS.get(robot or "")))
     folder = out or Path(f"{chosen.name}_routed")
     refuse_existing(folder)
     tell(f"Planning {chosen.name} ...")

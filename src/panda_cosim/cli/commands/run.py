@@ -108,7 +108,8 @@ def command(  # noqa: PLR0913 - one for each option
     chosen = _chosen(scenario, system, duration)
     if chosen.system and kind != Options().kind:
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
-    values = values_of(assignments, controller, plant, coupling=coupling, mujoco=mujoco or None)
+    values = values_of(assignments, controller, plant, coupling=coupling, duration=duration,
+                       mujoco=mujoco or None)  # fmt: skip
     changed = chosen.changed(values)
     if ssv is not None:
         changed = with_parameter_set(changed, ssv, values, kind)
@@ -166,8 +167,7 @@ def _chosen(name: str | None, system: Path | None, duration: float | None) -> Sc
     if system is None and name is not None and Path(name).suffix == ".ssp":
         system, name = Path(name), None
     if system is None:
-        chosen = find_scenario(DEFAULT_SCENARIO if name is None else name)
-        return chosen if duration is None else chosen.changed({"duration": duration})
+        return find_scenario(DEFAULT_SCENARIO if name is None else name)
     alone = system_scenario(system, duration)
     if name is None:
         return alone
@@ -176,5 +176,4 @@ def _chosen(name: str | None, system: Path | None, duration: float | None) -> Sc
         raise InputError(
             f"SCENARIO {name!r}: cannot be combined with --system; must be one with a `system`"
         )
-    length = judging.duration if duration is None else duration
-    return replace(judging, system=alone.system, folder=alone.folder, duration=length)
+    return replace(judging, system=alone.system, folder=alone.folder)

@@ -8,7 +8,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
-import typer
+from rich.text import Text
 
 from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError
@@ -30,7 +30,7 @@ from ...study.sweep.results import missing, share_bounds
 from ...study.sweep.row import STATUSES, UNJUDGED
 from ...study.sweep.store import Store
 from ...task.files import as_argument
-from ..console import as_cell, progress, show, show_file, show_json, table, tell, warn
+from ..console import Item, progress, show, show_file, show_result, table, tell, warn
 from ..forms import argument, option
 from ..options import (
     ENGINES,
@@ -41,11 +41,12 @@ from ..options import (
     ROW,
     SWEEP,
     announce_build,
+    end,
 )
 from ..outcome import write_case
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from rich.table import Table
 
@@ -130,17 +131,15 @@ def command(  # noqa: PLR0913 - one for each option
         if isinstance(error, CosimError):
             write_case(junit, "sweep", name, time.perf_counter() - began, FAILED, str(error))
         raise
-    if json:
-        about = {"folder": done.folder, "counts": done.counts, "min_success": done.gate}
-        show_json({**about, "convergence": [*convergence(Store(done.folder))]})
-    else:
-        _show_counts(done, definition)
+    orders = [*convergence(Store(done.folder))]
+    content = {"folder": done.folder, "counts": done.counts, "min_success": done.gate,
+               "convergence": orders}  # fmt: skip
+    show_result(content, _counted(done, definition, orders), json=json)
     if done.gate is not None:
         verdict = SUCCESS if done.gate.ok else MISSED
         seconds = time.perf_counter() - began
         write_case(junit, "sweep", name, seconds, verdict, miss_text(done.gate))
-        if verdict.exit_code:
-            raise typer.Exit(verdict.exit_code)
+        end(missed=not done.gate.ok)
 
 
 def _fit(definition: Sweep, log: Path, names: Path | None, out: Path | None, *, json: bool) -> None:
@@ -152,18 +151,17 @@ def _fit(definition: Sweep, log: Path, names: Path | None, out: Path | None, *, 
     found = fit(definition, log, names)
     prepared = prepare(found.scenario)
     keep_scenario(prepared.scenario, prepared.assembly, folder)
-    if json:
-        parts = ("estimates", "alike", "noise")
-        show_json({"folder": folder, **{name: getattr(found, name) for name in parts}})
-        return
     for text in found.alike:
         warn(text)
-    rows = [(as_cell(key), f"{it.value:.6g}", f"{it.low:.6g} to {it.high:.6g}")
+    rows = [(key, f"{it.value:.6g}", f"{it.low:.6g} to {it.high:.6g}")
             for key, it in found.estimates.items()]  # fmt: skip
-    show(table(("key*", "fitted", "95 %"), rows, right=("fitted", "95 %")))
-    left = [(as_cell(name), f"{rms:.3g}") for name, rms in found.noise.items()]
-    show(table(("signal*", "RMS left"), left, right=("RMS left",)))
-    show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")
+    left = [(name, f"{rms:.3g}") for name, rms in found.noise.items()]
+    items = (table(("key*", "fitted", "95 %"), rows, right=("fitted", "95 %")),
+             table(("signal*", "RMS left"), left, right=("RMS left",)),
+             f"{folder}\nNext: panda-cosim run {as_argument(folder)}")  # fmt: skip
+    parts = ("estimates", "alike", "noise")
+    content = {"folder": folder, **{name: getattr(found, name) for name in parts}}
+    show_result(content, items, json=json)
 
 
 def _definition(sweep: str, vary: list[str] | None, mujoco: str, **asked: float | None) -> Sweep:
@@ -179,35 +177,33 @@ def _tell_stopped(error: BaseException, folder: Path, more: str) -> None:
         tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
 
 
-def _show_counts(done: SweepResult, definition: Sweep) -> None:
-    total = sum(done.counts.values())
+def _counted(done: SweepResult, definition: Sweep, orders: Sequence[Convergence]) -> Iterator[Item]:
+    total, good = sum(done.counts.values()), done.counts.get("success", 0)
     counts = [(status, done.counts[status]) for status in STATUSES if done.counts.get(status)]
-    rows = [(status, str(number), f"{number / total:.1%}") for status, number in counts]
-    show(table(("status", "rows", "share"), rows, right=("rows", "share")))
-    good = done.counts.get("success", 0)
+    rows = [(status, number, f"{number / total:.1%}") for status, number in counts]
+    yield table(("status", "rows", "share"), rows, right=("rows", "share"))
     if unjudged := sum(done.counts.get(status, 0) for status in UNJUDGED):
-        show(f"{unjudged} of {total} rows did not finish or were not judged, and count as failures")
+        yield f"{unjudged} of {total} rows did not finish or were not judged, and count as failures"
     if definition.design in SAMPLED:
         low, high = share_bounds(good, total)
-        show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
+        yield f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)"
     if good and (beyond := Store(done.folder).beyond_limits()) is not None:
-        show(f"{beyond} of the {good} successes exceeded a limit of the robot")
-    if found := [*convergence(Store(done.folder))]:
-        show(_convergence_table(found))
+        yield f"{beyond} of the {good} successes exceeded a limit of the robot"
+    if orders:
+        yield _convergence_table(orders)
     if done.gate is not None:
-        show(criterion_line(done.gate), "bold green" if done.gate.ok else "bold red")
-    show(f"{done.folder}/results/  {total} rows")
-    tell(f"Next: panda-cosim sweep report {quote(str(done.folder))}")
+        yield Text(criterion_line(done.gate), "bold green" if done.gate.ok else "bold red")
+    yield f"{done.folder}/results/  {total} rows"
+    yield Text(f"Next: panda-cosim sweep report {quote(str(done.folder))}", "dim")
 
 
 def _convergence_table(found: Sequence[Convergence]) -> Table:
     """Return a table with the order of convergence of each criterion's margin."""
     columns = ("margin", "smallest step", "order", "step 0")
-    numbers = ((each.finest, each.order, each.limit) for each in found)
-    rows = [
-        (as_cell(each.criterion), *("-" if n is None else f"{n:.6g}" for n in row))
-        for each, row in zip(found, numbers, strict=True)
-    ]
+    rows = (
+        (it.criterion, *("-" if n is None else f"{n:.6g}" for n in (it.finest, it.order, it.limit)))
+        for it in found
+    )
     return table(columns, rows, right=columns[1:])
 
 
@@ -301,12 +297,8 @@ def compare(
         not_worse: By how much the success rate may sink. Default: it must not surely sink.
     """
     found = pair(first, second)
-    if json:
-        show_json(_described(found))
-    else:
-        _show_pairs(found)
-    if found.is_worse(not_worse):
-        raise typer.Exit(MISSED.exit_code)
+    show_result(_described(found), _paired(found), json=json)
+    end(missed=found.is_worse(not_worse))
 
 
 def _described(found: Paired) -> dict[str, object]:
@@ -318,25 +310,24 @@ def _described(found: Paired) -> dict[str, object]:
     return {"pairs": len(found.pairs), **{n: getattr(found, n) for n in names}, **flips}
 
 
-def _show_pairs(found: Paired) -> None:
-    """Print the treatment, the rates, the margins and the flipped rows."""
+def _paired(found: Paired) -> Iterator[Item]:
+    """Yield the treatment, the rates, the margins and the flipped rows."""
     for line in found.treatment:
-        show(f"treatment: {line}")
-    before, after = found.rates
-    change = found.success
-    show(
+        yield f"treatment: {line}"
+    (before, after), change = found.rates, found.success
+    yield (
         f"{len(found.pairs)} pairs: success {before:.1%} -> {after:.1%}, {change.mean:+.1%} "
         f"({change.low:+.1%} to {change.high:+.1%}), McNemar's p = {found.p_value:.3g}"
     )
     if change.low == change.high == 0.0:  # resamples of zeros are zeros, however few
-        warn(f"no pair flips; up to {found.unseen:.1%} of flips either way remain possible")
+        yield f"no pair flips; up to {found.unseen:.1%} of flips either way remain possible"
     if any(found.unpaired):
-        warn("{} and {} rows have no partner".format(*found.unpaired))
-    rows = [(as_cell(name or "smallest"), f"{it.mean:+.3g}", f"{it.low:+.3g} to {it.high:+.3g}")
+        yield "{} and {} rows have no partner".format(*found.unpaired)
+    rows = [(name or "smallest", f"{it.mean:+.3g}", f"{it.low:+.3g} to {it.high:+.3g}")
             for name, it in found.margins.items()]  # fmt: skip
-    show(table(("margin*", "change", "95 %"), rows))
+    yield table(("margin*", "change", "95 %"), rows)
     for word, lost in (("lost", True), ("gained", False)):
         for row, other in found.flipped(lost=lost)[:FLIPS]:
             bad = other if lost else row
             why = bad["missed"] or bad["error"] or bad["status"]
-            show(f"{word}: rows {row['index']}, {other['index']}: {why}: {other['command']}")
+            yield f"{word}: rows {row['index']}, {other['index']}: {why}: {other['command']}"
