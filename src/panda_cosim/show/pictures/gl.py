@@ -10,26 +10,16 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from ctypes.util import find_library
+from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import CosimError
 
-# Libraries that a backend loads and their Debian packages, tried on a minimal Debian 12: libgl1
-# also brings Mesa's software driver, without which libegl1 alone finds no device.
-LIBRARIES: Final = {
-    "egl": {"EGL": "libegl1", "GL": "libgl1"},
-    "osmesa": {"OSMesa": "libosmesa6"},
-}
-BACKENDS: Final = {  # by operating system, best first
-    "darwin": ("cgl", "glfw"),
-    "linux": ("egl", "osmesa"),  # which need no screen
-    "win32": ("glfw",),
-}
-# Other values of MUJOCO_GL that MuJoCo takes.
-OFF: Final = ("disable", "disabled", "off", "false", "0")
-ANY: Final = ("", "enable", "enabled", "on", "true", "1")
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+LIBRARIES: Final[Mapping[str, Mapping[str, str]]] = _TABLES["libraries"]
 CHOICE: Final = "PANDA_COSIM_GL"  # the user's MUJOCO_GL, once the command line has set that itself
 
 
@@ -44,12 +34,12 @@ def load_no_backend() -> None:
     os.environ["MUJOCO_GL"] = "disable"
 
 
-def backends() -> tuple[str, ...]:
+def backends() -> Sequence[str]:
     """Return the backends to try, best first; only MUJOCO_GL if it names one."""
     asked = _asked()
-    if asked in OFF:
+    if asked in _TABLES["off"]:
         raise RenderError(f"MUJOCO_GL={asked} switches drawing off; unset it to get pictures")
-    return BACKENDS[sys.platform] if asked in ANY else (asked,)
+    return _TABLES["backends"][sys.platform] if asked in _TABLES["any"] else [asked]
 
 
 def what_to_install(failures: Mapping[str, str]) -> str:
@@ -61,7 +51,7 @@ def what_to_install(failures: Mapping[str, str]) -> str:
     install = f"on Debian or Ubuntu, apt-get install {' '.join(missing)}"
     advice = install if missing else f"{backend} says {reason!r}"
     pinned = f" (or unset MUJOCO_GL, which asks for {_asked()} alone)"
-    return f"{message}: {advice}{'' if _asked() in ANY else pinned}"
+    return f"{message}: {advice}{'' if _asked() in _TABLES['any'] else pinned}"
 
 
 def _asked() -> str:

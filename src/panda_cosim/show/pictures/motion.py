@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
+from ...fmus.interface.tables import INTERFACES
 from ...result.judging.holds import Hold, find_holds, first_collision
 from ...result.recording import Recording
 from ...result.recording.reader import shapes_of
@@ -23,14 +24,10 @@ from ...task.files import model_file
 
 FloatArray = NDArray[np.float64]
 
-SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # shapes of the drawn signals, per row
-    "plant.qpos": (16,),
-    "plant.qvel": (15,),
-    "plant.hand_xpos": (3,),
-    "plant.actuator_force": (8,),
-    "plant.contact_force": (),
-    "controller.pos_cmd": (3,),
-    "controller.grip_cmd": (),
+_DRAWN: Final = {"plant": ("qpos", "qvel", "hand_xpos", "actuator_force", "contact_force"),
+                 "controller": ("pos_cmd", "grip_cmd")}  # fmt: skip
+SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # of the drawn signals, per row
+    f"{fmu}.{n}": INTERFACES[fmu].variable(n).shape for fmu, names in _DRAWN.items() for n in names
 }
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 

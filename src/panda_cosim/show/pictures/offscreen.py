@@ -29,7 +29,6 @@ Image = NDArray[np.uint8]
 Draw = Callable[[Any], bytes]
 """From positions qpos (nq,) to an image (height, width, 3)."""
 
-MAX_SIDE: Final = 8192  # [px] more than any video needs, less than graphics drivers refuse
 PROCESS: Final = "panda_cosim.show.pictures.offscreen"
 
 
@@ -48,9 +47,6 @@ class OffscreenRenderer:
         camera: str = "overview",
         meshes: Meshes = "never",
     ) -> None:
-        for name, side in (("width", width), ("height", height)):
-            if not 1 <= side <= MAX_SIDE:
-                raise InputError(f"{name}: value {side} px; must be from 1 to {MAX_SIDE} px")
         self._shape = (height, width, 3)
         failures: dict[str, str] = {}
         for backend in backends():

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...fmus.errors import InputError
 from ...result.recording import Recording
 from .meshes import Meshes
 from .motion import describe_run, key_moments, poses, scene_of
@@ -21,7 +20,7 @@ from .plot import own_style, save
 if TYPE_CHECKING:
     from .canvas import ShownFigure
 
-MAX_TILES = 48
+MAX_TILES = 12
 TILE = (480, 360)  # [px] width and height of an image
 COLUMNS = 4
 GAP = 14  # [px] between images
@@ -34,15 +33,12 @@ def contact_sheet(
     recording: Recording,
     path: str | Path,
     *,
-    count: int = 12,
     camera: str = "overview",
     meshes: Meshes = "never",
 ) -> Path:
-    """Write a PNG with up to `count` key moments of a run, seen from a camera of the scene."""
+    """Write a PNG with key moments of a run, seen from a camera of the scene."""
     path = Path(path)
-    if not 2 <= count <= MAX_TILES:
-        raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
-    moments = key_moments(recording, count)
+    moments = key_moments(recording, MAX_TILES)
     at = np.array([moment.time for moment in moments])
     qpos = poses(recording, at)
     with closing(OffscreenRenderer(scene_of(recording), *TILE, camera, meshes)) as renderer:

@@ -97,13 +97,8 @@ def _by_unit(recording: Recording, title: str, columns: Sequence[str]) -> Iterat
     for unit, group in groupby(recorded, lambda column: recording.units.get(column, "")):
         same = list(group)
         name = same[0] if len(same) == 1 < len(columns) else title
-        yield Panel(
-            recording,
-            name,
-            unit,
-            _names(recording, same),
-            partial(map, recording.__getitem__, same),
-        )
+        read = partial(map, recording.__getitem__, same)
+        yield Panel(recording, name, unit, _names(recording, same), read)
 
 
 def _names(recording: Recording, columns: Sequence[str]) -> list[str]:

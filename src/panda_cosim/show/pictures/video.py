@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError, one_line
@@ -14,14 +14,12 @@ from ...task.fields import Quantity
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import frame_times, poses, scene_of
-from .offscreen import MAX_SIDE, OffscreenRenderer
-
-if TYPE_CHECKING:
-    pass
+from .offscreen import OffscreenRenderer
 
 Progress = Callable[[int, int], None]
 """Called with the number of frames done and the total."""
 
+MAX_SIDE = 8192  # [px] more than any video needs, less than graphics drivers refuse
 FPS_RANGE = (1.0, 240.0)  # [1/s]
 FPS = 30.0  # [1/s] by default: without a GPU, each frame costs a tenth of a second
 QUALITY = 18  # x264's constant rate factor; 18 looks lossless, more makes smaller files

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any, Final
@@ -58,7 +57,7 @@ def limits_of(summary: Summary) -> list[Json]:
         if check.interface in judged
     ]
     return [
-        {"name": name, "words": meaning(f"{group}.{key}"), "shares": list(map(number, used[key]))}
+        {"name": name, "words": meaning(f"{group}.{key}"), "shares": json_values(used[key])}
         for group, key, name, used in rows
         if isinstance(used.get(key), list)
     ]
@@ -98,13 +97,6 @@ def waypoints(metadata: Mapping[str, Any]) -> list[Json]:
         {"time": time, "label": name or str(index)}
         for index, (time, name) in enumerate(zip(times, names, strict=False), start=1)
     ]
-
-
-def number(value: object) -> float | None:
-    """Return a finite number, or None."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
-        return None
-    return float(value) if math.isfinite(value) else None
 
 
 def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, str]) -> list[Json]:

@@ -7,6 +7,7 @@ simulated ones, from 0. Quaternions are (x, y, z, w) there.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -63,8 +64,7 @@ def _model_of(recording: Recording) -> Any:
     """Return the plant's model (`mujoco.MjModel`); None: no plant's motion is recorded."""
     if "plant.qpos[1]" not in recording:
         return None
-    own = model_file(recording)
-    if own is not None:
+    if own := model_file(recording):
         return load_model(str(own))
     refuse_without_model(recording)
     from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
@@ -84,11 +84,11 @@ def _stamp(nanoseconds: int) -> Any:
 
 def _by_fmu(recording: Recording) -> dict[str, list[str]]:
     """Return the columns of each FMU, without its name."""
-    found: dict[str, list[str]] = {}
+    found = defaultdict[str, list[str]](list)
     for column in recording.types:
-        instance, _, name = column.partition(".")
-        if name:
-            found.setdefault(instance, []).append(name)
+        instance, dot, name = column.partition(".")
+        if dot:
+            found[instance].append(name)
     return found
 
 
@@ -162,19 +162,15 @@ def _shapes(model: Any) -> Any:
     entities = []
     bodies: Any = describe(model)["bodies"]
     for number, body in enumerate(bodies):
-        shapes: dict[str, Any] = {}
+        shapes: Any = defaultdict(list)
         for shape in (each for each in body["shapes"] if each["kind"] in kinds):
             name, primitive, axes, ends = kinds[shape["kind"]]
             size = fox.Vector3(**_parts("xyz", [2.0 * shape["size"][axis] for axis in axes]))
             position = fox.Vector3(**_parts("xyz", shape["pos"]))
             turn = fox.Quaternion(**_parts("wxyz", shape["quat"]))
-            pose, colour = (
-                fox.Pose(position=position, orientation=turn),
-                _parts("rgba", shape["rgba"]),
-            )
-            shapes.setdefault(name, []).append(
-                primitive(size=size, pose=pose, color=fox.Color(**colour), **ends)
-            )
+            pose = fox.Pose(position=position, orientation=turn)
+            colour = fox.Color(**_parts("rgba", shape["rgba"]))
+            shapes[name].append(primitive(size=size, pose=pose, color=colour, **ends))
         frame = _name(model.body(number)) if number else WORLD
         if shapes:
             entities.append(fox.SceneEntity(id=frame, frame_id=frame, frame_locked=True, **shapes))

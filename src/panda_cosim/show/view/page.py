@@ -52,10 +52,9 @@ def live_page(
     if engine is None:
         return _view(title, data, "; connect-src 'self'")
     data += data_element("engine", engine)
-    parts = {"worker": _code()["worker"]["deflated"], "licences": _part(NOTICE)}
-    parts |= {f'module="{n}"': each["deflated"] for n, each in json.loads(_part(ENGINE)).items()}
-    for name, text in parts.items():
-        data += f'<script type="text/plain" data-{name}>{text}</script>'
+    data += _text("worker", _code()["worker"]["deflated"]) + _text("licences", _part(NOTICE))
+    for name, module in json.loads(_part(ENGINE)).items():
+        data += _text(f'module="{name}"', module["deflated"])
     return _view(title, data, "; worker-src blob:", ["'wasm-unsafe-eval'"])
 
 
@@ -79,23 +78,26 @@ def document(  # noqa: PLR0913 - the parts of a page
         policy: Added to the content security policy.
         scripts: Further sources of scripts in it.
     """
-    loader = _code()["loader"]["text"]
+    known = _code()
+    loader = f"<script>{known['loader']['text']}</script>"
+    bundles = (_text(f'code="{name}"', known[name]["deflated"]) for name in code)
+    sources = [f"'sha256-{known[name]['sha256']}'" for name in ("loader", *code)]
     # Inserted text is not searched for further placeholders.
     return Template(_part(TEMPLATE)).substitute(
         title=escape(title),
-        scripts=" ".join((*script_sources(*code), *scripts)),
+        scripts=" ".join((*sources, *scripts)),
         more=policy,
         style="\n".join(_part(f"{name}.css") for name in code),
         kind=code[0],
         body=body,
         data=data,
-        code="\n".join((*map(_code_element, code), f"<script>{loader}</script>")),
+        code="\n".join((*bundles, loader)),
     )
 
 
-def _code_element(name: str) -> str:
-    """Return the element with a bundle of code, deflated; the loader starts it."""
-    return f'<script type="text/plain" data-code="{name}">{_code()[name]["deflated"]}</script>'
+def _text(label: str, text: str) -> str:
+    """Return an element with code or text, which the loader or a bundle finds by its label."""
+    return f'<script type="text/plain" data-{label}>{text}</script>'
 
 
 def rendered(template: Path, **content: object) -> str:
@@ -114,11 +116,6 @@ def data_elements(documents: Sequence[Document], models: Mapping[str, Json]) -> 
     elements = [data_element(f"model:{key}", model) for key, model in models.items()]
     elements += [data_element(f"run:{run['name']}", run) for run in documents]
     return "\n".join(elements)
-
-
-def script_sources(*code: str) -> list[str]:
-    """Return the sources for a content security policy that lets the code run."""
-    return [f"'sha256-{_code()[name]['sha256']}'" for name in ("loader", *code)]
 
 
 def data_element(name: str, value: object) -> str:
@@ -194,14 +191,11 @@ def show_source(
     source: Recording, name: str, *, summary: Summary, meshes: Meshes = "never"
 ) -> Shown:
     """Return a run to show, with the model named in its recording, or with curves alone."""
-    own = model_file(source)
-    if own is not None:
-        from .model import describe  # noqa: PLC0415 - imports MuJoCo
-
-        return Shown(name, source, describe(load_model(str(own))), summary=summary)
-    if not has_model(source):
-        return Shown(name, source, None, summary=summary)
-    model, masses = plant_model(source.metadata, meshes)
+    model = masses = None
+    if own := model_file(source):
+        model = _described(load_model(str(own)))
+    elif has_model(source):
+        model, masses = plant_model(source.metadata, meshes)
     return Shown(name, source, model, masses, summary)
 
 
@@ -228,18 +222,21 @@ def plant_parameters(metadata: Mapping[str, Any]) -> PlantParameters:
 def described_scene(scene: str, robot: str, meshes: Meshes = "never") -> dict[str, Any]:
     """Describe a scene of ours; without meshes, once for each version of the code."""
     if meshes != "never":
-        from .model import describe  # noqa: PLC0415 - imports MuJoCo
-
-        return describe(load_model(scene, meshes))
+        return _described(load_model(scene, meshes))
 
     def make() -> bytes:
         from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
-        from .model import describe  # noqa: PLC0415 - imports MuJoCo
 
         model = load_scene(PlantParameters(scene=scene, robot=robot), drawn=True)
-        return json.dumps(describe(model)).encode()
+        return json.dumps(_described(model)).encode()
 
     code = [Path(__file__).with_name(name).read_bytes() for name in ("model.py", "columns.py")]
     key = digest(scene, robot, code_digest(), *code)
     kept = cached(cache_folder() / "scenes" / f"{key[:24]}.json", make)
     return dict(json.loads(kept.read_bytes()))
+
+
+def _described(model: Any) -> Json:
+    from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+    return describe(model)
