@@ -22,7 +22,7 @@ from forked import command
 from panda_cosim import InputError, Recording
 from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.result.judging.holds import events, find_holds
-from panda_cosim.show.pictures import gl, meshes
+from panda_cosim.show.pictures import gl
 from panda_cosim.show.pictures.gl import RenderError
 from panda_cosim.show.pictures.motion import (
     BLOCK_QUAT,
@@ -42,9 +42,6 @@ HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 
 EXACT = 1e-12  # of rounding alone
 
 needs_gl = pytest.mark.usefixtures("backend")
-needs_menagerie = pytest.mark.skipif(
-    meshes.find_menagerie() is None, reason="MENAGERIE_ROOT names no folder with Menagerie's Panda"
-)
 
 
 @pytest.fixture(scope="module")
@@ -319,32 +316,3 @@ def test_what_needs_no_picture_needs_no_opengl(tmp_path):
         [*map(str, run), "--out", str(tmp_path / "run")], env=environment | {"MUJOCO_GL": "vulkan"}
     )
     assert "Warning" not in done.stderr
-
-
-# --- meshes
-
-
-@needs_menagerie
-def test_dressed_in_meshes_the_scene_has_the_same_positions():
-    mujoco = pytest.importorskip("mujoco")
-    plain, dressed = meshes.load_model("tabletop"), meshes.load_model("tabletop", "always")
-    assert dressed.nq == plain.nq == 16
-    assert dressed.nmeshface > 100_000
-    for index in range(plain.njnt):
-        assert dressed.joint(index).name == plain.joint(index).name
-        assert dressed.joint(index).qposadr == plain.joint(index).qposadr
-    places = []
-    for model in (plain, dressed):
-        data = mujoco.MjData(model)
-        data.qpos[:] = HOME
-        mujoco.mj_kinematics(model, data)
-        places.append([data.body(name).xpos.copy() for name in ("hand", "right_finger", "obj")])
-    np.testing.assert_allclose(places[0], places[1], atol=EXACT)
-
-
-def test_meshes_that_are_missing_are_an_error_that_says_how_to_get_them(monkeypatch, tmp_path):
-    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
-    assert meshes.find_menagerie() is None
-    assert meshes.load_model("tabletop", "auto").nq == 16
-    with pytest.raises(InputError, match="MENAGERIE_ROOT"):
-        meshes.load_model("tabletop", "always")

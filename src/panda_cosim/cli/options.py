@@ -20,7 +20,6 @@ Attributes:
     VIDEO: Draw the video and the contact sheet.
     PLOT: Draw the plot. Default: as for the video.
     VIEW: Write the page that shows the run in 3D.
-    MESHES: Draw the arm with meshes of MuJoCo Menagerie; auto: if they are there.
     JUNIT: Write the verdict as JUnit XML, for CI.
     JSON: Print the result as JSON instead of tables.
     MAP: Names of a log's columns: [names] "plant.qpos[1]" = ["q1"]; also time, seconds and start.
@@ -57,7 +56,6 @@ DEFAULT_SCENARIO = "pick_and_place"
 FmiVersion = Literal["2", "3"]
 Names = Literal["structured", "flat"]
 Robot = Literal["fer", "fr3"]
-Meshes = Literal["never", "auto", "always"]
 
 
 SCENARIO = scenario_argument()
@@ -76,7 +74,6 @@ OUT_RUN = option("--out -o DIR")
 VIDEO = option("--video/--no-video", True)
 PLOT = option("--plot/--no-plot")
 VIEW = option("--view/--no-view", True)
-MESHES = option("--meshes", "never")
 JUNIT = option("--junit FILE.xml")
 JSON = flag("--json")
 MAP = option("--map NAMES.toml")

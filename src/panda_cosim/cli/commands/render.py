@@ -23,7 +23,7 @@ from ...study.compare.views import reference_of, shown_reference
 from ...task.fields import check_choice
 from ..console import show, show_file, tell
 from ..forms import argument, option
-from ..options import MAP, MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes
+from ..options import MAP, OPEN_PAGE, OVERWRITE, RUN
 from ..outcome import PLOTTING, TILING, draw_video
 
 
@@ -33,7 +33,6 @@ def command(  # noqa: PLR0913 - one for each option
     camera: str = option("--camera NAME", "overview"),
     size: str = option("--size WxH", "640x480"),
     fps: float = option("--fps HZ", 30.0),
-    meshes: Meshes = MESHES,
     video: bool = option("--video/--no-video", True),
     overwrite: bool = OVERWRITE,
 ) -> None:
@@ -64,9 +63,9 @@ def command(  # noqa: PLR0913 - one for each option
     width, height = map(int, match.groups())
     check_video(folder / VIDEO_FILE, fps, width, height)
     tell(TILING)
-    show(str(contact_sheet(recording, folder / SHEET_FILE, camera=camera, meshes=meshes)))
+    show(str(contact_sheet(recording, folder / SHEET_FILE, camera=camera)))
     if video:
-        look = {"fps": fps, "width": width, "height": height, "camera": camera, "meshes": meshes}
+        look = {"fps": fps, "width": width, "height": height, "camera": camera}
         show(str(draw_video(recording, folder, **look)))
 
 
@@ -111,7 +110,6 @@ def view(  # noqa: PLR0913 - one for each option
     against: str | None = option("--against RUN"),
     names: Path | None = MAP,
     out: Path | None = option("--out -o FILE.html"),
-    meshes: Meshes = MESHES,
     open_page: bool = OPEN_PAGE,
     overwrite: bool = OVERWRITE,
 ) -> None:
@@ -134,7 +132,7 @@ def view(  # noqa: PLR0913 - one for each option
     """
     path = out if out is not None else (run if run.is_dir() else run.parent) / VIEW_FILE
     check_replaceable(path, overwrite=overwrite)
-    first = shown_run(run, meshes=meshes)
+    first = shown_run(run)
     write_view([first] if against is None else [first, _other(first, against, names)], path)
     show_file(path, open_page=open_page)
 

@@ -14,12 +14,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import SCENES
 from ...fmus.errors import InputError
 from ...fmus.interface.tables import INTERFACES
 from ...result.judging.holds import Hold, find_holds, first_collision
 from ...result.recording import Recording
 from ...result.recording.reader import shapes_of
 from ...task import rotations
+from ...task.fields import check_choice
 from ...task.files import model_file
 
 FloatArray = NDArray[np.float64]
@@ -95,8 +97,9 @@ def refuse_without_model(recording: Recording) -> None:
 
 def scene_of(recording: Recording) -> str:
     """Return the name of a recording's scene, or the path of its model."""
-    model = model_file(recording)
-    return str(model.resolve() if model else recording.metadata.get("scene", DEFAULT_SCENE))
+    if model := model_file(recording):
+        return str(model.resolve())
+    return check_choice("scene", recording.metadata.get("scene", DEFAULT_SCENE), SCENES)
 
 
 def describe_run(recording: Recording) -> tuple[str, str]:

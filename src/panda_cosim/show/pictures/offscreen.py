@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from subprocess import DEVNULL
 from typing import Any, Final
 
@@ -20,9 +21,9 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, one_line
 from ...fmus.processes import Child, listen
+from ...plant.parameters import PlantParameters
 from ...task.fields import check_choice
 from .gl import RenderError, backends, what_to_install
-from .meshes import Meshes, load_model
 from .motion import FloatArray
 
 Image = NDArray[np.uint8]
@@ -45,12 +46,11 @@ class OffscreenRenderer:
         width: int,
         height: int,
         camera: str = "overview",
-        meshes: Meshes = "never",
     ) -> None:
         self._shape = (height, width, 3)
         failures: dict[str, str] = {}
         for backend in backends():
-            self._child = _start(backend, [scene, width, height, camera, meshes])
+            self._child = _start(backend, [scene, width, height, camera])
             with ExitStack() as stack:
                 stack.callback(self.close)
                 reply = self._first_reply()
@@ -104,16 +104,18 @@ def describe_gl() -> tuple[str | None, str]:
         return None, str(error)
 
 
-def _open_scene(
-    scene: str, width: int, height: int, camera: str, meshes: Meshes
-) -> tuple[int, Draw]:
+def _open_scene(scene: str, width: int, height: int, camera: str) -> tuple[int, Draw]:
     """Return a scene's number of positions and a function that draws it."""
     import mujoco  # noqa: PLC0415 - fails where the backend's library is missing
 
-    model = load_model(scene, meshes)
+    from ...fmus.sources.model_fmu import MODEL_SUFFIX, load  # noqa: PLC0415 - imports MuJoCo
+    from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
+
+    is_file = scene.endswith(MODEL_SUFFIX)
+    model = load(Path(scene)) if is_file else load_scene(PlantParameters(scene=scene), drawn=True)
     names = [model.cam(index).name for index in range(model.ncam)]
     view: str | int = camera
-    if scene.endswith(".mjb") and camera == "overview" and camera not in names:
+    if is_file and camera == "overview" and camera not in names:
         view = 0 if names else -1  # its first camera, or MuJoCo's free one
     else:
         check_choice("camera", camera, names)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...result.recording import Recording
-from .meshes import Meshes
 from .motion import describe_run, key_moments, poses, scene_of
 from .offscreen import Image, OffscreenRenderer
 from .panels import DPI, GREY, INK
@@ -29,19 +28,13 @@ HEADER = 74  # [px] for the title
 CAPTION = 34  # [px] under an image
 
 
-def contact_sheet(
-    recording: Recording,
-    path: str | Path,
-    *,
-    camera: str = "overview",
-    meshes: Meshes = "never",
-) -> Path:
+def contact_sheet(recording: Recording, path: str | Path, *, camera: str = "overview") -> Path:
     """Write a PNG with key moments of a run, seen from a camera of the scene."""
     path = Path(path)
     moments = key_moments(recording, MAX_TILES)
     at = np.array([moment.time for moment in moments])
     qpos = poses(recording, at)
-    with closing(OffscreenRenderer(scene_of(recording), *TILE, camera, meshes)) as renderer:
+    with closing(OffscreenRenderer(scene_of(recording), *TILE, camera)) as renderer:
         tiles = list(renderer.frames(qpos))
     captions = [f"{moment.time:.2f} s  {moment.label}" for moment in moments]
     with own_style():

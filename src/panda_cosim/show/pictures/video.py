@@ -12,7 +12,6 @@ from ...fmus.errors import InputError, one_line
 from ...result.recording import Recording
 from ...task.fields import Quantity
 from .gl import RenderError
-from .meshes import Meshes
 from .motion import frame_times, poses, scene_of
 from .offscreen import OffscreenRenderer
 
@@ -36,7 +35,6 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     width: int = 640,
     height: int = 480,
     camera: str = "overview",
-    meshes: Meshes = "never",
     progress: Progress | None = None,
 ) -> Path:
     """Write a video (H.264, yuv420p, mp4) of a run; width and height are even [px]."""
@@ -44,7 +42,7 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     check_video(path, fps, width, height)
     qpos = poses(recording, frame_times(recording.time, fps))
     with (
-        closing(OffscreenRenderer(scene_of(recording), width, height, camera, meshes)) as renderer,
+        closing(OffscreenRenderer(scene_of(recording), width, height, camera)) as renderer,
         replacing(path) as temporary,
         _encoder(temporary, (height, width), fps) as encoder,
     ):

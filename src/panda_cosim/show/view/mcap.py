@@ -19,7 +19,6 @@ from ...fmus.extras import needing
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.files import model_file
-from ..pictures.meshes import load_model
 from ..pictures.motion import refuse_without_model
 from .page import plant_parameters
 
@@ -64,11 +63,12 @@ def _model_of(recording: Recording) -> Any:
     """Return the plant's model (`mujoco.MjModel`); None: no plant's motion is recorded."""
     if "plant.qpos[1]" not in recording:
         return None
-    if own := model_file(recording):
-        return load_model(str(own))
-    refuse_without_model(recording)
+    from ...fmus.sources.model_fmu import load  # noqa: PLC0415 - imports MuJoCo
     from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
 
+    if own := model_file(recording):
+        return load(own)
+    refuse_without_model(recording)
     return load_scene(plant_parameters(recording.metadata), drawn=True)
 
 

@@ -25,7 +25,6 @@ from ...plant.parameters import BLOCK, PlantParameters
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.files import model_file
-from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import DEFAULT_SCENE, has_model
 from .columns import Json
 from .run import Shown
@@ -180,29 +179,30 @@ def contents(runs: Sequence[Shown]) -> tuple[list[Document], dict[str, Json]]:
     return documents, models
 
 
-def shown_run(folder: Path | str, *, name: str | None = None, meshes: Meshes = "never") -> Shown:
+def shown_run(folder: Path | str, *, name: str | None = None) -> Shown:
     """Open a run to show."""
     recording = Recording.open(folder, in_order=True)
     name = name or recording.path.parent.resolve().name
-    return show_source(recording, name, summary=Summary.of(recording), meshes=meshes)
+    return show_source(recording, name, summary=Summary.of(recording))
 
 
-def show_source(
-    source: Recording, name: str, *, summary: Summary, meshes: Meshes = "never"
-) -> Shown:
+def show_source(source: Recording, name: str, *, summary: Summary) -> Shown:
     """Return a run to show, with the model named in its recording, or with curves alone."""
     model = masses = None
     if own := model_file(source):
-        model = _described(load_model(str(own)))
+        from ...fmus.sources.model_fmu import load  # noqa: PLC0415 - imports MuJoCo
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
+
+        model = describe(load(own))
     elif has_model(source):
-        model, masses = plant_model(source.metadata, meshes)
+        model, masses = plant_model(source.metadata)
     return Shown(name, source, model, masses, summary)
 
 
-def plant_model(metadata: Mapping[str, Any], meshes: Meshes = "never") -> tuple[Json, list[float]]:
+def plant_model(metadata: Mapping[str, Any]) -> tuple[Json, list[float]]:
     """Return the plant's model with a recording's scene and robot, and the masses of its bodies."""
     parameters = plant_parameters(metadata)
-    model = described_scene(parameters.scene, parameters.robot, meshes)
+    model = described_scene(parameters.scene, parameters.robot)
     given = {BLOCK: parameters.block_mass}
     return model, [given.get(body["name"], body["mass"]) for body in model["bodies"]]
 
@@ -219,24 +219,17 @@ def plant_parameters(metadata: Mapping[str, Any]) -> PlantParameters:
 
 
 @lru_cache(maxsize=4)
-def described_scene(scene: str, robot: str, meshes: Meshes = "never") -> dict[str, Any]:
-    """Describe a scene of ours; without meshes, once for each version of the code."""
-    if meshes != "never":
-        return _described(load_model(scene, meshes))
+def described_scene(scene: str, robot: str) -> dict[str, Any]:
+    """Describe a scene of ours, once for each version of the code."""
 
     def make() -> bytes:
         from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo
+        from .model import describe  # noqa: PLC0415 - imports MuJoCo
 
         model = load_scene(PlantParameters(scene=scene, robot=robot), drawn=True)
-        return json.dumps(_described(model)).encode()
+        return json.dumps(describe(model)).encode()
 
     code = [Path(__file__).with_name(name).read_bytes() for name in ("model.py", "columns.py")]
     key = digest(scene, robot, code_digest(), *code)
     kept = cached(cache_folder() / "scenes" / f"{key[:24]}.json", make)
     return dict(json.loads(kept.read_bytes()))
-
-
-def _described(model: Any) -> Json:
-    from .model import describe  # noqa: PLC0415 - imports MuJoCo
-
-    return describe(model)

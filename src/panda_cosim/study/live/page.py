@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from ...fmus.errors import InputError, one_line
 from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.master.step import SWITCHED
+from ...fmus.sources.model_fmu import load
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ...run.folder import SCENARIO_FOLDER
 from ...run.session import Session
-from ...show.pictures.meshes import load_model
 from ...show.view.facts import column_bounds, shown_curves
 from ...show.view.model import describe as describe_model
 from ...show.view.page import live_page
@@ -116,7 +116,7 @@ def _model(session: Session) -> Any:
                 f"{session.scenario.name}: no FMU in it holds a MuJoCo model, so there is nothing "
                 "to show; `panda-cosim run` records it"
             )
-        return load_model(str(kept))
+        return load(kept)
     plant: Any = session.parameters["plant"]
     drawn = ("scene", "robot", "block_mass", "block_friction")
     return load_scene(PlantParameters(**{key: plant[key] for key in drawn}), drawn=True)
