@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from importlib import import_module
-from inspect import Parameter, signature
-from itertools import takewhile
 from types import FunctionType, SimpleNamespace, UnionType
 from typing import Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -37,9 +35,8 @@ def typed(target: T) -> T:
             elif is_public and isinstance(member, classmethod):
                 setattr(target, name, classmethod(typed(member.__func__)))
         return target
-    parameters = signature(target).parameters.values()
-    single = takewhile(lambda each: each.kind is not Parameter.VAR_POSITIONAL, parameters)
-    names = [each.name for each in single]
+    code = cast("FunctionType", target).__code__
+    names = code.co_varnames[: code.co_argcount]  # of those that may be given by place
 
     @wraps(target)
     def call(*given: Any, **named: Any) -> Any:
@@ -53,10 +50,15 @@ def check_types(target: Any, values: Mapping[str, object]) -> None:
     """Refuse values whose types are not those of a function's or class's annotations."""
     hints = _hints(target)
     for name, value in values.items():
-        if not _fits(value, hint := hints.get(name, Any)):
-            kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        kinds = _kinds(hints.get(name, Any))
+        if not any(_fits(value, kind) for kind in kinds):
             words = " or ".join(kind.__name__ for kind in kinds).replace("NoneType", "None")
             refuse(f"{target.__qualname__}: {name}", value, f"must be of type {words}")
+
+
+def _kinds(hint: Any) -> tuple[Any, ...]:
+    """Return the types of which one is enough."""
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
 @cache
@@ -68,13 +70,12 @@ def _hints(target: Any) -> dict[str, Any]:
 
 def _fits(value: object, hint: Any) -> bool:
     """Whether a value has a type; words and bounds are checked where they are used."""
-    kind, items = get_origin(hint) or hint, get_args(hint)
-    if kind in (Union, UnionType):
-        return any(_fits(value, each) for each in items)
+    kind = get_origin(hint) or hint
     if kind in (Any, Literal):
         return True
     if not isinstance(value, _COUNTS.get(kind, kind)) or isinstance(value, str) > (kind is str):
         return False  # a text is no sequence of letters
-    if kind is Sequence or kind is Mapping:
-        return all(_fits(each, items[0]) for each in value)  # values of keys have better messages
-    return True
+    if kind not in (Sequence, Mapping):
+        return True
+    items = _kinds(get_args(hint)[0])  # or keys, as those who take values have better messages
+    return all(any(_fits(each, item) for item in items) for each in cast("Iterable[Any]", value))
