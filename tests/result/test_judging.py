@@ -185,7 +185,7 @@ WRONG = [
     (S, 'signal = { difference = ["a"] }', "a list of 2 signals"),
     (S, 'signal = { norm = ["plant.hand_xpos", "plant.qpos"] }', "plant.qpos has 16 elements"),
     (S, 'signal = { norm = ["plant.qpos"] }', "must have the same unit"),
-    (S, 'signal = { difference = ["a", "a"] }', "must be two different signals"),
+    (S, 'signal = { difference = ["a", "a"] }', "no two alike"),
     (R, 'reduce = "maxx"', "did you mean 'max'?"),
     (R, 'reduce = "settle"', "band: is missing"),
     (R, 'reduce = "settle"\nband = 0.0', "band: value 0.0; must be a number from 1e-12"),

@@ -234,15 +234,21 @@ BAD_TABLES = {
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
     "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
-    "time repeats": (with_cell("time", "0"), "line 3: column time: value 0.0 repeats"),
+    "time repeats": (
+        with_cell("time", "0"),
+        "row 2: time: value 0.0; must be at least 1e-06 s",
+    ),
     "time goes back": (
         GOOD_TABLE + A.replace("0,", "0.5,", 1),
-        "line 4: column time: value 0.5 goes back",
+        "row 3: time: value 0.5; must be at least",
     ),
-    "times too close": (with_cell("time", "1e-9"), "is too close; must be at least 1e-06 s after"),
+    "times too close": (with_cell("time", "1e-9"), "value 1e-09; must be at least 1e-06 s after"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
     "quaternion of zero length": (with_cell("qx", "0"), "must be longer than 0, or blank"),
-    "quaternion partly blank": (with_cell("qz", ""), "column qz is blank; qw to qz must be all"),
+    "quaternion partly blank": (
+        with_cell("qz", ""),
+        "value of 3 items; must be 4 numbers",
+    ),
 }
 
 

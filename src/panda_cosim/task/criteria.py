@@ -56,14 +56,13 @@ def _signal(value: object) -> Signal:
     if not (isinstance(value, tuple) and len(value) == 2):
         must = "must be a signal's name, { norm = [...] } or { difference = [...] }"
         refuse("", value, must, error=ValueError)
-    operation, names = Choice(tuple(_OPERANDS))(value[0]), value[1]
+    operation, given = Choice(tuple(_OPERANDS))(value[0]), value[1]
+    names = tuple(map(Line(), given)) if isinstance(given, list | tuple) else ()
     counts = _OPERANDS[operation]
-    if not isinstance(names, list | tuple) or len(names) not in counts:
-        words = " or ".join(map(str, counts))
-        raise ValueError(f"{operation}: value {excerpt(names)}; must be a list of {words} signals")
-    if len(set(names)) < len(names):
-        raise ValueError(f"{operation}: value {excerpt(names)}; must be two different signals")
-    return operation, tuple(Line()(name) for name in names)
+    if len(names) not in counts or len({*names}) < len(names):
+        words = f"must be a list of {' or '.join(map(str, counts))} signals, no two alike"
+        raise ValueError(f"{operation}: value {excerpt(given)}; {words}")
+    return operation, names
 
 
 def _signal_key(signal: Signal) -> object:
@@ -184,11 +183,11 @@ class SignalCriterion:
         """Refuse a window beyond the run from start to end [s], or shorter than a bound on time."""
         first = check_within("from", self.from_, start, end)
         last = check_within("to", self.to, start, end)
-        if first is not None and last is not None and first > last:
+        longest = (end if last is None else last) - (start if first is None else first)
+        if longest < 0.0:
             raise ValueError(f"to: value {self.to!r} is before from, {self.from_!r}")
         if not REDUCTIONS[self.reduce].is_time:
             return
-        longest = (end if last is None else last) - (start if first is None else first)
         window = f"the window lasts {longest:g} s at most"
         if self.bounds.get("below", math.nan) >= longest:
             raise ValueError(f"below: value {self.below!r}; {window}, {ALWAYS}; must be shorter")
@@ -292,10 +291,12 @@ class BodyCriterion:
         values = {name: getattr(self, name) for name in BOUNDS}
         return {name: value for name, value in values.items() if value is not None}
 
-    def label(self, bound: str) -> str:
-        """Name of one of the bounds in results."""
+    @property
+    def labels(self) -> dict[str, str]:
+        """Name in results of each of its bounds."""
         at = "" if self.at == "end" else f" at {_instant_text(self.at)}"
-        return f"{self.body} {'position' if bound == 'tolerance' else bound}{at}"
+        words = {bound: "position" if bound == "tolerance" else bound for bound in self.bounds}
+        return {bound: f"{self.body} {word}{at}" for bound, word in words.items()}
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -355,18 +356,20 @@ class Success:
     def __post_init__(self) -> None:
         check_both(self, "block_position", "position_tolerance")
         taken = set(field_names(Success))
-        bodies = (each.label(bound) for each in self.body for bound in each.bounds)
-        for label in (*(n for each in self.signal for n in each.labels.values()), *bodies):
+        for label in (name for each in self._all for name in each.labels.values()):
             if label in taken:
                 raise ValueError(f"name {excerpt(label)} is taken; must be unique")
             taken.add(label)
 
     @property
+    def _all(self) -> tuple[SignalCriterion | BodyCriterion, ...]:
+        return (*self.signal, *self.body)
+
+    @property
     def required(self) -> dict[str, Requirements]:
         """Requirements of the criteria that state some, by their names in results."""
-        stated = {n: each.requirements for each in self.signal for n in each.labels.values()}
-        stated |= {each.label(n): each.requirements for each in self.body for n in each.bounds}
-        return {name: requirements for name, requirements in stated.items() if requirements}
+        stating = [each for each in self._all if each.requirements]
+        return {name: each.requirements for each in stating for name in each.labels.values()}
 
     def within(self, start: float, end: float) -> Self:
         """Return the criteria that a run from `start` to `end` [s] can measure."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, MutableMapping
-from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
@@ -395,10 +395,7 @@ def load_scenario(name_or_folder: Scenario | str | Path) -> Scenario:
     shipped, folder = shipped_scenarios(), Path(name_or_folder)
     if isinstance(name_or_folder, str) and name_or_folder in shipped:
         return Scenario.read(shipped[name_or_folder])
-    is_folder = False
-    with suppress(OSError, ValueError):  # too long, or a null byte
-        is_folder = name_or_folder != "" and folder.is_dir()
-    if is_folder:
+    if os.path.isdir(name_or_folder):  # noqa: PTH112 - false for what cannot be a path, too
         return Scenario.read(folder)
     name = str(name_or_folder)
     parent = f"; did you mean '{folder.parent}'?" if folder.name == SCENARIO_FILE else ""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,22 +21,18 @@ from pydantic import PlainValidator
 
 from ..assets.franka import GRIP_FORCE_MAX, GRIP_STIFFNESS, OPENING_MAX, Q_MAX, Q_MIN
 from ..fmus.errors import InputError, excerpt, located, refuse
+from ..fmus.reading import finite_number
 from .fields import Choice, Line, Quantity, Vector, check_keys, checked
 from .files import MAX_BYTES, csv_text, parse_csv, read_text
 from .input_table import InputTable
 
 FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
-OPTIONAL_COLUMNS = ("grip_force", "blend")  # 0 where they are missing or blank
-NAME_COLUMN = "name"  # of the waypoint, for pictures
 POSTURE_COLUMNS = tuple(f"q{joint}" for joint in range(1, 8))  # of all rows or of none
-UNTIL_COLUMN = "until"  # what ends the row early
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
+OPTIONAL_COLUMNS = ("grip_force", "blend", "name", "until")  # may be missing or blank: 0 or none
 # Fields of a row that have several columns; any other column is a field of its own.
 _VECTORS = {"position": "xyz", "orientation": QUATERNION_COLUMNS, "posture": POSTURE_COLUMNS}
-_MAY_BE_BLANK = (*QUATERNION_COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
-_TOGETHER = (QUATERNION_COLUMNS, POSTURE_COLUMNS)  # all of them or none
-_BLANK = ("", "", "", "")  # the orientation of `home`
 
 POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
 _QUATERNION_PART = Quantity(-1e6, 1e6)  # its length is scaled to 1, so any sane scale will do
@@ -58,7 +54,6 @@ UNIT_TOLERANCE = 1e-15  # of a length that is 1 but for rounding
 MAX_ROWS = 100_000
 
 _UNTIL = re.compile(r"(contact|external_force(?:\[([1-6])\])?)\s*>\s*(\d+\.?\d*|\.\d+)", re.A)
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.I | re.A)
 
 
 def _unit_quaternion(value: object) -> tuple[float, ...]:
@@ -172,8 +167,9 @@ class TrajectoryTable:
         if not 2 <= len(self.rows) <= MAX_ROWS:
             raise InputError(f"{len(self.rows)} rows; must be 2 to {MAX_ROWS}")
         for number, (before, after) in enumerate(pairwise(self.rows), 2):
-            with located(f"row {number}"):
-                _check_order(before.time, after.time)
+            if after.time - before.time < MIN_GAP:
+                must = f"must be at least {MIN_GAP:g} s after {before.time!r}"
+                refuse(f"row {number}: time", after.time, must)
             if (after.posture is None) is self.has_posture:
                 raise InputError(f"row {number}: q1 to q7; must be set in all rows or in none")
 
@@ -185,13 +181,12 @@ class TrajectoryTable:
     @property
     def text(self) -> str:
         """Content of a file; columns that are blank or 0 in all rows are left out."""
-        others = (*OPTIONAL_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
-        more = [name for name in others if any(getattr(row, name) for row in self.rows)]
+        more = [n for n in OPTIONAL_COLUMNS if any(getattr(row, n) for row in self.rows)]
         names = (*COLUMNS, *more, *(POSTURE_COLUMNS if self.has_posture else ()))
         rows: list[Sequence[object]] = [names]
         for row in self.rows:
             last = (*(getattr(row, name) for name in more), *(row.posture or ()))
-            orientation = row.orientation or _BLANK
+            orientation = row.orientation or [""] * 4  # that of `home`
             rows.append((row.time, row.frame, *row.position, *orientation, row.grip, *last))
         return csv_text(rows)
 
@@ -207,13 +202,6 @@ def world_table(
         for row, (time, grip, *pose) in rows
     )  # fmt: skip
     return TrajectoryTable(tuple(made))
-
-
-def _check_order(before: float, after: float) -> None:
-    if after - before < MIN_GAP:
-        slip = "repeats" if after == before else "goes back" if after < before else "is too close"
-        must = f"must be at least {MIN_GAP:g} s after {before!r}"
-        raise InputError(f"column time: value {after!r} {slip}; {must}")
 
 
 def read_tables(path: Path) -> tuple[TrajectoryTable | None, InputTable]:
@@ -234,8 +222,6 @@ def read_tables(path: Path) -> tuple[TrajectoryTable | None, InputTable]:
             with located(f"line {line}"):
                 named = zip(table.names, map(str.strip, cells), strict=True)
                 rows.append(_row({name: text for name, text in named if "." not in name}))
-                if len(rows) > 1:
-                    _check_order(rows[-2].time, rows[-1].time)
         return TrajectoryTable(tuple(rows)), inputs
 
 
@@ -249,7 +235,7 @@ def _check_names(names: Sequence[str]) -> None:
         return
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
-    valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS, NAME_COLUMN, UNTIL_COLUMN)
+    valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS)
     check_keys("", [name for name in names if "." not in name], valid, "column")
     needed = _needed(names)
     missing = [name for name in needed if name not in names]
@@ -260,7 +246,8 @@ def _check_names(names: Sequence[str]) -> None:
 
 def _needed(names: Sequence[str]) -> list[str]:
     """Return the columns that a file with these must have; a group may be absent as a whole."""
-    absent = set(chain(*(group for group in _TOGETHER if not set(group) & set(names))))
+    groups = (QUATERNION_COLUMNS, POSTURE_COLUMNS)
+    absent = [name for group in groups if not {*group} & {*names} for name in group]
     return [name for name in (*COLUMNS, *POSTURE_COLUMNS) if name not in absent]
 
 
@@ -268,21 +255,19 @@ def _row(cells: Mapping[str, str]) -> TableRow:
     given: dict[str, Any] = {
         name: _value(name, text)
         for name, text in cells.items()
-        if text or name not in _MAY_BE_BLANK
+        if text or name not in (*QUATERNION_COLUMNS, *OPTIONAL_COLUMNS)
     }
-    blank = [name for name in QUATERNION_COLUMNS if name not in given]
-    if 0 < len(blank) < len(QUATERNION_COLUMNS):
-        raise InputError(f"column {blank[0]} is blank; qw to qz must be all blank or all set")
     for field, columns in _VECTORS.items():
         given[field] = [given.pop(name) for name in columns if name in given] or None
     return TableRow(**given)
 
 
 def _value(column: str, text: str) -> str | float:
-    """Read a cell; for a number, Python's own float() would also accept 1_000."""
+    """Read a cell."""
     if column not in _BOUNDS:
         return text
-    if not _NUMBER.fullmatch(text):
+    number = finite_number(text)
+    if number is None:
         hint = " with a decimal point" if "," in text else " such as 0.25"
         raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")
-    return float(_BOUNDS[column].check(f"column {column}", float(text)))
+    return float(_BOUNDS[column].check(f"column {column}", number))

@@ -196,10 +196,9 @@ def refusals(preflight: Metrics, *, complete: bool) -> Iterator[tuple[Level, str
         what = "of what the arm did; the program's commands were judged as they came"
     if preflight["refusals"] is None:
         yield "wrong", f"{robot}: signals that the {own} interface is judged by are not recorded"
-    elif not preflight["refusals"] and not complete:
-        yield "hint", f"{robot} refuses nothing {what} up to where the run ended"
     elif not preflight["refusals"]:
-        yield "good", f"{robot} refuses nothing {what}"
+        until = "" if complete else " up to where the run ended"
+        yield "good" if complete else "hint", f"{robot} refuses nothing {what}{until}"
     for each in preflight["findings"]:
         yield _told(robot, own, each)
     if (preflight["refusals"] or 0) > 1:

@@ -41,14 +41,13 @@ from ...controller.touch import ROTOR
 from ...task import rotations
 from ...task.limits import robot_of
 from ..recording import Recording
-from .holds import first_collision
+from .holds import COMMAND, first_collision
 from .rows import table_row
 from .summary import Metrics
 
 Array = NDArray[np.float64]
 INTERFACES: Final = ("joint", "cartesian", "torque", "arm")
 BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
-COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
 HAND: Final = ("plant.hand_xpos", "plant.hand_xquat")
 Q, QD, FORCE, BIAS, JAC = (
     f"plant.{name}" for name in ("qpos", "qvel", "actuator_force", "qfrc_bias", "jac")
@@ -163,9 +162,8 @@ class _Arm:
         commanded[begins], needed[begins] = 0.0, 0.0
         rate: Array = np.diff(commanded, axis=0, prepend=self._torque[None]) / STEP_SIZE
         self._torque = commanded[-1]
-        is_commanded = np.full(count, True)
-        if MODE in signals:
-            is_commanded = signals[MODE][-count:] == TORQUES
+        mode = signals.get(MODE, np.full(count, TORQUES))
+        is_commanded = mode[-count:] == TORQUES
         if is_commanded.any():
             yield torque_rate_measure(np.where(is_commanded[:, None], rate, 0.0), limits)
         external = needed

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError, did_you_mean, excerpt, refuse
+from ...fmus.errors import did_you_mean, excerpt, located, refuse
 from ...task.criteria import (
     BLOCK,
     BOUNDS,
@@ -152,10 +152,8 @@ def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str])
     """Check that each criterion's signals are recorded, and match in shape and unit."""
     shapes = shapes_of(tuple(units))
     for index, criterion in enumerate(criteria, 1):
-        try:
+        with located(f"[[success.signal]] {index}: signal"):
             unit_of(criterion.signal, shapes, units)
-        except ValueError as error:
-            raise InputError(f"[[success.signal]] {index}: signal: {error}") from None
 
 
 def unit_of(signal: Signal, shapes: Mapping[str, tuple[int, ...]], units: Mapping[str, str]) -> str:
@@ -222,7 +220,7 @@ def judge_bodies(
             reason = str(error)
         for name, bound in criterion.bounds.items():
             direction: Direction = "above" if name.startswith("min_") else "below"
-            label, value = criterion.label(name), values.get(name)
+            label, value = criterion.labels[name], values.get(name)
             yield Criterion(label, value, bound, BOUNDS[name], direction, reason)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError, located, one_line, refuse
 from ...fmus.extras import needing
 from ...fmus.reading import finite_number, open_regular
-from ...task.fields import Line, Quantity, check_keys, checked, field_names
+from ...task.fields import Line, Quantity, checked
 from ...task.files import MAX_BYTES, parse_csv, read_text, read_toml
 from .reader import Recording
 from .storage import read_cells
@@ -52,7 +52,6 @@ class LogNames:
         """Read a file; None: there is none."""
         keys = {} if path is None else read_toml(path)
         with located(path or ""):
-            check_keys("", keys, field_names(cls))
             return cls(**keys)
 
     def columns(self, run: Recording) -> dict[str, str]:
