@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 
 from . import ASSETS, STEP_SIZE
-from .limits import Array, RobotLimits
+from .fields import Array
+from .limits import RobotLimits
 
 ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario has them
 AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit

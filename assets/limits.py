@@ -8,11 +8,9 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import ASSETS
-
-Array = NDArray[np.float64]
+from .fields import Array
 
 LIMIT_FILES: Final = ("fer", "fr3")
 LEAST: Final = 1e-3  # [rad/s] that is left at a joint's end (libfranka's kLimitEps)

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..assets.fields import Buffer, Vector
 from ..assets.franka import CTRL_OPEN, OPENING_MAX
 from .gains import Gains
 from .impedance import ImpedanceLaw
 from .reference_law import ReferenceLaw
-from .signals import INPUTS, OUTPUTS, Buffer, Law
+from .signals import INPUTS, OUTPUTS, Law
 from .touch import Touch
 from .tutorial_law import TutorialLaw
-
-Vector = NDArray[np.float64]
 
 # By the names that `Gains.law` gives.
 LAWS: Final[dict[str, type[Law]]] = {

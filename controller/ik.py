@@ -6,15 +6,12 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from ..assets.fields import Matrix, Vector
 from .gains import Gains
 from .limits import Box, clamp
 from .linalg import cholesky_solve, damped_factor, mat_t_vec, mat_vec
 from .model import FINGERTIPS
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 # mju_boxQP stops where the gradient is shorter than 1e-8, which the weak pull in the null space
 # always is. So the problem is scaled up.

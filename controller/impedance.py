@@ -7,13 +7,14 @@ from typing import ClassVar, Final
 import mujoco
 import numpy as np
 
+from ..assets.fields import Layout, Vector
 from ..assets.franka import JOINT_DAMPING, ROBOTS, TORQUE_MAX, TORQUE_RATE_MAX
 from .gains import Gains
 from .ik import pose_error
 from .limits import clamp
 from .linalg import damped_factor, geometric_mean, inverse, mat_mat_t, mat_t_vec, mat_vec
 from .model import ArmModel
-from .signals import KEPT, Late, Law, Layout, Vector
+from .signals import KEPT, Late, Law
 from .singularity import manipulability
 
 # Added to the inverse of the hand's inertia, which bounds the inertia near singularities.

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assets.fields import Vector
 from ..assets.franka import PANDA
 from ..assets.limits import RobotLimits
 
-Vector = NDArray[np.float64]
 Box = NDArray[np.float64]  # rows lowest and highest joint velocity (2, 7) [rad/s]
 
 POSITION, VELOCITY, ACCELERATION, JERK = 1.0, 2.0, 3.0, 4.0  # kinds of limit

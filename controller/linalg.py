@@ -10,10 +10,8 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
+from ..assets.fields import Matrix, Vector
 
 # Smaller pivots are raised to this, so that the factor of a singular matrix stays finite.
 MIN_PIVOT = 1e-20

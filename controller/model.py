@@ -7,12 +7,10 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assets.arm import read_spec, saved
+from ..assets.fields import Vector
 from ..assets.franka import DEFAULT_ROBOT
-
-Vector = NDArray[np.float64]
 
 FINGERTIPS = (0.0, 0.0, 0.1034)  # [m] their centre in the hand's frame (Franka Control Interface)
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..assets.fields import Vector, Views
 from .gains import Gains
 from .limits import clamp
-from .signals import Views
-
-Vector = NDArray[np.float64]
 
 PID_STATE = np.dtype([("integral", float, 7), ("derivative", float, 7), ("error_before", float, 7)])
 

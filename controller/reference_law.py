@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..assets.fields import Layout, Vector
 from ..assets.franka import ROBOTS
 from .gains import Gains
 from .ik import (
@@ -20,7 +21,7 @@ from .limits import JointLimits, Motion, clamp, within
 from .linalg import damped_factor
 from .model import ArmModel
 from .pid import PID_STATE, Pid
-from .signals import KEPT, Late, Law, Layout, Vector
+from .signals import KEPT, Late, Law
 from .singularity import (
     find_weak_direction,
     manipulability,

@@ -6,26 +6,13 @@ hand, the camera, and a transmission with delay and dropouts.
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
-from ..assets.fields import as_arrays
+from ..assets.fields import Buffer, Vector, as_arrays
 from .model import ArmModel
 from .sensor_errors import SensorErrors
-from .signals import INPUTS, Buffer, Vector
+from .signals import READINGS, TRUTH
 
-TRUTH: Final = np.dtype(
-    [
-        *((name, INPUTS[name]) for name in ("qpos", "qvel", "hand_xpos", "hand_xquat", "jac")),
-        ("qfrc_bias", float, 7),
-        ("target_xpos", float, 3),
-        ("target_xmat", float, (3, 3)),
-    ]
-)
-READINGS: Final = np.dtype(
-    [*((name, TRUTH[name]) for name in TRUTH.names or ()), ("mass_matrix", float, (7, 7))]
-)
 _DRAWN = 512  # ticks for which random numbers are drawn at a time
 
 

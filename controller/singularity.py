@@ -7,8 +7,9 @@ import math
 import mujoco
 import numpy as np
 
+from ..assets.fields import Matrix, Vector
 from .gains import Gains
-from .linalg import Matrix, Vector, damped_factor
+from .linalg import damped_factor
 
 # Where inverse iteration starts. A coordinate axis could be orthogonal to the weak direction.
 START_DIRECTION = np.arange(1.0, 7.0)

@@ -7,13 +7,12 @@ from typing import ClassVar, Final
 import numpy as np
 
 from ..assets import STEP_SIZE
-from ..assets.fields import as_arrays
+from ..assets.fields import Layout, Views, as_arrays
 from ..assets.franka import JOINT_DAMPING, ROBOTS, SERVO_DAMPING
 from .gains import Gains
 from .limits import clamp
 from .linalg import cholesky_solve, damped_factor, mat_vec
 from .model import ArmModel
-from .signals import Layout, Views
 
 FREE, CONTACT, COLLISION = 0.0, 1.0, 2.0  # states of a joint
 # The plant's servos damp implicitly: by the joint's velocity at the end of a step of the physics,

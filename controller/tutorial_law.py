@@ -6,11 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..assets.fields import Layout
 from .gains import Gains
 from .ik import pose_error
 from .linalg import cholesky_solve, damped_factor, mat_t_vec
 from .pid import PID_STATE, Pid
-from .signals import KEPT, Late, Law, Layout
+from .signals import KEPT, Late, Law
 from .singularity import manipulability
 
 

@@ -1,6 +1,6 @@
 """The plant: one MuJoCo simulation behind two preallocated buffers.
 
-A new output takes a line in `signals.OUTPUTS` and one in `Plant._values`, and a row in the FMU's
+A new output takes a line in `signals.toml` and one in `Plant._values`, and a row in the FMU's
 table, `fmus/interface/plant.toml`.
 """
 
@@ -10,23 +10,16 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from ..assets.fields import Buffer, Vector
 from .contacts import ON_TABLE, SUPPORT, UNWANTED, contacts_of, kinds_of
 from .parameters import BLOCK, MOVING_LINKS, PlantParameters
 from .scene import load_scene, place_block
 from .signals import INPUTS, OUTPUTS
 
-N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
-N_FORCES = 12  # actuator_force to table_force, before mass_matrix; they belong to the last step
-FORCES = slice(N_OUTPUTS - 49 - N_FORCES, N_OUTPUTS - 49)
+FORCES = slice(-61, -49)  # actuator_force to table_force, before mass_matrix: of the last step
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-DIVERGED = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-    mujoco.mjtWarning.mjWARN_BADCTRL,
-)
+DIVERGED = "BAD"  # begins the names of the warnings that end a simulation
 
 
 class DivergenceError(ValueError):
@@ -74,16 +67,15 @@ class Plant:
     def __init__(
         self,
         parameters: PlantParameters | None = None,
-        input_values: NDArray[np.float64] | None = None,
-        output_values: NDArray[np.float64] | None = None,
+        input_values: Vector | None = None,
+        output_values: Vector | None = None,
     ) -> None:
         self.parameters = parameters or PlantParameters()
         self.model: Any = load_scene(self.parameters)
         self.data: Any = mujoco.MjData(self.model)
-        self.input_values = np.zeros(N_INPUTS) if input_values is None else input_values
-        self.output_values = np.zeros(N_OUTPUTS) if output_values is None else output_values
-        self.inputs = self.input_values.view(INPUTS)[0]
-        self.outputs = self.output_values.view(OUTPUTS)[0]
+        inputs, outputs = Buffer(INPUTS, input_values), Buffer(OUTPUTS, output_values)
+        self.input_values, self.inputs = inputs.values, inputs.record
+        self.output_values, self.outputs = outputs.values, outputs.record
         self._hand = self.model.body("hand").id
         self._block = self.model.body(BLOCK).id
         self._target = self.model.site("target").id
@@ -104,7 +96,7 @@ class Plant:
         self._has_motors = self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE
         self.reset()
 
-    def _values(self) -> dict[str, NDArray[np.float64]]:
+    def _values(self) -> dict[str, Vector]:
         """Return the outputs at the instant of qpos, but for sums of contact forces."""
         data = self.data
         return {
@@ -174,28 +166,26 @@ class Plant:
         for name, value in self._values().items():
             self.outputs[name] = value
         self.outputs["contact_force"] = mujoco.mju_dot(self._normals, self._sensors)
-        for kind in DIVERGED if np.count_nonzero(self.warnings) else ():
-            if self.warnings[kind]:
-                index = self.data.warning[int(kind)].lastinfo
+        for kind in self.warnings.nonzero()[0].tolist():
+            name = mujoco.mjtWarning(kind).name[7:]
+            if name.startswith(DIVERGED):
                 raise DivergenceError(
-                    f"the physics diverged at t = {self.data.time:.3f} s: {kind.name[7:]} "
-                    f"at index {index} (not finite or above 1e10)"
+                    f"the physics diverged at t = {data.time:.3f} s: {name} at index "
+                    f"{data.warning[kind].lastinfo} (not finite or above 1e10)"
                 )
 
-    def get_state(self) -> NDArray[np.float64]:
+    def get_state(self) -> Vector:
         """Copy everything that the next step depends on, and the forces of the last step (n,)."""
         physics = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, physics, STATE)
-        state: NDArray[np.float64] = np.concatenate(
-            (physics, self.input_values, self.output_values[FORCES])
-        )
-        return state
+        return np.concatenate((physics, self.input_values, self.output_values[FORCES]))
 
-    def set_state(self, state: NDArray[np.float64]) -> None:
+    def set_state(self, state: Vector) -> None:
         """Restore what `get_state` returned, so that a replay gives the same bits."""
         size = mujoco.mj_stateSize(self.model, STATE)
-        mujoco.mj_setState(self.model, self.data, state[:size], STATE)
-        self.input_values[:] = state[size : size + N_INPUTS]
+        physics, inputs, forces = np.split(state, (size, size + self.input_values.size))
+        mujoco.mj_setState(self.model, self.data, physics, STATE)
+        self.input_values[:] = inputs
         self.data.warning.number[:] = 0
         self._refresh()
-        self.output_values[FORCES] = state[size + N_INPUTS :]
+        self.output_values[FORCES] = forces

@@ -16,7 +16,8 @@ import mujoco
 
 from ..assets import ELASTIC, scene_file
 from ..assets.arm import read_spec
-from .parameters import PlantParameters, block_start_height
+from ..assets.fields import as_arrays
+from .parameters import BLOCK, MOVING_LINKS, PlantParameters, block_start_height
 
 STIFFNESS: Final = 10_000.0  # [N.m/rad] of each joint
 DAMPING: Final = 10.0  # [N.m.s/rad] of each spring
@@ -56,7 +57,7 @@ def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
     # A `drawn` one has shapes that are only drawn, which cost a sixth of `mj_step` and change no
     # bit of it; it has no rotors, as no output tells where they are.
     _, model = compiled_scene(parameters, drawn=drawn)
-    body, geom = model.body("obj").id, model.geom("obj_geom").id
+    body, geom = model.body(BLOCK).id, model.geom("obj_geom").id
     # A box's inertia is proportional to its mass.
     model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]
     model.body_mass[body] = parameters.block_mass
@@ -82,17 +83,16 @@ def compiled_scene(parameters: PlantParameters, *, drawn: bool = False) -> tuple
 
 def _change_arm(model: Any, parameters: PlantParameters) -> None:
     """Change the arm, so that it differs from the controller's model."""
-    model.dof_frictionloss[:7] += parameters.joint_friction
-    model.dof_damping[:7] += parameters.joint_viscous
-    for joint in range(7):
-        link = model.body(f"link{joint + 1}").id
-        servo = model.actuator(f"actuator{joint + 1}").id
-        model.body_mass[link] *= parameters.link_mass_scale[joint]
-        model.body_inertia[link] *= parameters.link_mass_scale[joint]
-        model.actuator_gainprm[servo] *= parameters.servo_scale[joint]
-        model.actuator_biasprm[servo] *= parameters.servo_scale[joint]
-        model.actuator_forcerange[servo] *= parameters.torque_limit_scale[joint]
-    model.body_mass[model.body("hand").id] += parameters.payload
+    given = as_arrays(parameters)
+    model.dof_frictionloss[:7] += given.joint_friction
+    model.dof_damping[:7] += given.joint_viscous
+    links = [model.body(name).id for name in MOVING_LINKS]
+    model.body_mass[links] *= given.link_mass_scale
+    model.body_inertia[links] *= given.link_mass_scale[:, None]
+    model.actuator_gainprm[:7] *= given.servo_scale[:, None]
+    model.actuator_biasprm[:7] *= given.servo_scale[:, None]
+    model.actuator_forcerange[:7] *= given.torque_limit_scale[:, None]
+    model.body_mass[model.body("hand").id] += given.payload
 
 
 def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from random_moves import Move, run_moves
 
 from panda_cosim.assets import STEP_SIZE
+from panda_cosim.assets.fields import Buffer
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QD_MAX
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import ArmModel, load_arm
-from panda_cosim.controller.signals import INPUTS, OUTPUTS, Buffer
+from panda_cosim.controller.signals import INPUTS, OUTPUTS
 
 Array = NDArray[np.float64]
 COUNT, SEED = 300, 17

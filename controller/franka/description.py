@@ -11,8 +11,9 @@ from typing import Any, Final, NamedTuple
 import mujoco
 import numpy as np
 
+from ...assets.fields import Vector
 from ...assets.franka import ROBOTS
-from ..model import FINGERTIPS, Vector, load_arm
+from ..model import FINGERTIPS, load_arm
 
 ROBOT: Final = "fr3"
 LIMITS: Final = ROBOTS[ROBOT]

@@ -9,13 +9,13 @@ from typing import Final
 import numpy as np
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Vector
 from ...assets.franka import (
     FINGER_SPEED_MAX,
     GRIP_FORCE_MAX,
     GRIP_STIFFNESS,
     OPENING_MAX,
 )
-from ..model import Vector
 from .line import Request, Service
 from .wire import GRIPPER_STATE, GripperStatus
 

@@ -17,9 +17,8 @@ from ...assets.checks import (
     refusals,
     touch_measures,
 )
+from ...assets.fields import Buffer, Vector, Views
 from ..gains import Gains
-from ..model import Vector
-from ..signals import Buffer, Views
 from ..touch import Touch
 from .description import LIMITS, ROBOT, end_effector, rotation, transform
 from .motions import Kinematics, elbow_of

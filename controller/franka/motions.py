@@ -20,9 +20,10 @@ from ...assets.checks import (
     start_measure,
     start_place_measure,
 )
+from ...assets.fields import Vector
 from ..ik import damped_least_squares, null_space_part, pose_error
 from ..linalg import damped_factor
-from ..model import FINGERTIPS, ArmModel, HandState, Vector
+from ..model import FINGERTIPS, ArmModel, HandState
 from .description import LIMITS, ROBOT, rotation, transform
 from .wire import Generator, Message, columns, matrix
 

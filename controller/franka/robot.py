@@ -17,10 +17,9 @@ import numpy as np
 
 from ...assets import STEP_SIZE
 from ...assets.checks import refusals, torque_rate_measure
+from ...assets.fields import Buffer, Vector
 from ...assets.franka import CTRL_OPEN, OPENING_MAX
 from ..limits import clamp
-from ..model import Vector
-from ..signals import Buffer
 from .description import LIMITS, urdf
 from .gripper import Gripper
 from .line import Line, Request, Service

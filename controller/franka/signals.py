@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
-
-import numpy as np
 
 from ...assets import STEP_SIZE
-from ...assets.fields import bounded, switch
+from ...assets.fields import bounded, layouts, switch
 
-INPUTS: Final = np.dtype([
-    ("qpos", float, 9), ("qvel", float, 7), ("hand_xpos", float, 3), ("hand_xquat", float, 4),
-    ("jac", float, (6, 7)), ("qfrc_bias", float, 7), ("actuator_force", float, 8),
-])  # fmt: skip
-OUTPUTS: Final = np.dtype([
-    ("ctrl", float, 8), ("grip_cmd", float), ("robot_mode", float), ("motion_generator", float),
-    ("controller_mode", float), ("errors", float), ("success_rate", float), ("q_c", float, 7),
-    ("dq_c", float, 7), ("O_T_EE_c", float, 16), ("tau_J_d", float, 7),
-])  # fmt: skip
+INPUTS, OUTPUTS = layouts(__file__)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Buffer, Vector
 from ..gains import Gains
 from ..impedance import ImpedanceLaw
-from ..model import Vector
-from ..signals import INPUTS, OUTPUTS, Buffer
+from ..signals import INPUTS, OUTPUTS
 from .description import ROBOT
 from .measured import Measured
 from .motions import Motion

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from panda_cosim.assets.fields import Buffer
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.pid import PID_STATE, Pid
-from panda_cosim.controller.signals import Buffer
 from panda_cosim.task.rotations import Array
 
 TOLERANCE = 1e-9  # rad: two ways to add up 400 terms

@@ -18,6 +18,8 @@ from pathlib import Path
 from string import Template
 from typing import Any, Final
 
+from ...assets import SCENES
+from ...assets.franka import DEFAULT_ROBOT, ROBOTS
 from ...fmus.atomic import cache_folder, cached, write_whole
 from ...fmus.build.identity import code_digest, digest
 from ...fmus.errors import InputError, legible, shown
@@ -212,10 +214,9 @@ def plant_parameters(metadata: Mapping[str, Any]) -> PlantParameters:
     plant = metadata.get("parameters", {}).get("plant", {})
     values = {key: plant[key] for key in ("robot", "block_mass") if key in plant}
     scene = metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
-    try:
-        return PlantParameters(scene=scene, **values)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"the recording's plant cannot be drawn: {error}") from error
+    if scene not in SCENES or values.get("robot", DEFAULT_ROBOT) not in ROBOTS:
+        raise InputError("the recording's plant cannot be drawn: its scene or robot is not known")
+    return PlantParameters(scene=scene, **values)
 
 
 @lru_cache(maxsize=4)

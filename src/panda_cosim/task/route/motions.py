@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Array
 from ...assets.franka import QD_MAX, ROBOTS
 from ...controller.limits import APPROACH_RATE
 from ...fmus.errors import InputError
@@ -18,8 +19,6 @@ from ..timing.reference import JointReference
 from ..timing.stretched import ORDERS
 from ..trajectory import Trajectory
 from .scene import RouteScene
-
-Array = NDArray[np.float64]
 
 SPACING: Final = 0.02  # [s] between the knots of a motion, before it is slowed down
 SPEED: Final = 0.5  # [1] of the joints' velocity limits along a path, before it is slowed down

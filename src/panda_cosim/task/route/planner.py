@@ -13,17 +13,15 @@ from itertools import islice, product
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Array
 from ...fmus.errors import InputError
 from ...fmus.extras import needing
 from ...plant.parameters import BLOCK_HALF_HEIGHT, block_start_height
 from ..scenario import Scenario
 from .motions import SPACING, Motion, rounded, timed
 from .scene import HOME, PLANNED, SEED, Lines, Load, RouteScene, spacing
-
-Array = NDArray[np.float64]
 
 GRASP: Final = BLOCK_HALF_HEIGHT + 0.085  # [m] of the hand over the block, where the fingers close
 LIFT, RETREAT = 0.13, 0.06  # [m] straight up with the block, and without it

@@ -9,13 +9,12 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...assets.franka import DEFAULT_ROBOT, HOME_Q, HOME_XQUAT, ROBOTS
 from ...plant.parameters import ARM_AND_PALM, BLOCK, FINGERS
 from .. import rotations
 
-Array = NDArray[np.float64]
 Lines = tuple[Array, Array]  # down and up, (n, 7) each [rad]
 
 HOME: Final = np.array(HOME_Q)

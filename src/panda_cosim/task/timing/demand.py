@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Array
 from ...assets.franka import BLOCK_WIDTH, ROBOTS, SERVO_DAMPING
 from ...controller.model import load_arm
 from ..limits import LIMITS, LIMITS_OF, shares
@@ -17,7 +18,6 @@ from ..table import TrajectoryTable
 from ..trajectory import TIME_TOLERANCE, Trajectory
 from .reference import JointReference, rates
 
-Array = NDArray[np.float64]
 Shares = dict[str, float]
 
 REACH_TOLERANCE: Final = 0.001  # [m] by which the hand may miss the command

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Array
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
@@ -45,8 +46,6 @@ from .time_law import (
     time_law,
     without_spikes,
 )
-
-Array = NDArray[np.float64]
 
 SPACING: Final = 10  # [ticks] between rows of the new table, at most
 SLOW: Final = 0.25  # [m/s] mean speed in the first round

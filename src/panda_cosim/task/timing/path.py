@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from .. import rotations
 from ..trajectory import Trajectory, turns
-
-Array = NDArray[np.float64]
 
 TURN_LENGTH = 0.25  # [m/rad]
 STILL = 1e-9  # [m] shorter segments are dwells

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Array
 from ...assets.franka import HOME_Q, ROBOTS
 from ...controller.gains import RANGES, Gains
 from ...controller.model import ArmModel
@@ -21,8 +21,6 @@ from ...fmus.interface.variables import Interface
 from ...fmus.master.system import System, open_system
 from ...fmus.sources.targets import Target, build_fmu, own_fmu
 from ..trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 LAW = "controller"
 MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos")

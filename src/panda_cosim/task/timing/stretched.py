@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Array
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
 from ..trajectory import Trajectory
@@ -33,8 +33,6 @@ from .demand import (
 )
 from .path import STILL, segment_lengths
 from .reference import JointReference, joint_reference
-
-Array = NDArray[np.float64]
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 ORDERS: Final[Mapping[str, float]] = _TABLES["orders"]

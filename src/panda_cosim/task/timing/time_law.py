@@ -15,14 +15,12 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE, franka
+from ...assets.fields import Array
 from ...fmus.extras import needing
 from .demand import WAY_TOLERANCE, ArmDynamics, Shares
 from .path import Motion
-
-Array = NDArray[np.float64]
 
 NODES: Final = 80  # of the joint path, between which it is interpolated
 GRID: Final = 300  # intervals of the time law
