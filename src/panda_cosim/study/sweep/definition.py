@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Self
 import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
-from pydantic import PlainValidator
+from pydantic import AfterValidator, PlainValidator
 
 from ...fmus.errors import InputError, excerpt, located, refuse
 from ...fmus.interface.parameters import literal
@@ -42,7 +42,6 @@ MAX_SAMPLES: Final = 10_000_000
 MAX_STEPS: Final = 1_000_000
 SHIPPED_FOLDER: Final = (Path(__file__).parents[2] / "scenarios" / "sweeps").resolve()
 _KEEP = re.compile(r"none|failures|all|worst:[1-9]\d{0,4}")
-_RANGE = re.compile(r"[\d.]+\s*(-|\.\.)\s*[\d.]+")  # in a notation that `--vary` does not have
 _STEPS: Final = 5  # of a grid where none are given
 
 
@@ -146,14 +145,8 @@ def _names(value: object) -> tuple[str, ...]:
     return tuple(Line()(str(name)) for name in names)
 
 
-def _vary(value: object) -> dict[str, Distribution]:
-    if not isinstance(value, Mapping):
-        raise ValueError('must be sections [vary."KEY"]')
-    varied = {}
-    for key, section in sorted(value.items()):  # whose order in the file means nothing
-        with located(f"vary: {key}"):
-            varied[str(key)] = read_distribution(section)
-    return varied
+def _sorted(varied: dict[str, Distribution]) -> dict[str, Distribution]:
+    return dict(sorted(varied.items()))  # their order in the file means nothing
 
 
 def _keep(value: object) -> str:
@@ -174,7 +167,10 @@ class Sweep:
     """
 
     scenario: Annotated[tuple[str, ...], PlainValidator(_names)]
-    vary: Annotated[Mapping[str, Distribution], PlainValidator(_vary)] = field(default_factory=dict)
+    vary: Annotated[
+        dict[str, Annotated[Distribution, PlainValidator(read_distribution)]],
+        AfterValidator(_sorted),
+    ] = field(default_factory=dict)
     design: Annotated[str, Choice(DESIGNS)] = "sobol"
     samples: Annotated[int, Whole(0, MAX_SAMPLES)] = 0
     seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
@@ -189,7 +185,7 @@ class Sweep:
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
         is_list, is_search = self.design == "list", self.design == "search"
-        is_drawn = self.design not in ("grid", "list")
+        is_drawn = is_search or self.design in SAMPLED
         check_rules({
             'file: required with design = "list", and only then': is_list != bool(self.file),
             'vary: cannot be combined with design = "list"; the file has the values': (
@@ -262,23 +258,18 @@ def load_sweep(name_or_file: str | Path) -> Sweep:
 
 def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
     """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`."""
-    varied: dict[str, dict[str, object]] = {}
-    for text in vary:
-        key, values = _parse_vary(text)
-        if key in varied:
-            raise InputError(f"--vary {excerpt(text)}: {key} is varied twice; must be given once")
-        varied[key] = values
-    return Sweep(scenario=(scenario,), vary=varied, design="grid")  # type: ignore[arg-type]
+    varied: Any = dict(map(_parse_vary, vary))
+    if len(varied) < len(vary):
+        raise InputError("--vary: a key is varied twice; must be given once")
+    return Sweep(scenario=(scenario,), vary=varied, design="grid")
 
 
 def _parse_vary(text: str) -> tuple[str, dict[str, object]]:
-    key, values = (part.strip() for part in text.partition("=")[::2])
-    parts = values.split(":")
+    key, _, values = (part.strip() for part in text.partition("="))
     with suppress(ValueError):
-        if key and len(parts) == 3:
-            low, high, steps = parts
-            return key, {"uniform": [float(low), float(high)], "steps": int(steps)}
-    if not key or not values or len(parts) > 1 or _RANGE.fullmatch(values):
+        low, high, steps = values.split(":")
+        return key, {"uniform": [float(low), float(high)], "steps": int(steps)}
+    if not key or not values or ":" in values:
         must = "must be KEY=LOW:HIGH:STEPS or KEY=V1,V2,..., such as plant.block_mass=0.05:2:100"
         refuse("--vary", text, must)
     return key, {"values": [literal(part.strip()) for part in values.split(",")]}

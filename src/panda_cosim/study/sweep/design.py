@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 Columns = Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers, or a list
 Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list
-COMPARED: Final = 50  # rows in which a key without effect is looked for, besides each word's
+COMPARED: Final = 50  # rows in which a key without effect is looked for
 FIRST: Final = 10  # rows of a search that are drawn at random
 _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
@@ -134,22 +134,15 @@ def check_design(sweep: Sweep, columns: Columns, scenarios: Sequence[Loaded]) ->
 
 def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str]:
     """Return the keys that change no start value, input or criterion in the rows compared."""
-    # A key may act only beside certain values of others, as a seed does beside a preset. So each
-    # word is in one of the rows, and the others are drawn.
-    pairs = list(itertools.product(map(design.values, _compared(design.columns)), scenarios))
+    # A key may act only beside certain values of others, as a seed does beside a preset.
+    count = max(map(len, design.columns.values()))
+    compared = np.random.default_rng(0).permutation(count)[:COMPARED].tolist()
+    pairs = list(itertools.product(map(design.values, compared), scenarios))
     return [
         key
         for key, column in design.columns.items()
         if not any(_acts(key, _extremes(column), row, loaded.scenario) for row, loaded in pairs)
     ]
-
-
-def _compared(columns: Columns) -> list[int]:
-    count = max(map(len, columns.values()))
-    words = [list(c) for c in columns.values() if isinstance(c[0], str | bool)]
-    firsts = {column.index(word) for column in words for word in set(column)}
-    drawn = np.random.default_rng(0).permutation(count)[:COMPARED].tolist()
-    return list(dict.fromkeys((*sorted(firsts), *drawn)))
 
 
 def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +25,7 @@ from .backend import Backend, Cluster, Local
 from .definition import Sweep, load_sweep
 from .design import Design, Search, check_design, keys_without_effect
 from .packed import Loaded, load_scenarios, pack, scenario_names
-from .row import Done, Job, Task, margin_column
+from .row import Job, Task, margin_column
 from .store import Store, origin, schema
 
 # Time between two parts [s], the most a kill can cost. It grows to this share of the sweep's time,
@@ -84,44 +83,40 @@ def sweep(  # noqa: PLR0913 - options, by keyword
         raise InputError(f"jobs: value {jobs!r}; must be at least 1")
     scenarios, design = check_sweep(definition, out)
     keep = "none" if definition.keep.startswith("worst:") else definition.keep
-    job = _job(scenarios, time_limit, keep)
-    engines = {}
-    for each in dict.fromkeys(map(str, design.columns.get("mujoco", ()))):
-        own = [replace(s, scenario=s.scenario.changed({"mujoco": each})) for s in scenarios]
-        engines[each] = _job(own, time_limit, keep)
-    job = replace(job, engines=engines)
+    versions = map(str, dict.fromkeys(design.columns.get("mujoco", ())))
+    job = _job(scenarios, versions, time_limit=time_limit, keep=keep)
     begun_with = origin(definition, job.scenarios, job.fmus)
-    store = Store(default_folder("sweep") if out is None else out)
-    with store.claimed(), ExitStack() as stack:
-        for instead in filter(None, [notice()]):
-            remark(instead)
+    store, jobs = Store(default_folder("sweep") if out is None else out), jobs or cores()
+    with store.claimed():
         is_begun = store.begin(begun_with)
-        jobs = jobs or cores()
-        backend = Local(job, jobs) if dask is None else Cluster(job, jobs, dask)
-        rows = stack.enter_context(backend)
-        if not is_begun:
-            unvaried = [Task(-1 - number, number, {}) for number in range(len(scenarios))]
-            columns = _columns(definition, design, rows.run(unvaried))
-            idle = keys_without_effect(design, scenarios)
-            store.write({"origin": begun_with, **columns, "without_effect": idle})
-        store.keep_scenarios(job.scenarios)
-        for key in store.content.without_effect:
-            remark(f"vary: {key} changes no start value, no input and no criterion")
-        for change in store.changed_scenarios():
-            remark(change)
-        _fill(store, definition, design, rows, progress)
-        _keep_worst(store, definition, rows)
+        with Local(job, jobs) if dask is None else Cluster(job, jobs, dask) as rows:
+            if not is_begun:
+                store.write({"origin": begun_with, **_content(definition, design, scenarios, rows)})
+            store.keep_scenarios(job.scenarios)
+            idle = [
+                f"vary: {key} changes no start value, no input and no criterion"
+                for key in store.content.without_effect
+            ]
+            for text in filter(None, (notice(), *idle, *store.changed_scenarios())):
+                remark(text)
+            _fill(store, definition, design, rows, progress or (lambda *_: None))
+            _keep_worst(store, definition, rows)
     counts = store.count()
     gate = judge_rate(definition, counts, len(design)) if definition.min_success else None
     return SweepResult(store.folder, counts, gate)
 
 
-def _job(scenarios: Sequence[Loaded], time_limit: float | None, keep: str) -> Job:
-    """Build the FMUs of scenarios, and pack them; our own if all have the same MuJoCo."""
+def _job(scenarios: Sequence[Loaded], engines: Iterable[str], **shared: Any) -> Job:
+    """Build and pack what rows share, of each version of MuJoCo that is varied, too."""
     engine, *others = {each.scenario.mujoco for each in scenarios}
-    files = {} if others else build(target=Target(mujoco=engine))
+    files = {} if others else build(target=Target(mujoco=engine))  # one has no other's FMUs
     fmus = {name: path.read_bytes() for name, path in files.items()}
-    return Job(tuple(map(pack, scenarios)), fmus, time_limit, keep)
+    varied = {
+        each: [replace(s, scenario=s.scenario.changed({"mujoco": each})) for s in scenarios]
+        for each in engines
+    }
+    jobs = {each: _job(own, (), **shared) for each, own in varied.items()}
+    return Job(tuple(map(pack, scenarios)), fmus, engines=jobs, **shared)
 
 
 def judge_rate(definition: Sweep, counts: Mapping[str, int], rows: int) -> Criterion:
@@ -142,33 +137,35 @@ def check_sweep(
     kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition.scenario))
     scenarios, design = load_scenarios(definition, kept), Design(definition)
     check_design(definition, design.columns, scenarios)
-    for each in scenarios:
-        if definition.min_success and each.scenario.success == Success():
-            raise InputError(
-                f"min_success: scenario {each.name} has no criteria, so it would always be met; "
-                "must have a section [success]"
-            )
+    bare = [each.name for each in scenarios if each.scenario.success == Success()]
+    if definition.min_success and bare:
+        raise InputError(
+            f"min_success: scenario {bare[0]} has no criteria, so it would always be met; "
+            "must have a section [success]"
+        )
     return scenarios, design
 
 
-def _columns(definition: Sweep, design: Design, runs: Iterable[Done | None]) -> dict[str, object]:
+def _content(
+    definition: Sweep, design: Design, scenarios: Sequence[Loaded], rows: Backend
+) -> dict[str, object]:
     """Return the table's keys and columns, from a run of each scenario unvaried."""
-    rows = [done.row for done in runs if done is not None]
-    rows.sort(key=lambda row: -int(row["index"]))
-    for row in rows:
+    unvaried = [Task(-1 - number, number, {}) for number in range(len(scenarios))]
+    found = sorted((done.row for done in rows.run(unvaried) if done), key=lambda row: -row["index"])
+    for row in found:
         if row["status"] in ("failed", "timeout"):
             raise InputError(f"scenario {row['scenario']}: it fails unvaried: {row['error']}")
-    columns = list(dict.fromkeys(name for row in rows for name in row))
+    columns = list(dict.fromkeys(name for row in found for name in row))
     margin = margin_column(definition.criterion, columns)  # refuses one that the runs lack
-    if definition.design == "search" and rows[0][margin] is None:
-        why = rows[0]["error"] or "it has no criteria"
-        raise InputError(f"scenario {rows[0]['scenario']}: no margin to search by: {why}")
-    nominal = {row["scenario"]: {k: v for k, v in row.items() if k != "index"} for row in rows}
+    if definition.design == "search" and found[0][margin] is None:
+        why = found[0]["error"] or "it has no criteria"
+        raise InputError(f"scenario {found[0]['scenario']}: no margin to search by: {why}")
     return {
         "keys": list(design.columns),
         "rows": len(design),
         "columns": columns,
-        "nominal": nominal,
+        "nominal": {row["scenario"]: row for row in found},
+        "without_effect": keys_without_effect(design, scenarios),
     }
 
 
@@ -177,31 +174,29 @@ def _fill(
     definition: Sweep,
     design: Design,
     rows: Backend,
-    progress: Callable[[int, int], None] | None,
+    progress: Callable[[int, int], None],
 ) -> None:
     """Run the missing rows; those done are in the table, whatever ends this."""
     there = store.done()
     search = Search(definition, store) if definition.design == "search" else None
     missing = np.setdiff1d(np.arange(len(design)), there).tolist()
     rest = (Task(index, design.scenario(index), design.values(index)) for index in missing)
-    tasks = rest if search is None else search.tasks()
     columns = schema(design.values(0), store.content.columns)
     new, part = 0, []
     began = flushed = time.monotonic()
     try:
-        for done in rows.run(tasks):
+        for done in rows.run(search.tasks() if search else rest):
             if done is not None:
                 new += 1
                 part.append(done.row)
                 store.keep(done)
-                if search is not None:
+                if search:
                     search.tell(done)
-            seconds = time.monotonic() - began
-            if time.monotonic() - flushed > np.clip(FLUSH_SHARE * seconds, *FLUSH_RANGE):
+            now = time.monotonic()
+            if now - flushed > np.clip(FLUSH_SHARE * (now - began), *FLUSH_RANGE):
                 store.add(part, columns)
                 part, flushed = [], time.monotonic()
-            if progress is not None:
-                progress(len(there) + new, len(design))
+            progress(len(there) + new, len(design))
     finally:
         store.add(part, columns)
 
@@ -216,6 +211,5 @@ def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:
         for row in store.worst(int(definition.keep.partition(":")[2]), keys)
         if not (store.run_folder(row["index"]) / SUMMARY_FILE).exists()  # written last
     ]
-    for done in rows.run(tasks):
-        if done is not None:
-            store.keep(done)
+    for done in filter(None, rows.run(tasks)):
+        store.keep(done)

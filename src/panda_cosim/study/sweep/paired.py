@@ -8,7 +8,7 @@ those of the bootstrap over pairs (percentiles of 9999 resamples, always the sam
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -61,19 +61,17 @@ class Paired:
 
     def flipped(self, *, lost: bool) -> list[tuple[Row, Row]]:
         """Return the pairs of which only the first succeeds (`lost`), or only the second."""
-        seen = ((row, other, row["status"] == SUCCESS) for row, other in self.pairs)
-        return [
-            (row, other) for row, other, first in seen
-            if first == lost and (other["status"] == SUCCESS) != lost
-        ]  # fmt: skip
+        sides = zip(self.pairs, self._successes.tolist(), strict=True)
+        return [pair for pair, good in sides if good == [lost, not lost]]
+
+    @cached_property
+    def _successes(self) -> NDArray[np.bool_]:
+        return np.array([[row["status"] == SUCCESS for row in pair] for pair in self.pairs])
 
     @property
     def rates(self) -> tuple[float, float]:
         """Success rate of each, over the pairs."""
-        first, second = (
-            sum(pair[side]["status"] == SUCCESS for pair in self.pairs) / len(self.pairs)
-            for side in (0, 1)
-        )
+        first, second = self._successes.mean(axis=0).tolist()
         return first, second
 
     @property
@@ -85,9 +83,7 @@ class Paired:
     @cached_property
     def success(self) -> Difference:
         """Change of the success rate."""
-        return Difference.of(
-            [(b["status"] == SUCCESS) - float(a["status"] == SUCCESS) for a, b in self.pairs]
-        )
+        return Difference.of(np.diff(self._successes.astype(float)).ravel())
 
     @property
     def unseen(self) -> float:
@@ -97,16 +93,12 @@ class Paired:
     @cached_property
     def margins(self) -> dict[str, Difference]:
         """Change of each margin that both sweeps measured, by criterion; "": the smallest."""
-        both = [name for name in self.pairs[0][0] if name in self.pairs[0][1]]
+        first, second = self.pairs[0]
         found = {}
-        for name in both:
-            if name.split(".")[0] == MARGIN:
-                values = [
-                    b[name] - a[name] for a, b in self.pairs
-                    if a[name] is not None and b[name] is not None
-                ]  # fmt: skip
-                if values:
-                    found[name.partition(".")[2]] = Difference.of(values)
+        for name in (n for n in first if n in second and n.split(".")[0] == MARGIN):
+            pairs = [(a[name], b[name]) for a, b in self.pairs]
+            if values := [now - before for before, now in pairs if None not in (before, now)]:
+                found[name.partition(".")[2]] = Difference.of(values)
         return found
 
     def is_worse(self, allowed: float | None) -> bool:
@@ -121,25 +113,27 @@ def pair(first: str | Path, second: str | Path) -> Paired:
         InputError: They have no values in common, or rows of equal values.
     """
     stores = Store(first), Store(second)
-    contents = [store.content for store in stores]
+    before, now = (store.content for store in stores)
     tables = [store.table().to_pylist() for store in stores]
-    common = [key for key in ("scenario", *contents[0].keys) if key in tables[1][0]]
-    keys = tuple(
-        key for key in common
-        if any(len({row[key] for row in rows}) > 1 for rows in tables)
-    )  # fmt: skip
+    every = dict.fromkeys(("scenario", *before.keys, *now.keys))
+    values = {key: [{row.get(key) for row in rows} for rows in tables] for key in every}
+    shared = [key for key in every if all(key in rows[0] for rows in tables)]
+    keys = tuple(key for key in shared if max(map(len, values[key])) > 1)
     sides = [_by_values(s.folder, rows, keys) for s, rows in zip(stores, tables, strict=True)]
-    shared = [values for values in sides[0] if values in sides[1]]
-    if not shared:
+    common = [at for at in sides[0] if at in sides[1]]
+    if not common:
         names = ", ".join(keys) or "constant values"
         raise InputError(f"{second}: no row has the values of a row of {first} ({names})")
-    constant = [key for key in dict.fromkeys((*contents[0].keys, *contents[1].keys, "scenario"))
-                if key not in keys]  # fmt: skip
+    constant = [
+        str(Changed(key, (*one, *other)))
+        for key, (one, other) in values.items()
+        if one != other and len(one) == len(other) == 1
+    ]
     return Paired(
         keys,
-        (*_constants(tables, constant), *changes(contents[0].origin, contents[1].origin)),
-        tuple((sides[0][values], sides[1][values]) for values in shared),
-        (len(sides[0]) - len(shared), len(sides[1]) - len(shared)),
+        (*constant, *changes(before.origin, now.origin)),
+        tuple((sides[0][at], sides[1][at]) for at in common),
+        (len(sides[0]) - len(common), len(sides[1]) - len(common)),
     )
 
 
@@ -156,11 +150,3 @@ def _by_values(
             )
         found[values] = row
     return found
-
-
-def _constants(tables: Sequence[Sequence[Row]], keys: Sequence[str]) -> Iterator[str]:
-    """Describe keys with one value in each sweep, which differ."""
-    for key in keys:
-        before, now = ({row.get(key) for row in rows} for rows in tables)
-        if before != now and len(before) == len(now) == 1:
-            yield str(Changed(key, (*before, *now)))

@@ -64,7 +64,7 @@ class Content(BaseModel, strict=True):
     keys: list[str]  # that are varied
     rows: int
     columns: list[str]
-    nominal: dict[str, Row]  # of each scenario, its row without varied values
+    nominal: dict[str, Row]  # of each scenario, the row of a run without varied values
     without_effect: list[str]  # keys
 
 
