@@ -1,5 +1,6 @@
 """Events and ends: event mode, FMUs that end the simulation, values that are not finite."""
 
+import re
 from pathlib import Path
 
 import fmpy
@@ -126,7 +127,7 @@ def test_a_value_that_is_not_finite_is_allowed_by_name(tmp_path):
     folder = tmp_path / "refused"
     folder.mkdir()
     told = run(folder, text.replace("f.rough", "f.rouhg"), code=2)
-    assert "not_finite: 'f.rouhg'; must be an output, FMU.NAME; did you mean 'f.rough'?" in told
+    assert re.search("not_finite: 'f.rouhg': .* no output of this name; .*you mean 'rough'", told)
     told = run(folder, text.replace('"f.rough"', ""), code=1)
     assert "at t = 0.000 s, in FMU 'f', variable rough: value nan is not finite" in told
     judged = '[[success.signal]]\nsignal = "f.rough"\nreduce = "max"\nbelow = 2\n'

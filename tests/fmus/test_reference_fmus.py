@@ -329,7 +329,7 @@ def test_inputs_that_are_set_keep_their_last_digit(tmp_path):
             "line 3: time: value '0'; must be a number, and not",
         ),
         ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
-        ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no such FMU; valid: it"),
+        ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no FMU 'that'; valid: it"),
         ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time, and inputs"),
         ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
     ],

@@ -138,7 +138,7 @@ def test_run_and_check_refuse_a_system_in_the_same_words(folder, tmp_path):
         (("{ssp}", "--kind", "python"), "--kind: does not apply to Panda.ssp"),
         (("{ssp}", "--plant", "a.xml"), "plant: system: cannot be combined with [fmus]"),
         (("{ssp}", "--set", "plant.block_mas=0.2"), "did you mean 'block_mass'?"),
-        (("--system", "{ssp}", "--duration", "0.0105"), "whole number of steps of 0.001 s"),
+        (("--system", "{ssp}", "--duration", "0.0105"), "whole number of ticks of 0.001 s"),
         (("pick_and_place", "--system", "{ssp}"), "'pick_and_place': cannot be combined"),
         (("--system", "{ssp}", "--out", "{files}"), "already exists"),
     ],

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import itertools
-import os
 import shutil
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from ..fmus.atomic import writing
+from ..fmus.atomic import write_whole, writing
 from ..fmus.errors import InputError
 from ..task.files import MODEL_FILE, safe_name
 from ..task.scenario import Scenario
 from ..task.writer import write_scenario
 from .system.assembly import Assembly, assemble
-from .system.parts import WORDS, part_path
+from .system.parts import Part, part_path
 
 RUNS = Path("runs")
 SCENARIO_FOLDER = "scenario"
@@ -26,11 +25,10 @@ SCENARIO_FOLDER = "scenario"
 
 @contextmanager
 def claimed_folder(out: str | Path | None, name: str) -> Iterator[Path]:
-    """Yield the folder of a run."""
+    """Yield the folder of a run; a new one that nothing was written to goes again."""
     if out is not None:
-        folder = Path(out)
-        refuse_existing(folder)
-        yield folder
+        refuse_existing(Path(out))
+        yield Path(out)
         return
     folder = default_folder(name)
     try:
@@ -42,25 +40,24 @@ def claimed_folder(out: str | Path | None, name: str) -> Iterator[Path]:
 
 def default_folder(name: str) -> Path:
     """Make a new folder for a run of a scenario."""
-    stem = f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}"
-    for count in itertools.count(1):
-        folder = RUNS / (stem if count == 1 else f"{stem}-{count}")
+    return new_folder(RUNS / f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}")
+
+
+def new_folder(path: Path) -> Path:
+    """Make a folder of this name; where there is one, with a number behind it."""
+    folder, numbers = path, itertools.count(2)
+    while True:
         with writing(folder), suppress(FileExistsError):
             folder.mkdir(parents=True)
             return folder
-    raise AssertionError("unreachable")
+        folder = path.with_name(f"{path.name}-{next(numbers)}")
 
 
 def refuse_existing(folder: Path) -> None:
-    """Refuse a folder that is not empty (nothing is overwritten) or cannot be made."""
+    """Refuse a folder that is not empty; nothing is overwritten."""
     with writing(folder):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: already exists; must be a new or an empty folder")
-        there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-        if not there.is_dir():
-            raise InputError(f"{folder}: cannot be written to: {there} is not a folder")
-        if not os.access(there, os.W_OK):
-            raise InputError(f"{folder}: cannot be written to: no write permission for {there}")
 
 
 # The scenario, with the files of its own FMUs.
@@ -76,44 +73,55 @@ def keep_scenario(scenario: Scenario, assembly: Assembly, folder: Path) -> None:
 def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario:
     """Put the files of FMUs and client into a folder; models as the FMUs built from them."""
     folder.mkdir(parents=True, exist_ok=True)
-    for path, content in _client_files(scenario).items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).write_bytes(content)
-    files = assembly.system.fmus
-    if scenario.system or "plant" in scenario.fmus:
-        # The installed MuJoCo, which draws, has to read the model.
-        drawn = assemble(replace(scenario, mujoco="")) if scenario.mujoco else assembly
-        plant = drawn.system.fmus.get("plant")
-        if plant and (model := model_in(plant)):  # for pictures
-            (folder / MODEL_FILE).write_bytes(model)
+    write_files(folder, _client_files(scenario))
+    if model := _drawn(scenario, assembly):
+        write_files(folder, {MODEL_FILE: model})
     if scenario.system:
         path, _ = part_path(scenario, scenario.system)
         shutil.copy2(path, folder / path.name)
         return replace(scenario, system=path.name)
+    parts = {part.name: part for part in assembly.parts}
     kept: dict[str, str] = {}
     for name, text in scenario.fmus.items():
-        if text in WORDS:
-            kept[name] = text
-            continue
-        path, class_name = part_path(scenario, text)
-        if path.suffix == ".py":
-            from ..fmus.sources.law import law_code  # noqa: PLC0415 - few have one
-
-            for file, content in law_code(path).items():
-                (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                (folder / file).write_bytes(content)
-            kept[name] = f"{path.name}:{class_name}"
-        else:
-            file = f"{path.stem}.fmu"
-            kept[name] = f"{name}_{file}" if file in kept.values() else file
-            shutil.copy2(files[name], folder / kept[name])
+        is_ours = parts[name].own
+        kept[name] = text if is_ours else _keep(scenario, parts[name], folder, kept.values())
     still = any(part.is_model and part.name not in kept for part in assembly.parts)
     return replace(scenario, fmus=kept, mujoco=scenario.mujoco if still else "")
 
 
-def _client_files(scenario: Scenario) -> dict[Path, bytes]:
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, by path."""
+    for name, content in files.items():
+        write_whole(folder / name, content)
+
+
+def _drawn(scenario: Scenario, assembly: Assembly) -> bytes:
+    """Return the plant's model, for pictures, unless it is ours."""
+    if not scenario.system and "plant" not in scenario.fmus:
+        return b""
+    # The installed MuJoCo, which draws, has to read it.
+    here = assemble(replace(scenario, mujoco="")) if scenario.mujoco else assembly
+    plant = here.system.fmus.get("plant")
+    return model_in(plant) if plant else b""
+
+
+def _keep(scenario: Scenario, part: Part, folder: Path, taken: Collection[str]) -> str:
+    """Put the file of a part into a folder, and return what [fmus] says of it there."""
+    path, class_name = part_path(scenario, scenario.fmus[part.name])
+    if path.suffix == ".py":
+        from ..fmus.sources.law import law_code  # noqa: PLC0415 - few have one
+
+        write_files(folder, law_code(path))
+        return f"{path.name}:{class_name}"
+    file = f"{path.stem}.fmu"
+    kept = f"{part.name}_{file}" if file in taken else file
+    shutil.copy2(part.make(), folder / kept)
+    return kept
+
+
+def _client_files(scenario: Scenario) -> dict[str, bytes]:
     """Return the files that a client names, and the modules beside them that they import."""
-    files: dict[Path, bytes] = {}
+    files: dict[str, bytes] = {}
     own = scenario.folder or Path()
     for path in map(Path, scenario.client.command) if scenario.client else ():
         if path.is_absolute() or ".." in path.parts or not (own / path).is_file():
@@ -123,7 +131,7 @@ def _client_files(scenario: Scenario) -> dict[Path, bytes]:
             from ..fmus.sources.python_fmu import code_of  # noqa: PLC0415 - few have a client
 
             code = code_of(own / path, (own / path).parent, is_packed=False)
-        files |= {path.parent / name: content for name, content in code.items()}
+        files |= {str(path.parent / name): content for name, content in code.items()}
     return files
 
 

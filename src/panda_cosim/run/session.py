@@ -38,7 +38,7 @@ from ..task.trajectory import StartPose, Trajectory
 from ..task.typed import typed
 from ..task.values import Values
 from .execution import Execution, Progress
-from .folder import keep_scenario, refuse_existing
+from .folder import keep_scenario, new_folder, refuse_existing
 from .inputs import Inputs
 from .journal import Act, Action, Adjustments, Head, MoveWaypoint, Release, Set, SetCoupling
 from .options import Options
@@ -174,7 +174,6 @@ class Session(Execution):
                 raise InputError(f"{name}: does not apply to a session, whose caller steps it")
         super().__init__(prepare(scenario, options, interactive=True), out, journals=True)
         self.interfaces = self.prepared.assembly.interfaces
-        self._numbers = count(2)  # of the folders after a restart
         self._places = count(1)  # of saved states
 
     def restart(self) -> None:
@@ -183,8 +182,7 @@ class Session(Execution):
         if self._stack is not None:
             self.close()
         if first is not None:
-            free = (first.with_name(f"{first.name}-{n}") for n in self._numbers)
-            self._out = next(folder for folder in free if not folder.exists())
+            self._out = new_folder(first)
         try:
             self.open()
         finally:

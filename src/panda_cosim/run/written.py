@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -16,17 +16,16 @@ from ..fmus.interface.tables import TABLE_FILE, TRAJECTORY, Connection
 from ..fmus.interface.types import type_of
 from ..fmus.interface.variables import Interface, Variable, output
 from ..fmus.master.fmu_file import read_fmu
-from ..fmus.master.wiring import Name
+from ..fmus.master.wiring import Array
 from ..fmus.sources.targets import Target, build_fmu, build_trajectory
 from ..task.scenario import Scenario
 from .options import Options
 from .prepare import Prepared, prepare
+from .system.parts import split
 
 LAW: Final = (
     "Plays a table, one row per step from t = 0 on. After the last row its values are kept."
 )
-
-Makers = dict[str, Callable[..., Path]]  # what builds each FMU
 
 
 def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
@@ -37,8 +36,14 @@ def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
             "must be a scenario of FMUs"
         )
     prepared = prepare(scenario, Options(kind=target.kind))
-    makers: Makers = {part.name: part.make for part in prepared.assembly.parts}
-    connections = [*prepared.assembly.connections, *_add_player(prepared, makers)]
+    makers = {part.name: part.make for part in prepared.assembly.parts}
+    connections, player = [*prepared.assembly.connections], Player(prepared)
+    if player.played:
+        name = "trajectory"
+        while name in makers:
+            name += "_"
+        makers[name] = player.make
+        connections += player.connections(name)
     files = {name: make(target) for name, make in makers.items()}
     counts = Counter(file.name for file in {*files.values()})  # two files may have one name
     components: dict[str, Component] = {}
@@ -65,73 +70,84 @@ def _component(prepared: Prepared, name: str, file: Path, file_name: str, here: 
     return Component(file, file_name, fmu.fmi, fmu.variables, fmu.units, given, steps)
 
 
-def _add_player(prepared: Prepared, makers: Makers) -> list[Connection]:
-    """Add the FMU that plays inputs, if there are some, and return its connections."""
-    # Values that never change are start values; the others are played.
-    assembly = prepared.assembly
-    constant = {name for name, driven in assembly.driven.items() if len(driven.values) == 1}
-    played = [name for name in assembly.external if name not in constant]
-    if not played:
-        return []
-    player = "trajectory"
-    while player in makers:
-        player += "_"
-    counts = Counter(name for _, name in played)
-    outputs = [name if counts[name] == 1 else f"{i}.{name}" for i, name in played]
-    makers[player] = lambda target: _build_player(prepared, played, outputs, target)
-    felt = [
-        Connection((signal.partition(".")[0], name), (player, name))
-        for signal, variable in _felt(prepared).items()
-        for name in variable.names()
-    ]
-    ends = zip(outputs, played, strict=True)
-    return [*(Connection((player, name), end) for name, end in ends), *felt]
+class Player:
+    """The FMU that plays a scenario's external inputs, one row for each step.
 
+    Values that never change are start values; the others are `played`, and end early with rows of
+    the table by what is `felt`.
+    """
 
-def _build_player(
-    prepared: Prepared, played: Sequence[Name], outputs: Sequence[str], target: Target
-) -> Path:
-    """Build the FMU that plays external inputs, one row for each step."""
-    assembly, scenario = prepared.assembly, prepared.scenario
-    columns = [assembly.external.index(name) for name in played]
-    felt = _felt(prepared)
-    if felt:  # rows after the end are played once others have ended early
-        ticks = max(scenario.ticks, math.ceil(scenario.rows[-1].time / scenario.step))
-        scenario = replace(scenario, duration=round(ticks * scenario.step, 9))
-    rows = prepared.inputs(scenario)[: scenario.ticks + 1][:, columns]
-    if not felt and outputs == [name for v in TRAJECTORY.of("output") for name in v.names()]:
-        return build_trajectory(rows, target=target)
-    scalars = [assembly.scalars[name] for name in played]
-    for scalar in scalars:
-        if type_of(scalar.variable) != "Float64":
-            raise InputError(
-                f"[inputs] {scalar.name}: is of type {type_of(scalar.variable)}; must be a Real, "
-                "or a value that does not change over time"
+    def __init__(self, prepared: Prepared) -> None:
+        self._prepared, assembly = prepared, prepared.assembly
+        constant = {name for name, driven in assembly.driven.items() if len(driven.values) == 1}
+        self.played = [name for name in assembly.external if name not in constant]
+        counts = Counter(name for _, name in self.played)
+        self._outputs = [name if counts[name] == 1 else f"{i}.{name}" for i, name in self.played]
+        self._guarded = prepared.inputs().guarded
+        signals = sorted(self._guarded.signals)
+        self._felt = [split("", signal, assembly.interfaces) for signal in signals]
+
+    def connections(self, player: str) -> list[Connection]:
+        """Connections from and to the FMU of this name."""
+        ends = zip(self._outputs, self.played, strict=True)
+        felt = [
+            Connection((instance, scalar), (player, scalar))
+            for (instance, _), variable in zip(self._felt, self._inputs(), strict=True)
+            for scalar in variable.names()
+        ]
+        return [*(Connection((player, name), end) for name, end in ends), *felt]
+
+    def _inputs(self) -> list[Variable]:
+        interfaces = self._prepared.assembly.interfaces
+        return [
+            replace(
+                interfaces[instance].variable(name), causality="input", variability="continuous",
+                start=0.0, on_request=False, source="",
             )
-    variables = tuple(
-        output(name, (), scalar.unit, scalar.variable.description)
-        for name, scalar in zip(outputs, scalars, strict=True)
-    )
-    interface = Interface(
-        TRAJECTORY.model, "Plays a scenario's inputs", (*felt.values(), *variables)
-    )
-    stay = () if scenario.inputs_move else assembly.driven  # the last ones; pushes are the first
-    moving = [o for o, name in zip(outputs, played, strict=True) if name not in stay]
-    guards = prepared.inputs().guarded.packed(len(rows)) if felt else {}
-    files, content = {"table": TABLE_FILE}, {"table": rows, **guards}
-    files |= {name: f"{name}.bin" for name in guards}
-    resources = {files[key]: content[key].astype("<f8").tobytes() for key in files}
-    options = (*files.items(), *([("moving", moving[-1])] if felt else []))
-    player = NativeFmu(interface, "player", LAW, resources, options, step_size=scenario.step)
-    return build_fmu(player, target=target)
+            for instance, name in self._felt
+        ]  # fmt: skip
 
-
-def _felt(prepared: Prepared) -> dict[str, Variable]:
-    """Inputs of the player by which rows of the table end early, by FMU and output."""
-    return {
-        signal: replace(
-            prepared.assembly.interfaces[signal.partition(".")[0]].variable(signal.partition(".")[2]),
-            causality="input", variability="continuous", start=0.0, on_request=False, source="",
+    def make(self, target: Target | None = None) -> Path:
+        """Build it."""
+        rows = self._rows()
+        ours = [name for v in TRAJECTORY.of("output") for name in v.names()]
+        if self._outputs == ours and not self._felt:
+            return build_trajectory(rows, target=target)
+        interface = Interface(
+            TRAJECTORY.model, "Plays a scenario's inputs", (*self._inputs(), *self._variables())
         )
-        for signal in sorted(prepared.inputs().guarded.signals)
-    }  # fmt: skip
+        content, options = {"table": rows}, [("table", TABLE_FILE)]
+        if self._felt:
+            guards = self._guarded.packed(len(rows))
+            content |= guards
+            options += [*((name, f"{name}.bin") for name in guards), ("moving", self._moving)]
+        files = dict(options)
+        resources = {files[key]: each.astype("<f8").tobytes() for key, each in content.items()}
+        step = self._prepared.scenario.step
+        player = NativeFmu(interface, "player", LAW, resources, tuple(options), step_size=step)
+        return build_fmu(player, target=target)
+
+    def _rows(self) -> Array:
+        scenario, external = self._prepared.scenario, self._prepared.assembly.external
+        if self._felt:  # rows after the end are played once others have ended early
+            ticks = max(scenario.ticks, math.ceil(scenario.rows[-1].time / scenario.step))
+            scenario = replace(scenario, duration=round(ticks * scenario.step, 9))
+        columns = [external.index(name) for name in self.played]
+        return self._prepared.inputs(scenario)[: scenario.ticks + 1][:, columns]
+
+    @property
+    def _moving(self) -> str:
+        """The last output that moves with the table; pushes, which do not, are the first."""
+        stay = () if self._prepared.scenario.inputs_move else self._prepared.assembly.driven
+        moving = zip(self._outputs, self.played, strict=True)
+        return [name for name, end in moving if end not in stay][-1]
+
+    def _variables(self) -> Iterator[Variable]:
+        for name, end in zip(self._outputs, self.played, strict=True):
+            scalar = self._prepared.assembly.scalars[end]
+            if (kind := type_of(scalar.variable)) != "Float64":
+                raise InputError(
+                    f"[inputs] {scalar.name}: is of type {kind}; must be a Real, or a value that "
+                    "does not change over time"
+                )
+            yield output(name, (), scalar.unit, scalar.variable.description)

@@ -7,17 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import Final, cast
 
 import numpy as np
 
-from ...fmus.errors import InputError, did_you_mean
+from ...fmus.errors import InputError, located
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import INERTIA, MEASURED, SEEN
 from ...fmus.interface.tables import INTERFACES, Connection
 from ...fmus.interface.types import OBJECTS, column_type, in_row, type_of
-from ...fmus.interface.variables import Interface, Scalar, Value, Variable
+from ...fmus.interface.variables import Interface, Scalar, Value
 from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.master.order import late, shown, stepping_order
 from ...fmus.master.step import ITERATIONS
@@ -25,11 +25,15 @@ from ...fmus.master.system import System
 from ...fmus.master.wiring import Array, Name
 from ...fmus.sources.targets import Kind
 from ...result.recording import Column
-from ...task.scenario import MAX_STEPS, SCENARIO_FILE, Coupling, Scenario
+from ...task.fields import check_keys
+from ...task.scenario import SCENARIO_FILE, Coupling, Scenario
 from ...task.values import Values
-from .connector import RARE, Connector
+from .connector import RARE, Connector, check_unfed
 from .driven import DrivenInput, driven_inputs
-from .parts import Part, measures_a_panda, read_parts
+from .parts import Part, end_of, measures_a_panda, read_parts
+
+# Beginnings of messages about keys of the scenario's file.
+_OF_FILE: Final = ("[", "order: ", "not_finite: ", "left_out: ")
 
 
 @dataclass(frozen=True)
@@ -72,13 +76,23 @@ class Assembly:
     @cached_property
     def outputs(self) -> Mapping[str, Sequence[str]]:
         """Recorded outputs, the plant's first; those of an .ssp file, connected ones first."""
-        order = sorted(self.interfaces, key=lambda name: name != "plant")
-        known = self.ssp.outputs if self.ssp else {
-            name: [n for v in self.interfaces[name].of("output") if self._is_recorded(name, v)
-                   for n in v.names()]
-            for name in order
-        }  # fmt: skip
+        known = self.ssp.outputs if self.ssp else self._own_outputs
         return {i: [n for n in names if (i, n) not in self.left_out] for i, names in known.items()}
+
+    @property
+    def _own_outputs(self) -> dict[str, list[str]]:
+        fed = {connection.source for connection in self.connections}
+        return {
+            name: [
+                scalar
+                for variable in self.interfaces[name].of("output")
+                if not variable.on_request
+                or f"{name}.{variable.name}" in self.asked
+                or (name, variable.names()[0]) in fed
+                for scalar in variable.names()
+            ]
+            for name in sorted(self.interfaces, key=lambda name: name != "plant")
+        }
 
     def late(self, coupling: str) -> list[str]:
         """Connections whose target gets values of the step before."""
@@ -87,11 +101,6 @@ class Assembly:
     def course(self, coupling: str) -> str:
         """Say in which order FMUs are stepped, and what is late."""
         return shown([*self.interfaces], self.late(coupling))
-
-    def _is_recorded(self, name: str, variable: Variable) -> bool:
-        if not variable.on_request or f"{name}.{variable.name}" in self.asked:
-            return True
-        return any(each.source == (name, variable.names()[0]) for each in self.connections)
 
     def recorded(self, coupling: str = "") -> list[Column]:
         """Columns of a recording, whose names must differ."""
@@ -104,18 +113,15 @@ class Assembly:
         sources: dict[str, Name] = {}
         names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
         for name in names:
-            scalar, column = self.scalars.get(name), ".".join(name)
-            if scalar is None:
-                raise InputError(f"{column}: is not an output of its FMU, and cannot be recorded")
+            scalar, column = self.scalars[name], ".".join(name)
             other = sources.setdefault(column, name)
             if other != name:
                 raise InputError(
                     f"FMUs {other[0]!r} and {name[0]!r}: {other[1]!r} and {name[1]!r} would both "
                     f"be column {column} of the recording; rename one of the FMUs"
                 )
-            variable, kind = scalar.variable, column_type(scalar.variable)
-            about = (scalar.unit, scalar.description, kind, variable.nominal)
-            columns.append(Column(column, *about))
+            kind, nominal = column_type(scalar.variable), scalar.variable.nominal
+            columns.append(Column(column, scalar.unit, scalar.description, kind, nominal))
         return columns
 
     @cached_property
@@ -143,25 +149,26 @@ class Assembly:
         stated: Mapping[str, Mapping[str, ParameterValue]],
     ) -> dict[str, dict[str, Value]]:
         """Return the start values that FMUs are given; of others' what is stated, or not theirs."""
-        own = {name: scalar.start for name, scalar in self.scalars.items()}
-        given = {i: {*expand(i, each, stated.get(i, {})), *self.start.get(i, {})}
-                 for i, each in self.interfaces.items()}  # fmt: skip
         ours = {part.name for part in self.parts if part.file is None}
         return {
-            i: {
-                n: v for n, v in named.items() if i in ours or n in given[i] or own.get((i, n)) != v
-            }
+            i: dict(named) if i in ours else self._changed(i, named, stated.get(i, {}))
             for i, named in values.items()
         }
+
+    def _changed(
+        self, name: str, values: Mapping[str, Value], stated: Mapping[str, ParameterValue]
+    ) -> dict[str, Value]:
+        interface = self.interfaces[name]
+        own = {scalar.name: scalar.start for scalar in interface.scalars()}
+        given = {*expand(name, interface, stated), *self.start.get(name, {})}
+        return {n: v for n, v in values.items() if n in given or own.get(n) != v}
 
     def start_values(
         self, layers: Sequence[Mapping[str, Mapping[str, ParameterValue]]]
     ) -> dict[str, dict[str, Value]]:
         """Parameters of all FMUs: their own values, then those of each layer."""
-        for layer in layers:
-            for name in layer:
-                if layer[name] and name not in self.interfaces:
-                    raise InputError(f"{name}: {_no_fmu(name, self.interfaces)}")
+        stated = [name for layer in layers for name in layer if layer[name]]
+        check_keys("", stated, self.interfaces, "FMU")
         values: dict[str, dict[str, Value]] = {}
         for name, interface in self.interfaces.items():
             parameters = [s for s in interface.scalars() if s.variable.causality == "parameter"]
@@ -189,10 +196,8 @@ def assemble(
         parts = read_parts(scenario, kind, files or {}, run_code=run_code)
         return _connected(scenario, parts, from_outside=from_outside)
     except InputError as error:
-        from_file = scenario.folder and not any(map(os.path.isabs, scenario.fmus.values()))
-        if not (
-            from_file and str(error).startswith(("[", "order: ", "not_finite: ", "left_out: "))
-        ):
+        is_given = any(map(os.path.isabs, scenario.fmus.values()))  # as an option
+        if is_given or not (scenario.folder and str(error).startswith(_OF_FILE)):
             raise
         raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
 
@@ -221,33 +226,36 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
     driven = driven_inputs(scenario, interfaces)
     connector.drive(driven)
     if scenario.mismatch.has_sensors:
-        is_modelled = scenario.mismatch.values.get("hand_pose_source") == "model"
-        connector.connect_sensors((*MEASURED, *SEEN, *([INERTIA] if is_modelled else [])))
+        connector.connect_sensors(_measurements(scenario))
     connector.connect_rest_by_name()
     if not scenario.is_system:
         connector.require("plant", "ctrl")
-    scale, notes = scenario.input_scale, [] if from_outside else connector.notes
-    connections = [
-        replace(c, factor=scale * c.factor, offset=scale * c.offset)
-        if c.target[0] == "plant"
-        else c
-        for c in connector.connections
-    ]
+    connections = [_scaled(each, scenario.input_scale) for each in connector.connections]
     order = scenario.order or stepping_order(interfaces, connections)
+    notes = [] if from_outside else connector.notes
     made = Assembly(interfaces, parts, connections, external, driven, notes, scenario.asked,
                     scenario.steps)  # fmt: skip
     return _ordered(scenario, made, order, from_outside=from_outside)
+
+
+def _measurements(scenario: Scenario) -> list[str]:
+    """The controller's inputs that sensors measure."""
+    is_modelled = scenario.mismatch.values.get("hand_pose_source") == "model"
+    return [*MEASURED, *SEEN, *([INERTIA] if is_modelled else [])]
+
+
+def _scaled(each: Connection, scale: float) -> Connection:
+    if each.target[0] != "plant":
+        return each
+    return replace(each, factor=scale * each.factor, offset=scale * each.offset)
 
 
 def _ordered(
     scenario: Scenario, made: Assembly, order: Sequence[str], *, from_outside: bool
 ) -> Assembly:
     """Return the FMUs in the order of stepping, which no order of lines changes."""
-    sections = {f"[parameters.{name}]": name for name in scenario.parameters}
-    sections |= {f"[steps] {name}": name for name in scenario.steps}
-    for place, name in sections.items():
-        if name not in made.interfaces:
-            raise InputError(f"{place}: {_no_fmu(name, made.interfaces)}")
+    check_keys("[parameters] ", scenario.parameters, made.interfaces, "FMU")
+    check_keys("[steps] ", scenario.steps, made.interfaces, "FMU")
     if sorted(order) != sorted(made.interfaces):
         valid = ", ".join(sorted(made.interfaces))
         raise InputError(f"order: value {[*order]!r}; must name each FMU once: {valid}")
@@ -255,8 +263,9 @@ def _ordered(
     names = ((name, s.name) for name, each in interfaces.items() for s in each.scalars())
     places = {name: place for place, name in enumerate(names)}
     external = [*made.external, *sorted(made.driven, key=places.__getitem__)]
-    left_out = _outputs("left_out", scenario.left_out, interfaces)
-    for each in made.connections if left_out else ():
+    parts = {part.name: part for part in made.parts}
+    left_out = _outputs("left_out: ", scenario.left_out, parts)
+    for each in made.connections:
         if each.source in left_out:
             raise InputError(f"left_out: {'.'.join(each.source)}: feeds {'.'.join(each.target)}; "
                              "must be an output that feeds nothing")  # fmt: skip
@@ -264,32 +273,18 @@ def _ordered(
     return replace(
         made,
         interfaces=interfaces,
-        parts=sorted(made.parts, key=lambda part: order.index(part.name)),
+        parts=[parts[name] for name in order],
         connections=sorted(made.connections, key=lambda each: places[each.target]),
         external=[*unfed, *external],
-        not_finite=_outputs("not_finite", scenario.not_finite, interfaces),
+        not_finite=_outputs("not_finite: ", scenario.not_finite, parts),
         left_out=left_out,
     )
 
 
-def _no_fmu(name: str, interfaces: Mapping[str, Interface]) -> str:
-    hint = did_you_mean(name, interfaces)
-    return f"no FMU of this name; valid: {', '.join(interfaces)}{hint}"
-
-
-def _outputs(key: str, texts: Sequence[str], interfaces: Mapping[str, Interface]) -> list[Name]:
+def _outputs(place: str, texts: Sequence[str], parts: Mapping[str, Part]) -> list[Name]:
     """Outputs that a key of a scenario names, as FMU.NAME, one by one."""
-    found: list[Name] = []
-    for text in texts:
-        ends = [(i, each.end(text[len(i) + 1 :], "output")) for i, each in interfaces.items()
-                if text.startswith(f"{i}.")]  # fmt: skip
-        names = [(i, name) for i, end in ends if end is not None for name in end.names()]
-        if not names:
-            valid = [f"{i}.{v.name}" for i, each in interfaces.items() for v in each.of("output")]
-            raise InputError(f"{key}: {text!r}; must be an output, FMU.NAME"
-                             f"{did_you_mean(text, valid)}")  # fmt: skip
-        found += names
-    return found
+    ends = [end_of(place, text, parts, "output") for text in texts]
+    return [(instance, name) for instance, end in ends for name in end.names()]
 
 
 def _unfed(
@@ -328,7 +323,7 @@ def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> l
 # A coupled system from an .ssp file.
 
 
-def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
+def _of_ssp(scenario: Scenario, *, from_outside: bool) -> Assembly:
     from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
 
     coupled = system_from_ssp((scenario.folder or Path()) / scenario.system)
@@ -337,9 +332,8 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
         fmu = read_fmu(file).restructured(coupled.start_values.get(name, {}))
         parts.append(Part(name, file, described_interface(fmu), built=file))
     interfaces = {part.name: part.interface for part in parts}
-    connector, driven = Connector([]), driven_inputs(scenario, interfaces)
-    connector.drive([connection.target for connection in system.connections])
-    connector.drive(driven)
+    driven = driven_inputs(scenario, interfaces)
+    check_unfed(driven, {connection.target for connection in system.connections})
     made = Assembly(interfaces, parts, system.connections, [], driven, coupled.warnings,
                     scenario.asked, scenario.steps, ssp=system, start=coupled.start_values,
                     start_time=coupled.start_time)  # fmt: skip
@@ -352,23 +346,17 @@ def system_scenario(path: Path, duration: float | None = None) -> Scenario:
     from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
 
     coupled = system_from_ssp(path)
-    step = coupled.step_size
     if duration is None:
         duration = coupled.stop_time - coupled.start_time
-    count = round(duration / step) if 0 < duration / step <= 2 * MAX_STEPS else 0
-    if not 1 <= count <= MAX_STEPS or abs(count * step - duration) > 1e-9 * max(duration, 1.0):
-        raise InputError(
-            f"{path}: {duration!r} s from start to stop; must be a whole number of steps of "
-            f"{step:g} s, between {step:g} and {MAX_STEPS * step:g} s"
-        )
     name = "".join(c if c.isprintable() else "_" for c in coupled.name) or "system"
-    return Scenario(
-        name=name[:80],
-        table=None,
-        duration=duration,
-        step=step,
-        coupling=cast("Coupling", coupled.coupling),
-        steps=coupled.steps,
-        system=path.name,
-        folder=path.parent.resolve(),
-    )
+    with located(path):
+        return Scenario(
+            name=name[:80],
+            table=None,
+            duration=duration,
+            step=coupled.step_size,
+            coupling=cast("Coupling", coupled.coupling),
+            steps=coupled.steps,
+            system=path.name,
+            folder=path.parent.resolve(),
+        )

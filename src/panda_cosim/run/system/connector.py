@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
-from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...fmus.errors import InputError
 from ...fmus.interface.controller import FORCE_COMMAND, POSTURE_COMMANDS
 from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import measurement_of
@@ -17,7 +17,7 @@ from ...fmus.interface.units import OUR_UNITS, Units, conversion
 from ...fmus.interface.variables import Variable
 from ...fmus.master.wiring import Name
 from ...plant.parameters import ARM_JOINTS
-from .parts import Part, measures_a_panda
+from .parts import Part, end_of, measures_a_panda
 
 # Inputs of PandaPlant and PandaController that act only in some scenarios; those that may stay
 # unconnected.
@@ -26,8 +26,11 @@ OPTIONAL: Final = (*FORCES.values(), *RARE)
 _OF_ARM: Final = ("qpos", "qvel")  # of PandaPlant, which begin with the arm's, then the fingers'
 _LENGTHS: Final = ((len(ARM_JOINTS),), (len(ARM_JOINTS) + 2,))  # of these, what others take
 _CONVERT: Final = re.compile(r"convert\((.+)\)", re.S)
-# What takes an arm's ctrl, by its unit.
-FITTING: Final = {"N.m": '; scene "motors" takes torques', "rad": '; scene "tabletop" takes angles'}
+# What takes an arm's ctrl of another unit.
+FITTING: Final = {
+    ("N.m", "rad"): '; scene "motors" takes torques',
+    ("rad", "N.m"): '; scene "tabletop" takes angles',
+}
 SHOWN: Final = 8  # unconnected inputs of an FMU that are named
 
 
@@ -35,7 +38,7 @@ class Connector:
     """Connects the FMUs of a scenario, and checks shapes, types and units on the way.
 
     `assemble` makes one for each scenario with parts of its own, and keeps only the connections
-    that it has found. Those of an .ssp file are complete: of them, it only learns what is fed.
+    that it has found. Those of an .ssp file are complete.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
@@ -68,9 +71,7 @@ class Connector:
 
     def drive(self, names: Collection[Name]) -> None:
         """Mark inputs as driven by the scenario; what is connected cannot be."""
-        if both := self._fed.intersection(names):
-            ends = ", ".join(sorted(".".join(name) for name in both))
-            raise InputError(f"[inputs] {ends}: is fed already; must be an unconnected input")
+        check_unfed(names, self._fed)
         self._fed.update(names)
 
     def connect(self, target: str, source: str) -> None:
@@ -78,8 +79,8 @@ class Connector:
         # The source may be `convert(fmu.variable)`, which also converts types with loss.
         asked = _CONVERT.fullmatch(source)
         source = asked[1] if asked else source
-        to_part, fed = self._end(target, "input")
-        from_part, giving = self._end(source, "output")
+        to_part, fed = end_of("[connect] ", target, self.parts, "input")
+        from_part, giving = end_of("[connect] ", source, self.parts, "output")
         self.check(source, giving, target, fed, "[connect] ", converts=bool(asked))
         for name in fed.names():
             if (to_part, name) in self._fed:
@@ -123,25 +124,25 @@ class Connector:
     def connect_by_name(self, part: Part, variable: Variable) -> None:
         """Connect an input to the one output of its name."""
         unfed = [name for name in variable.names() if (part.name, name) not in self._fed]
-        if not unfed:
-            return
-        same = self._outputs.get(variable.name, ())
-        outputs = [(name, v) for name, v in same if name != part.name]
-        target = f"{part.name}.{variable.name}"
-        if not outputs:
-            if part.file is not None and variable.name not in OPTIONAL:
+        outputs = [(i, v) for i, v in self._outputs.get(variable.name, ()) if i != part.name]
+        match outputs if unfed else ():
+            case [(source, giving)]:
+                self._connect_alike(source, giving, part.name, variable)
+            case [_, _, *_]:
+                names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
+                target = f"{part.name}.{variable.name}"
+                raise InputError(f"{target}: {names} both match; choose one in [connect]")
+            case [] if unfed and part.file is not None and variable.name not in OPTIONAL:
                 whole = len(unfed) == variable.size
                 self._open.setdefault(part.name, []).extend([variable.name] if whole else unfed)
-            return
-        if len(outputs) > 1:
-            names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
-            raise InputError(f"{target}: {names} both match; choose one in [connect]")
-        source, giving = outputs[0]
-        is_of_arm = giving.name in _OF_ARM and variable.shape in _LENGTHS
+
+    def _connect_alike(self, source: str, giving: Variable, target: str, fed: Variable) -> None:
+        """Connect two ends of one name; a law for the arm takes the first elements."""
+        is_of_arm = giving.name in _OF_ARM and fed.shape in _LENGTHS
         if is_of_arm and measures_a_panda(self.parts[source].interface):
-            giving = replace(giving, shape=variable.shape, unit=giving.units[: variable.size])
-        self.check(f"{source}.{giving.name}", giving, target, variable)
-        self._connect(source, giving, part.name, variable)
+            giving = replace(giving, shape=fed.shape, unit=giving.units[: fed.size])
+        self.check(f"{source}.{giving.name}", giving, f"{target}.{fed.name}", fed)
+        self._connect(source, giving, target, fed)
 
     def check(  # noqa: PLR0913 - two ends, each with its name
         self,
@@ -167,14 +168,20 @@ class Connector:
                 f"{ends}; type {type_of(giving)} feeds type {type_of(fed)}, which must be able to "
                 f"hold all its values{hint}"
             )
-        known = self._units(source), self._units(target)
+        for wrong in [] if converts else self._apart(source, giving, target, fed):
+            raise InputError(
+                f"{ends}; must have the same unit, or both be defined by the same SI base "
+                f"units{FITTING.get(wrong, '')}{hint}"
+            )
+
+    def _apart(
+        self, source: str, giving: Variable, target: str, fed: Variable
+    ) -> Iterator[tuple[str, str]]:
+        """Units of elements, from and to, between which there is no conversion."""
+        of, to = self._units(source), self._units(target)
         for one, other in zip(giving.units, fed.units, strict=True):
-            if conversion(one, known[0], other, known[1]) is None and not converts:
-                fitting = FITTING.get(one, "") if other in FITTING else ""
-                raise InputError(
-                    f"{ends}; must have the same unit, or both be defined by the same SI base "
-                    f"units{fitting}{hint}"
-                )
+            if conversion(one, of, other, to) is None:
+                yield one, other
 
     def _units(self, end: str) -> Units:
         """Definitions of an FMU's units; what the scenario gives is not converted."""
@@ -183,7 +190,7 @@ class Connector:
 
     def require(self, instance: str, name: str) -> None:
         """Refuse an input that is not connected; the message lists the candidates."""
-        _, variable = self._end(f"{instance}.{name}", "input")
+        _, variable = end_of("", f"{instance}.{name}", self.parts, "input")
         if not self.is_fed(instance, name):
             outputs = [f"{p.name}.{v.name} {_shape_and_unit(v)}" for p in self.parts.values()
                        if p.name != instance for v in p.interface.of("output")]  # fmt: skip
@@ -203,23 +210,12 @@ class Connector:
                 self._fed.add(ends[1])
                 self.connections.append(Connection(*ends, converts_types=converts))
 
-    def _end(self, text: str, causality: str) -> tuple[str, Variable]:
-        """Find one end of a connection: a variable, or an element of one."""
-        instance, _, name = text.partition(".")
-        if instance not in self.parts:
-            raise InputError(
-                f"[connect] {excerpt(text)}: no FMU {excerpt(instance)}; valid: "
-                f"{', '.join(self.parts)}{did_you_mean(instance, self.parts)}"
-            )
-        part = self.parts[instance]
-        variable = part.interface.end(name, causality)
-        if variable is not None:
-            return instance, variable
-        names = [v.name for v in part.interface.variables if v.causality == causality]
-        raise InputError(
-            f"[connect] {excerpt(text)}: {part.place} has no {causality} of this name; valid: "
-            f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
-        )
+
+def check_unfed(driven: Collection[Name], fed: set[Name]) -> None:
+    """Refuse inputs driven by the scenario that are connected."""
+    if both := fed.intersection(driven):
+        ends = ", ".join(sorted(map(".".join, both)))
+        raise InputError(f"[inputs] {ends}: is fed already; must be an unconnected input")
 
 
 def _shape_and_unit(variable: Variable) -> str:

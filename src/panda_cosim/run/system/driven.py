@@ -9,13 +9,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, expand, targets
 from ...fmus.interface.types import in_row, type_of
 from ...fmus.interface.variables import Interface, Scalar, Value
 from ...fmus.master.fmu_file import read_value
 from ...fmus.master.wiring import Array, Name
 from ...task.scenario import Scenario
+from .parts import split
 
 EARLY: Final = 1e-9  # [s] by which a tick may be before the row that holds from its time on
 
@@ -67,7 +68,7 @@ def driven_inputs(
     by_fmu: dict[str, dict[str, ParameterValue]] = {}
     for key, value in scenario.inputs.items():
         if key != "file":
-            instance, name = _split(key, interfaces)
+            instance, name = split("[inputs] ", key, interfaces)
             by_fmu.setdefault(instance, {})[name] = value
     driven: dict[Name, DrivenInput] = {}
     by_name = {i: {s.name: s for s in each.scalars()} for i, each in interfaces.items()}
@@ -77,7 +78,7 @@ def driven_inputs(
             driven[instance, name] = DrivenInput(by_name[instance][name], [value], np.zeros(1))
     table = scenario.input_table
     for key, cells in table.columns.items():
-        instance, name = _split(key, interfaces)
+        instance, name = split("[inputs] ", key, interfaces)
         scalar, *others = targets(instance, interfaces[instance], by_name[instance], name, "input")
         if others or (instance, scalar.name) in driven:
             what = "has several elements" if others else "is in [inputs], too"
@@ -90,15 +91,3 @@ def driven_inputs(
         times = np.array(table.times)
         driven[instance, scalar.name] = DrivenInput(scalar, values_over_time, times)
     return driven
-
-
-def _split(key: str, interfaces: Mapping[str, Interface]) -> Name:
-    """FMU and variable that a key names; an FMU's name may have dots."""
-    fitting = [name for name in interfaces if key.startswith(f"{name}.")]
-    if not fitting:
-        raise InputError(
-            f"[inputs] {excerpt(key)}: no such FMU; valid: {', '.join(interfaces)}"
-            f"{did_you_mean(key.partition('.')[0], interfaces)}"
-        )
-    instance = max(fitting, key=len)
-    return instance, key.removeprefix(f"{instance}.")

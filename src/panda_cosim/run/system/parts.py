@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +18,7 @@ from ...fmus.interface.sensors import MEASURED
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.fmu_file import described_interface, read_fmu
+from ...fmus.master.wiring import Name
 from ...fmus.sources.targets import OWN, Kind, Target, build, build_fmu
 from ...task.fields import check_rules
 from ...task.scenario import Scenario
@@ -50,9 +51,7 @@ class Part:
     interface: Interface
     own: str = ""  # which of the project's own it is, by its word; "": none
     source: NativeFmu | None = None  # what it is built from; None: ours, or an .fmu
-    target: Target = field(
-        default_factory=Target
-    )  # what it is built for, unless another is asked for
+    target: Target = field(default_factory=Target)  # what it is built for, unless told otherwise
     built: Path | None = None  # an .fmu, which is used as it is
 
     def make(self, target: Target | None = None) -> Path:
@@ -83,11 +82,7 @@ def part_path(scenario: Scenario, given: str) -> tuple[Path, str]:
 
 
 def read_parts(
-    scenario: Scenario,
-    kind: Kind = "auto",
-    files: Mapping[str, Path] | None = None,
-    *,
-    run_code: bool = True,
+    scenario: Scenario, kind: Kind, files: Mapping[str, Path], *, run_code: bool
 ) -> list[Part]:
     """Read all FMUs that a scenario names, by name."""
     # With a trajectory, `plant` and `controller` default to the project's own.
@@ -99,18 +94,23 @@ def read_parts(
         ours = ("sensors", *ours)
     # What only reads downloads no engine; the installed one gives the same interfaces.
     here = scenario if run_code or has_engine(scenario.mujoco) else replace(scenario, mujoco="")
-    read = {
-        name: _given(here, name, kind, run_code)
-        if name in scenario.fmus
-        else _own(name, name, Target(kind, mujoco=here.mujoco), files or {})
-        for name in sorted({*ours, *scenario.fmus})
-    }
-    parts = {name: part for name, part in read.items() if isinstance(part, Part)}
-    for name, law in read.items():
-        if not isinstance(law, Part):  # its signals are those of the parts around it
-            parts[name] = _law_part(scenario, name, law, parts)
+    parts: dict[str, Part] = {}
+    laws: dict[str, LawFile] = {}
+    names = sorted({*ours, *scenario.fmus})
+    for name in names:
+        text = scenario.fmus.get(name, name)
+        if text in WORDS:
+            target = Target(kind, mujoco=here.mujoco)
+            interface, built = OWN[text].interface, files.get(name)
+            parts[name] = Part(name, None, interface, text, target=target, built=built)
+        elif law := _law(here, name, text):
+            laws[name] = law
+        else:
+            parts[name] = _read(here, name, text, run_code)
+    for name, law in laws.items():  # its signals are those of the parts around it
+        parts[name] = _law_part(scenario, name, law, parts)
     _check_engine(scenario, kind, parts)
-    return [parts[name] for name in read]
+    return [parts[name] for name in names]
 
 
 def _check_engine(scenario: Scenario, kind: Kind, parts: Mapping[str, Part]) -> None:
@@ -127,56 +127,48 @@ def _check_engine(scenario: Scenario, kind: Kind, parts: Mapping[str, Part]) -> 
     check_rules({f"{rule}; must be left out": broken for rule, broken in rules.items()})
 
 
-def _own(name: str, word: str, own: Target, files: Mapping[str, Path]) -> Part:
-    """Return one of the project's own FMUs under a name."""
-    if own.kind_of(word) != "native":
-        from ...fmus.sources.python_fmu import require_pythonfmu  # noqa: PLC0415 - few need it
-
-        require_pythonfmu()
-    return Part(name, None, OWN[word].interface, word, target=own, built=files.get(name))
-
-
-def _given(scenario: Scenario, name: str, kind: Kind, run_code: bool) -> Part | LawFile:
-    """Return what [fmus] names: one of the project's own by its word, or a file."""
-    text = scenario.fmus[name]
-    if text in WORDS:
-        return _own(name, text, Target(kind, mujoco=scenario.mujoco), {})
-    return _read(scenario, name, text, run_code)
-
-
-def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | LawFile:
+def _law(scenario: Scenario, name: str, text: str) -> LawFile | None:
+    """Read the class that [fmus] names, if it is a law; refuse what is no part at all."""
     path, class_name = part_path(scenario, text)
     if path.suffix not in (".py", ".fmu", *MODELS):
         refuse(f"[fmus] {name}", text, f"must be {FORMS}", WORDS)
     if not path.is_file():
         raise InputError(f"[fmus] {name}: {path}: no such file; must be {FORMS}")
-    if path.suffix == ".py":
-        if not class_name:
-            refuse(f"[fmus] {name}", text, "must name a class: FILE.py:CLASS")
-        from ...fmus.sources.law import read_law  # noqa: PLC0415 - few scenarios need it
+    if path.suffix != ".py":
+        return None
+    if not class_name:
+        refuse(f"[fmus] {name}", text, "must name a class: FILE.py:CLASS")
+    from ...fmus.sources.law import read_law  # noqa: PLC0415 - few scenarios need it
 
-        law = read_law(path, class_name)
-        if law is not None:
-            return law
-        from ...fmus.sources.python_fmu import require_pythonfmu, slave_fmu  # noqa: PLC0415
+    return read_law(path, class_name)
 
-        require_pythonfmu()
-        if not run_code:
-            raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
-                                   "only known when it is run")  # fmt: skip
-        slave = slave_fmu(path, class_name)
-        path = build_fmu(slave)
-        interface = described_interface(read_fmu(path))
-        return Part(name, path, interface, source=slave)
-    if path.suffix != ".fmu":
-        from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - see above
 
-        keyframe = scenario.sections.get(name, {}).get("keyframe", "")
-        model = model_part(path, scenario.robot, keyframe)
-        engine = Target(mujoco=scenario.mujoco)
-        return Part(name, path, model.interface, source=model, target=engine)
-    fmu = read_fmu(path).restructured(scenario.sections.get(name, {}))
-    return Part(name, path, described_interface(fmu), built=path)
+def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part:
+    """Read a file that is no law: a slave of PythonFMU, an FMU, or a model."""
+    path, class_name = part_path(scenario, text)
+    section = scenario.sections.get(name, {})
+    match path.suffix:
+        case ".fmu":
+            fmu = read_fmu(path).restructured(section)
+            return Part(name, path, described_interface(fmu), built=path)
+        case ".py":
+            return _slave(name, path, class_name, run_code)
+    from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - few scenarios need it
+
+    model = model_part(path, scenario.robot, section.get("keyframe", ""))
+    engine = Target(mujoco=scenario.mujoco)
+    return Part(name, path, model.interface, source=model, target=engine)
+
+
+def _slave(name: str, path: Path, class_name: str, run_code: bool) -> Part:
+    from ...fmus.sources.python_fmu import slave_fmu  # noqa: PLC0415 - few scenarios need it
+
+    if not run_code:
+        raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
+                               "only known when it is run")  # fmt: skip
+    slave = slave_fmu(path, class_name)
+    path = build_fmu(slave)
+    return Part(name, path, described_interface(read_fmu(path)), source=slave)
 
 
 class UnreadSlaveError(InputError):
@@ -187,25 +179,28 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     """Give a law's FMU the shapes and units of the variables it is connected to."""
     from ...fmus.sources.law import law_fmu, law_interface  # noqa: PLC0415 - few need it
 
+    is_ours = name == "controller" and not scenario.is_system
     ctrl = _ctrl_of(scenario, name, law, parts)
-    ours, plant = INTERFACES["controller"], parts.get("plant")
-    measured = plant is not None and measures_a_panda(plant.interface)
-    commanded = name == "controller" and not scenario.is_system
-    inputs = (v.name for v in ours.of("input"))
-    known = {n for n in inputs if measured or (commanded and n in scenario.commands)}
-
-    def signal(name_of_input: str) -> Variable | None:
-        source = scenario.connect.get(f"{name}.{name_of_input}", "")
-        connected = _variable(parts, source, "output")
-        if connected is not None or name_of_input in known:
-            return connected or ours.variable(name_of_input)
-        outputs = (v for p in parts.values() for v in p.interface.of("output"))
-        return next((v for v in outputs if v.name == name_of_input), None)
-
-    interface = law_interface(law, signal, ctrl)
+    interface = law_interface(law, _signals(scenario, name, is_ours, parts).get, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
-    first = _first_ctrl(scenario) if name == "controller" and not scenario.is_system else None
+    first = _first_ctrl(scenario) if is_ours else None
     return Part(name, law.path, interface, source=law_fmu(law, interface, start, first))
+
+
+def _signals(
+    scenario: Scenario, law: str, is_ours: bool, parts: Mapping[str, Part]
+) -> dict[str, Variable]:
+    """What a law's inputs are: as connected, as our controller's, or outputs of their name."""
+    outputs = {v.name: v for p in reversed([*parts.values()]) for v in p.interface.of("output")}
+    known = {v.name: v for v in INTERFACES["controller"].of("input")}
+    if not ("plant" in parts and measures_a_panda(parts["plant"].interface)):
+        known = {name: known[name] for name in scenario.commands} if is_ours else {}
+    connected = {
+        target.removeprefix(f"{law}."): variable
+        for target, source in scenario.connect.items()
+        if target.startswith(f"{law}.") and (variable := _variable(parts, source, "output"))
+    }
+    return outputs | known | connected
 
 
 def _first_ctrl(scenario: Scenario) -> dict[str, Any] | None:
@@ -233,17 +228,16 @@ def measures_a_panda(interface: Interface) -> bool:
 
 def _ctrl_of(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Part]) -> Variable:
     """The input that a law's ctrl is connected to."""
-    for target, source in scenario.connect.items():
-        connected = _variable(parts, target, "input") if source == f"{name}.ctrl" else None
-        if connected is not None:
-            return connected
+    targets = [target for target, source in scenario.connect.items() if source == f"{name}.ctrl"]
+    for connected in filter(None, (_variable(parts, target, "input") for target in targets)):
+        return connected
     if scenario.is_torque_driven and name == "controller":
         return TORQUES
-    for part in sorted(parts.values(), key=lambda p: p.name != "plant"):
-        for variable in part.interface.of("input"):
-            if variable.name == "ctrl":
-                return variable
-    inputs = [f"{p.name}.{v.name}" for p in parts.values() for v in p.interface.of("input")]
+    plant_first = sorted(parts.values(), key=lambda part: part.name != "plant")
+    inputs = {f"{p.name}.{v.name}": v for p in plant_first for v in p.interface.of("input")}
+    for variable in inputs.values():
+        if variable.name == "ctrl":
+            return variable
     raise InputError(
         f"{law.path}: no input takes the ctrl of {name}; [connect] must name one of "
         f"{', '.join(inputs) or 'none'}{did_you_mean('ctrl', inputs)}"
@@ -253,3 +247,32 @@ def _ctrl_of(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Pa
 def _variable(parts: Mapping[str, Part], end: str, causality: str) -> Variable | None:
     instance, _, name = end.partition(".")
     return parts[instance].interface.end(name, causality) if instance in parts else None
+
+
+def split(place: str, key: str, fmus: Collection[str]) -> Name:
+    """FMU and variable that a key names; an FMU's name may have dots."""
+    fitting = [name for name in fmus if key.startswith(f"{name}.")]
+    if not fitting:
+        first = key.partition(".")[0]
+        raise InputError(
+            f"{place}{excerpt(key)}: no FMU {excerpt(first)}; valid: {', '.join(fmus)}"
+            f"{did_you_mean(first, fmus)}"
+        )
+    instance = max(fitting, key=len)
+    return instance, key.removeprefix(f"{instance}.")
+
+
+def end_of(
+    place: str, text: str, parts: Mapping[str, Part], causality: str
+) -> tuple[str, Variable]:
+    """Return FMU and variable of what is named FMU.VARIABLE, or an element of one."""
+    instance, name = split(place, text, parts)
+    part = parts[instance]
+    variable = part.interface.end(name, causality)
+    if variable is None:
+        names = [v.name for v in part.interface.variables if v.causality == causality]
+        raise InputError(
+            f"{place}{excerpt(text)}: {part.place} has no {causality} of this name; valid: "
+            f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
+        )
+    return instance, variable

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ...fmus.atomic import cache_folder, temporary_folder, write_whole
+from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.build.identity import digest
 from ...fmus.errors import InputError
-from ...run.folder import with_files
+from ...run.folder import with_files, write_files
 from ...run.system.assembly import assemble
 from ...task.scenario import Scenario, load_scenario, shipped_scenarios
 from ...task.writer import settings_text
@@ -84,9 +84,3 @@ def read_files(folder: Path) -> dict[str, bytes]:
     """Return the contents of all files in a folder, at any depth, by path."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
-
-
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, by path."""
-    for name, content in files.items():
-        write_whole(folder / name, content)

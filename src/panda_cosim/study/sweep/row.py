@@ -20,12 +20,13 @@ from ...fmus.interface.parameters import ParameterValue
 from ...result.judging.summary import Summary
 from ...result.judging.verdicts import VERDICTS
 from ...run.execution import Execution
+from ...run.folder import write_files
 from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.stopping import StopRequest
 from ..work import processor
-from .packed import Loaded, read_files, unpack, write_files
+from .packed import Loaded, read_files, unpack
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
 # As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is

@@ -32,13 +32,14 @@ from pydantic import BaseModel, ValidationError
 from ...fmus.atomic import held, replacing, write_whole, writing
 from ...fmus.build.identity import code_digest, package_version
 from ...fmus.errors import InputError, one_line
+from ...run.folder import write_files
 from ...task.files import read_text
 from ...task.scenario import Scenario, load_scenario
 from ...task.tolerances import flattened
 from ...task.writer import write_scenario
 from ..compare.differences import differing
 from .definition import Sweep
-from .packed import Loaded, identity, pack, scenario_names, write_files
+from .packed import Loaded, identity, pack, scenario_names
 from .row import Done, Row
 
 SWEEP_FILE: Final = "sweep.json"
