@@ -8,13 +8,13 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
@@ -33,43 +33,13 @@ _LEASHED: Final = (
 ENTERS: Final = "\n" * 1000  # for programs that ask for the key Enter
 KEPT_LINES: Final = 50  # of a program's output, which fit a traceback
 CLOSING: Final = 1.0  # [s] for the last output of a program that has ended
-LOOKING: Final = 0.01  # [s] between two looks at whether it has
 
 
-class Child:
-    """A Python process with which this one talks over `connection`, and that ends with it.
+class _Beside:
+    """A process that runs beside this one, until `end`."""
 
-    Workers, isolated FMUs and the renderer start one each; it calls `listen` for the other end.
-    Unlike a process of `multiprocessing`, it neither runs the caller's script nor takes over its
-    module path. A program that is only run to its end needs `run`.
-    """
-
-    def __init__(
-        self,
-        *program: str,
-        output: int | None = None,
-        environment: Mapping[str, str] | None = None,
-        files: Sequence[int] = (),  # descriptors that it gets, too
-    ) -> None:
-        from multiprocessing.connection import Pipe  # noqa: PLC0415 - slow to import
-
-        self.connection, there = Pipe()
-        ends = [str(there.fileno()), str(os.getpid())]
-
-        def start() -> subprocess.Popen[bytes]:
-            return subprocess.Popen(
-                [sys.executable, *program, *ends],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.DEVNULL if output == subprocess.DEVNULL else None,
-                pass_fds=[there.fileno(), *files],
-                start_new_session=True,  # gets no Ctrl-C, and can be killed with its children
-                env={**os.environ, **SAFE_PATH, **(environment or {})},
-            )
-
-        with there:
-            # For Linux, its parent is the thread that starts it.
-            self._process = _lasting_thread().submit(start).result()
+    def __init__(self, command: Sequence[str], **settings: Any) -> None:
+        self._process = _start(command, **settings).result()
 
     def ended(self, limit: float | None = None) -> int | None:
         """Wait for its end, for a time [s]; return the exit code, or minus the signal."""
@@ -81,6 +51,35 @@ class Child:
         """Kill it with all that it has started; who waits for its answer gets an EOFError."""
         _kill_group(self._process)
 
+
+class Child(_Beside):
+    """A Python process with which this one talks over `connection`, and that ends with it.
+
+    Workers, isolated FMUs and the renderer start one each; it calls `listen` for the other end.
+    Unlike a process of `multiprocessing`, it neither runs the caller's script nor takes over its
+    module path. A program that is only run to its end needs `run`.
+    """
+
+    def __init__(
+        self,
+        *program: str,
+        output: int | None = None,
+        environment: Mapping[str, str] = MappingProxyType({}),
+        files: Sequence[int] = (),  # descriptors that it gets, too
+    ) -> None:
+        from multiprocessing.connection import Pipe  # noqa: PLC0415 - slow to import
+
+        self.connection, there = Pipe()
+        with there:
+            super().__init__(
+                [sys.executable, *program, str(there.fileno()), str(os.getpid())],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.DEVNULL if output == subprocess.DEVNULL else None,
+                pass_fds=[there.fileno(), *files],
+                env={**os.environ, **SAFE_PATH, **environment},
+            )
+
     def end(self) -> int:
         """Kill it, and return how it ended, as `ended` does; may be called again."""
         if not self.connection.closed:  # else its number may be another process's by now
@@ -89,7 +88,7 @@ class Child:
         return self._process.wait()
 
 
-class Program:
+class Program(_Beside):
     """Any program that runs beside this process, and ends with it.
 
     The client of a scenario is one. `hear` gets each line of its output, in a thread. Its input is
@@ -99,23 +98,18 @@ class Program:
 
     def __init__(self, command: Sequence[str], folder: Path, hear: Callable[[str], None]) -> None:
         environment = {n: v for n, v in os.environ.items() if n not in SAFE_PATH}
-
-        def start() -> subprocess.Popen[str]:
-            return subprocess.Popen(
-                [sys.executable, "-P", "-c", _LEASHED, str(os.getpid()), *command],
-                cwd=folder,
-                env=environment | {"PYTHONUNBUFFERED": "1"},
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                start_new_session=True,
-            )
-
+        super().__init__(
+            [sys.executable, "-P", "-c", _LEASHED, str(os.getpid()), *command],
+            cwd=folder,
+            env=environment | {"PYTHONUNBUFFERED": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+        )
         self.last: deque[str] = deque(maxlen=KEPT_LINES)  # lines of its output
         self._hear = hear
-        self._process = _lasting_thread().submit(start).result()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -127,25 +121,17 @@ class Program:
             self.last.append(line.rstrip())
             self._hear(line.rstrip())
 
-    def ended(self, limit: float = 0.0) -> int | None:
-        """Wait for its end, for a time [s]; return the exit code, or minus the signal."""
-        if self._process.returncode is not None:
-            return self._process.returncode
-        # It is not reaped yet, so that the number stays that of its group until `end`.
-        asked, deadline = os.WEXITED | os.WNOHANG | os.WNOWAIT, time.monotonic() + limit
-        while (end := os.waitid(os.P_PID, self._process.pid, asked)) is None:
-            if time.monotonic() >= deadline:
-                return None
-            time.sleep(LOOKING)
-        self._reader.join(CLOSING)
-        return end.si_status if end.si_code == os.CLD_EXITED else -end.si_status
+    def ended(self, limit: float | None = 0.0) -> int | None:
+        """Wait for its end and its last output, see `_Beside.ended`."""
+        code = super().ended(limit)
+        if code is not None:
+            self._reader.join(CLOSING)
+        return code
 
     def end(self) -> None:
         """Kill it with all that it has started."""
-        if self._process.returncode is None:
-            _kill_group(self._process)
-            self._process.wait()
-            self._reader.join(CLOSING)
+        self.kill()
+        self.ended(None)
 
 
 def _kill_group(process: subprocess.Popen[Any]) -> None:
@@ -168,45 +154,32 @@ def run(
     command: Sequence[str], folder: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> subprocess.CompletedProcess[str]:
     """Run a program, such as a compiler, to its end; if Ctrl-C ends the wait for it, kill it."""
-    process = None
+    started = _start(
+        command,
+        cwd=folder,
+        env=dict(environment),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",  # they may write anything
+    )
     try:
-        with _signals_wait():
-            process = subprocess.Popen(
-                command,
-                cwd=folder,
-                env=dict(environment),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",  # they may write anything
-                start_new_session=True,  # so that it can be killed with all that it has started
-            )
-        output, errors = process.communicate()
+        output, errors = started.result().communicate()
     except BaseException:
-        if process is not None:
-            with process, suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+        with started.result() as process:
+            _kill_group(process)
         raise
-    return subprocess.CompletedProcess(command, process.returncode, output, errors)
+    return subprocess.CompletedProcess(command, started.result().returncode, output, errors)
 
 
-@contextmanager
-def _signals_wait() -> Iterator[None]:
-    """Handle signals after the block: `Popen` would forget a process that has just begun."""
-    if threading.current_thread() is not threading.main_thread():  # which alone handles them
-        yield
-        return
-    came: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    handlers = [signal.signal(number, lambda each, _: came.append(each)) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, handlers, strict=True):
-            signal.signal(number, handler)
-        for sent in came:
-            signal.raise_signal(sent)
+def _start(command: Sequence[str], **settings: Any) -> Future[subprocess.Popen[Any]]:
+    """Start a process that gets no Ctrl-C, and can be killed with all that it has started."""
+    # In a thread that lasts: for Linux it is the parent. The exception of a signal, for which
+    # `Popen` would forget a process that has just begun, does not come there.
+    return _lasting_thread().submit(
+        lambda: subprocess.Popen(command, start_new_session=True, **settings)
+    )
 
 
 def last_line(text: str) -> str:
