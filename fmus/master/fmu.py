@@ -129,6 +129,12 @@ class FmuSlave(Caller, ABC):
                     content[i] = scalar.converted(values[scalar.name])
             self.set_lists(scalars[:1], content)
 
+    def read(self, names: Sequence[str]) -> list[float]:
+        """Read variables once."""
+        values = np.empty((1, len(names)))
+        self.bind_get(names, values)(0)
+        return [*values[0].tolist()]
+
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function of a row's index that reads variables into that row of a block."""
         return self._bind("Get", names, block)

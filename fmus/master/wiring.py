@@ -201,22 +201,26 @@ class Moved:
 
 
 class Shared:
-    """Exchanges rows of a block with an FMU in another process, by memory that both have."""
+    """Exchanges rows of a block with an FMU in another process: float64 by memory that both have.
+
+    Other values go with the requests of `RemoteSlave`.
+    """
 
     name = "exchange"
 
-    def __init__(self, slave: Any, index: int, block: Array, memory: Array, *, reads: bool) -> None:
-        self.slave, self.index, self.block, self.memory = slave, index, block, memory
-        self._reads = reads
+    def __init__(self, slave: Any, block: Array, memory: Array, *, reads: bool) -> None:
+        self.slave, self.block, self.memory, self._reads = slave, block, memory, reads
 
     def __call__(self, row: int) -> None:
         """Exchange the values of a row."""
+        slave = self.slave
         if self._reads:
-            self.slave.refresh()
-            self.block[row] = self.memory
-        else:
-            self.memory[:] = self.block[row]
-            self.slave.note(self)
+            slave.outputs = slave.call("outputs") if slave.outputs is None else slave.outputs
+            self.block[row] = slave.outputs or self.memory
+            return
+        self.memory[:] = self.block[row]
+        slave.inputs = [] if self.memory.dtype == np.float64 else self.memory.tolist()
+        slave.outputs = None
 
     def for_c(self) -> dict[str, int | None]:
         """Return what the kernel calls: nothing, as values need only be copied."""

@@ -11,8 +11,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from ..fmus.atomic import write_whole
 from ..fmus.build.identity import package_version
 from ..fmus.errors import InputError
@@ -90,9 +88,7 @@ class Output:
         engine: dict[str, int] = {}
         for name, fmu in self.system.fmus.items():
             if COUNTED.names()[0] in fmu.variables:
-                counts = np.zeros((1, COUNTED.size))
-                self.system.slaves[name].bind_get(COUNTED.names(), counts)(0)
-                numbers = zip(WARNINGS, counts[0], strict=True)
+                numbers = zip(WARNINGS, self.system.slaves[name].read(COUNTED.names()), strict=True)
                 engine |= {f"{name}.{kind}": int(number) for kind, number in numbers}
         self.recorder.late |= {"engine": engine} if engine else {}
 

@@ -220,7 +220,6 @@ def _own_scene(prepared: Prepared) -> tuple[Any, Array]:
         must = "must be a MuJoCo model that extends PandaPlant, for a route to be planned in it"
         raise InputError(f"{place}; {must}")
     names = prepared.assembly.interfaces["plant"].variable("qpos").names()
-    qpos = np.empty((1, len(names)))
     with prepared.open([]) as system:
-        system.slaves["plant"].bind_get(names, qpos)(0)
-    return load_binary(content, place), qpos[0]
+        qpos = np.array(system.slaves["plant"].read(names))
+    return load_binary(content, place), qpos
