@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -367,19 +368,31 @@ def wire(_: Path | None) -> str:
     """A program on pylibfranka, in step with the plant: `.ci/studies/wire.py`, 4,000 ticks each.
 
     Ticks per second of wall time, with the program's own work, and the machine's load meanwhile.
+    Beside it the simulator franky-sim with the same program, if this command is there. It follows
+    the wall clock, so that 1,000 is the most it can do.
     """
+    program = ROOT / ".ci" / "studies" / "wire.py"
     with tempfile.TemporaryDirectory() as folder:
-        program, result = ROOT / ".ci" / "studies" / "wire.py", Path(folder, "rates.json")
+        result = Path(folder, "rates.json")
         command = json.dumps(["python", str(program), "{address}", str(result)])
         Path(folder, "scenario.toml").write_text(
             'duration = 60.0\nscene = "motors"\nrobot = "fr3"\ncontroller = "franka"\n'
             f"[client]\ncommand = {command}\n"
         )
         _said([*RUN, "run", folder, "--out", f"{folder}/run", *QUIET])
-        rates = json.loads(result.read_text())
-    rates["load in the last minute"] = os.getloadavg()[0]
-    texts = [f"{value:.3g}" if value < 100 else f"{value:.0f}" for value in rates.values()]
-    return _table([*rates], [texts])
+        rows = [("panda-cosim", json.loads(result.read_text()))]
+        if shutil.which("franky-sim"):
+            address = "127.0.0.1"
+            line = ["franky-sim", "--simulator", "mujoco", "--hostname", address]
+            with subprocess.Popen(line, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                                  stdout=subprocess.PIPE, text=True) as server:  # fmt: skip
+                next(text for text in server.stdout or () if "Press Ctrl+C" in text)
+                _said([sys.executable, str(program), address, str(result)])
+                server.terminate()
+            rows.append(("franky-sim", json.loads(result.read_text())))
+    texts = [(name, *(f"{rate:.0f}" for rate in rates.values())) for name, rates in rows]
+    load = f"Load in the last minute: {os.getloadavg()[0]:.2f}."
+    return f"{_table(['simulator', *rows[0][1]], texts)}\n\n{load}"
 
 
 def engines(_: Path | None) -> str:
