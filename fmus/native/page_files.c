@@ -1,4 +1,4 @@
-/* What a page gives instead of an operating system: memory, resources, and a place for messages.
+/* What a page gives instead of an operating system: memory and resources.
  *
  * An FMU is a module that shares the memory of MuJoCo's module, from whose heap it takes its own. Where its
  * data and its stack lie is known when it is linked.
@@ -7,7 +7,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmi3Functions.h"
 #include "resources.h"
 
 #define FROM(module, function) __attribute__((import_module(module), import_name(function)))
@@ -15,7 +14,6 @@ FROM("mujoco", "malloc") void *mujoco_malloc(size_t size);
 FROM("mujoco", "free") void mujoco_free(void *block);
 FROM("page", "size") int page_size(const char *path); /* of a resource; -1: there is none */
 FROM("page", "read") void page_read(const char *path, char *to);
-FROM("page", "log") void page_log(int status, const char *text);
 
 void *malloc(size_t size) { return mujoco_malloc(size); }
 void free(void *block) { mujoco_free(block); }
@@ -38,15 +36,4 @@ char *read_file(const char *path, size_t *size, char *why, size_t why_size)
     if (content) page_read(path, content);
     if (content) content[found] = '\0';
     return content;
-}
-
-static void hear(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category, fmi3String text)
-{
-    page_log((int)status, text);
-}
-
-/* A page has no function pointers to give. */
-FMI3_Export fmi3Instance page_instantiate(const char *name, const char *token, const char *resources)
-{
-    return fmi3InstantiateCoSimulation(name, token, resources, false, false, false, false, NULL, 0, NULL, hear, NULL);
 }

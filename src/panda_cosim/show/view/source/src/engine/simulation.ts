@@ -1,5 +1,5 @@
-// Steps a system in real time, and carries out commands between two rows, as
-// src/panda_cosim/study/live/simulation.py does it behind a server: one protocol.
+// Steps a system in real time, and carries out commands between two rows, as a server of pages
+// does it: one protocol.
 import type { Command, Plan, Status, Tunable, Value } from "../live/link.ts";
 import { type Modules, System, type SystemData } from "./system.ts";
 

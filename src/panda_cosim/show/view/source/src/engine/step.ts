@@ -1,4 +1,4 @@
-// The master's step, as fmus/master/step.py has it: from the values at t_k to those at t_k+1.
+// The master's step in the words of the Python one: from the values at t_k to those at t_k+1.
 //
 // Gauss-Seidel: a slave that feeds a later one is a leader, such as the controller, which feeds the
 // plant. Its outputs act within the same step. The other slaves are followers.
