@@ -287,7 +287,7 @@ WHOLE = '{"format": 1, "complete": true}'
 FOREIGN = [
     (["time"], "float64", None, "is not a recording of panda-cosim"),
     (["time"], "float64", "{", "is damaged"),
-    (["time"], "float64", "[]", "is damaged"),
+    (["time"], "float64", "[]", "format None; must be 1"),
     (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
     (["time"], "float16", WHOLE, "type halffloat; must be double"),
     ([], "float64", WHOLE, "the first column is not time"),

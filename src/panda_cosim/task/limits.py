@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..assets import franka
-
-Array = NDArray[np.float64]
+from ..assets.fields import Array
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 METRICS: Final[Mapping[str, str]] = _TABLES["metrics"]

@@ -1,9 +1,8 @@
 """Batches of rotations: unit quaternions (w, x, y, z), shape (..., 4), and rotation vectors."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..assets.fields import Array
 
 
 def multiply(a: Array, b: Array) -> Array:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, MutableMapping
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Literal, Self, cast, get_args
 
 from pydantic import BeforeValidator, PlainSerializer, PlainValidator, SkipValidation
 
@@ -350,8 +350,7 @@ class Scenario:
         Raises:
             InputError: A key or a value cannot be used; the key is named.
         """
-        new: Scenario = changed(self, values)
-        return new
+        return cast("Scenario", changed(self, values))
 
 
 def _name_parts(keys: MutableMapping[str, object]) -> None:

@@ -9,13 +9,12 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..assets.fields import Array
 from ..fmus.interface import controller
 from ..fmus.interface.controller import CONTROLLER
 from . import rotations
 from .fields import Quantity, Vector, checked
 from .table import POSITION, TrajectoryTable
-
-Array = NDArray[np.float64]
 
 INTERPOLATIONS = ("linear", "quintic", "spline")
 

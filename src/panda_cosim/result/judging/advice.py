@@ -10,10 +10,12 @@ from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...assets.checks import REMEDIES
+from ...assets.fields import Array
 from ...fmus.interface.plant import FORCES
 from ...task.criteria import HELD_FORCE
 from ...task.scenario import TABLE_FILE
@@ -26,7 +28,6 @@ from .limits import exceeded
 from .rows import table_row
 from .summary import Metrics, Summary
 
-Array = NDArray[np.float64]
 Level = Literal["wrong", "refused", "hint", "good"]
 Finding = tuple[float, str, str]  # when [s], what is wrong then, and which remedy helps
 
@@ -180,10 +181,8 @@ def _releases(recording: Recording, holds: Sequence[Hold]) -> Iterator[Finding]:
 
 def _average(values: Array) -> Array:
     """Average values (n, ...) over the last `SMOOTHING` rows, up to each."""
-    padded = np.pad(values, [(SMOOTHING, 0), *[(0, 0)] * (values.ndim - 1)], mode="edge")
-    total = padded.cumsum(axis=0)
-    mean: Array = (total[SMOOTHING:] - total[:-SMOOTHING]) / SMOOTHING
-    return mean
+    padded = np.pad(values, [(SMOOTHING - 1, 0), *[(0, 0)] * (values.ndim - 1)], mode="edge")
+    return np.asarray(sliding_window_view(padded, SMOOTHING, axis=0).mean(axis=-1))
 
 
 def refusals(preflight: Metrics, *, complete: bool) -> Iterator[tuple[Level, str]]:

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...task import rotations
 from ..recording import Recording, by_rows
-from .holds import BLOCK, Hold, last_release, placed_row
+from .holds import BLOCK, Hold, instant, last_release, placed_row
 from .summary import Metrics
-
-Array = NDArray[np.float64]
 
 SUPPORT: Final = "plant.support_force"
 POSE: Final = [f"plant.qpos[{i}]" for i in range(10, 17)]  # position, quaternion (w, x, y, z)
@@ -43,8 +41,8 @@ def measure_block(
         **_set_down(recording, height, released, placed),
         "final_position_m": final[:3].tolist(),
         "final_quaternion_wxyz": final[3:].tolist(),
-        "placed_at_s": _instant(time, placed),
-        "release_s": _instant(time, released.end if released else None),
+        "placed_at_s": instant(time, placed),
+        "release_s": instant(time, released.end if released else None),
         "peak_tilt_deg": float(tilt.max()),
         "tilt_deg": float(tilt[at]),
         "yaw_deg": yaw,
@@ -52,10 +50,6 @@ def measure_block(
         "place_error_mm": None if goal is None else float(np.linalg.norm(error)),
         "place_error_xyz_mm": None if goal is None else error.tolist(),
     }
-
-
-def _instant(time: Array, row: int | None) -> float | None:
-    return None if row is None or row >= len(time) else float(time[row])
 
 
 def _yaw(quaternion: Array) -> float:
@@ -76,9 +70,9 @@ def _holds(recording: Recording, held: Sequence[Hold]) -> list[Metrics]:
     return [
         {
             "grasp_s": float(time[hold.grasp]),
-            "lift_s": _instant(time, hold.lift),
-            "release_command_s": _instant(time, hold.release_command),
-            "release_s": _instant(time, hold.end),
+            "lift_s": instant(time, hold.lift),
+            "release_command_s": instant(time, hold.release_command),
+            "release_s": instant(time, hold.end),
             "slip_mm": slip,
         }
         for hold, slip in zip(held, slips, strict=True)

@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...task.criteria import HELD_FORCE, LIFTED
 from ..recording import Recording, by_rows
 
-Array = NDArray[np.float64]
 Events = dict[str, float | None]
 
 FORCE: Final = "plant.contact_force"
@@ -124,10 +124,12 @@ def events(recording: Recording, holds: Sequence[Hold]) -> Events:
         "end": len(time) - 1,
         "collision": first_collision(recording),
     }
-    return {
-        name: float(time[row]) if row is not None and len(time) else None
-        for name, row in rows.items()
-    }
+    return {name: instant(time, row) for name, row in rows.items()}
+
+
+def instant(time: Array, row: int | None) -> float | None:
+    """Return the time of a row [s]; None if there is none."""
+    return None if row is None or not 0 <= row < len(time) else float(time[row])
 
 
 def first_collision(recording: Recording) -> int | None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from itertools import repeat
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.fields import Array
 from ...assets.franka import ROBOTS
 from ...assets.limits import RobotLimits
 from ...fmus.errors import refuse
@@ -16,7 +17,6 @@ from ...task.limits import LIMITS, LIMITS_OF, METRICS, robot_of
 from ..recording import Recording, by_rows
 from .summary import Metrics
 
-Array = NDArray[np.float64]
 Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
 
 HAND: Final = "plant.hand_xpos"
@@ -65,21 +65,13 @@ def all_lacking(recorded: Container[str]) -> str:
 
 def shares_over_time(recording: Recording, metric: str) -> Iterator[Array]:
     """Yield the use of a limit at each row (n,), joint by joint, 1 and -1 at the limit."""
-    return iter(_USES[metric][1](recording))
+    _, quantity, used = _USES[metric]
+    bounds = LIMITS_OF[robot_of(recording.metadata)][quantity].bound if quantity else repeat(1.0)
+    return map(np.divide, used(recording), bounds)
 
 
 def _robot(recording: Recording) -> RobotLimits:
     return ROBOTS[robot_of(recording.metadata)]
-
-
-def _share(quantity: str, used: Elements) -> Elements:
-    """Return the shares of a limit that does not depend on the position."""
-
-    def shares(recording: Recording) -> Iterable[Array]:
-        limit = LIMITS_OF[robot_of(recording.metadata)][quantity].bound
-        return map(np.divide, used(recording), limit)
-
-    return shares
 
 
 def _positions(recording: Recording) -> Iterable[Array]:
@@ -142,17 +134,19 @@ def _reference_rates(order: int) -> Elements:
     return rates
 
 
-# By metric: the signals that it needs, and the shares of the limit, joint by joint.
-_USES: Final[Mapping[str, tuple[tuple[str, ...], Elements]]] = {
-    "position_share": ((_Q,), _positions),
-    "velocity_share": ((_QD, _Q), _velocities("plant.qvel", "plant.qpos")),
-    "torque_share": ((_F,), _share("torque", _of(FORCE))),
-    "torque_rate_share": ((_F,), _share("torque rate", _torque_rates)),
-    "finger_speed_share": ((_QD,), _share("finger speed", _of("plant.qvel", 8, 2))),
-    "reference_velocity_share": ((_REF, _Q_REF), _velocities(REFERENCE, "controller.qpos_ref")),
-    "reference_acceleration_share": ((_REF,), _share("acceleration", _reference_rates(1))),
-    "reference_jerk_share": ((_REF,), _share("jerk", _reference_rates(2))),
-}
+# By metric: the signals that it needs, the limit, unless it depends on the position, and its use.
+_USES: Final[Mapping[str, tuple[tuple[str, ...], str, Elements]]] = {
+    "position_share": ((_Q,), "", _positions),
+    "velocity_share": ((_QD, _Q), "", _velocities("plant.qvel", "plant.qpos")),
+    "torque_share": ((_F,), "torque", _of(FORCE)),
+    "torque_rate_share": ((_F,), "torque rate", _torque_rates),
+    "finger_speed_share": ((_QD,), "finger speed", _of("plant.qvel", 8, 2)),
+    "reference_velocity_share": (
+        (_REF, _Q_REF), "", _velocities(REFERENCE, "controller.qpos_ref")
+    ),
+    "reference_acceleration_share": ((_REF,), "acceleration", _reference_rates(1)),
+    "reference_jerk_share": ((_REF,), "jerk", _reference_rates(2)),
+}  # fmt: skip
 
 
 def largest_share(shares: Metrics) -> float | None:

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE, TORQUE_DRIVEN
 from ...assets.checks import (
@@ -33,6 +32,7 @@ from ...assets.checks import (
     torque_rate_measure,
     touch_measures,
 )
+from ...assets.fields import Array
 from ...assets.franka import JOINT_DAMPING
 from ...assets.limits import RobotLimits, robot_limits
 from ...controller.model import FINGERTIPS, ArmModel
@@ -45,7 +45,6 @@ from .holds import COMMAND, first_collision
 from .rows import table_row
 from .summary import Metrics
 
-Array = NDArray[np.float64]
 INTERFACES: Final = ("joint", "cartesian", "torque", "arm")
 BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
 HAND: Final = ("plant.hand_xpos", "plant.hand_xquat")
@@ -125,8 +124,7 @@ def _received(count: int, rates: Rates) -> Rates:
 def _largest(*values: Array) -> Array:
     """Return which of the values is the largest in magnitude, element by element."""
     stack = np.stack(values)
-    largest: Array = np.take_along_axis(stack, np.abs(stack).argmax(axis=0)[None], axis=0)[0]
-    return largest
+    return np.asarray(np.take_along_axis(stack, np.abs(stack).argmax(axis=0)[None], axis=0)[0])
 
 
 class _Arm:
@@ -293,8 +291,7 @@ def _has_motors(recording: Recording) -> bool:
 
 
 def _gains(recording: Recording) -> Metrics:
-    gains: Metrics = recording.metadata.get("parameters", {}).get("controller", {})
-    return gains
+    return dict(recording.metadata.get("parameters", {}).get("controller", {}))
 
 
 def _cause(recording: Recording) -> str:

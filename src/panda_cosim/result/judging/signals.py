@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import did_you_mean, excerpt, located, refuse
 from ...task.criteria import (
     BLOCK,
@@ -34,7 +35,6 @@ from .block import POSE
 from .criterion import Criterion
 from .holds import Events
 
-Array = NDArray[np.float64]
 Reduction = Callable[[Array, Array, SignalCriterion], float]
 AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
 _POSE: Final = "_xquat[4]"  # end of a column's name, where a body's pose is recorded

@@ -194,8 +194,7 @@ class Summary:
         head = {"format": FORMAT, "verdict": self.verdict.word, **judged}
         whole = asdict(self)
         whole.pop("end")
-        values: Metrics = json_values({**head, **whole})
-        return values
+        return dict(json_values({**head, **whole}))
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, located, one_line, refuse
 from ...fmus.extras import needing
 from ...fmus.reading import finite_number, open_regular
@@ -25,7 +25,6 @@ from ...task.files import MAX_BYTES, parse_csv, read_text, read_toml
 from .reader import Recording
 from .storage import read_cells
 
-Array = NDArray[np.float64]
 Columns = dict[str, Array]  # numbers by name, each (n,)
 
 MCAP, PARQUET = ".mcap", ".parquet"

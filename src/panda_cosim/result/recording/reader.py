@@ -16,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import InputError, did_you_mean, excerpt, one_line
 from ...fmus.extras import needing
@@ -34,8 +35,6 @@ from .storage import (
     open_stream,
     read_type,
 )
-
-Array = NDArray[np.float64]
 
 _INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*)\]", re.A)
 

@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.atomic import writing
 from ...fmus.errors import InputError, SimulationError
 from . import storage
 from .reader import Recording
 from .storage import PARQUET_FILE, STREAM_FILE, Column
-
-Array = NDArray[np.float64]
 
 FLUSH_INTERVAL = 0.3  # [s] wall time; the master's own delay makes it at most 0.5 s
 _BUFFER_ROWS = 4096

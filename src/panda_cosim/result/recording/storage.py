@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
+from ...assets.fields import Array
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError, excerpt, one_line
 from ...fmus.interface.variables import address
 from ...fmus.reading import finite_number
 from ...task.files import read_integer
 
-Array = NDArray[np.float64]
 Metadata = dict[str, Any]
 Blocks = Callable[[Sequence[str]], Iterator[list[Array]]]  # named columns in blocks of rows
 
@@ -155,17 +155,26 @@ def parquet_writer(
         raise OSError(str(error)) from error
 
 
+@contextmanager
+def _reading(path: Path, problem: str) -> Iterator[None]:
+    """Say what is wrong with a file that cannot be read."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    try:
+        yield
+    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+        raise InputError(f"{path}: {problem}: {one_line(error)}") from error
+
+
 def open_stream(path: Path) -> Source:
     """Open an Arrow stream: all complete batches, without an incomplete one at its end."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
 
     if not path.stat().st_size:
         raise InputError(f"{path}: is empty: its run was killed at once, or has just begun")
-    try:
+    with _reading(path, "is not an Arrow stream"):
         # Memory-mapped, so that only the headers of batches are read from disk here.
         reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"{path}: is not an Arrow stream: {one_line(str(error))}") from error
     columns, metadata = read_schema(path, reader.schema)
     state: Metadata = {"complete": False, "reason": NO_END}
     batches = rows = 0
@@ -199,29 +208,18 @@ def _blocks(
     path: Path, tables: Callable[[Sequence[str]], Iterator[Any]], names: Sequence[str]
 ) -> Iterator[list[Array]]:
     """Yield the named columns of a file's tables, which have about `BLOCK_ROWS` rows each."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-
-    try:
+    with _reading(path, "is damaged"):
         for table in tables(names):
             yield [values_of(table.column(name).combine_chunks()) for name in names]
-    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-        raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
 
 
 def open_parquet(path: Path) -> Source:
     """Open a complete recording."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-    try:
+    with _reading(path, f"must be a run's folder or its {PARQUET_FILE}, whole"):
         file = pq.ParquetFile(literal(path), page_checksum_verification=True)
         schema = file.schema_arrow
-    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        if isinstance(error, OSError) and error.strerror:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-        raise InputError(
-            f"{path}: is not a whole recording; must be a run's folder or its {PARQUET_FILE}"
-        ) from error
     columns, metadata = read_schema(path, schema)
     groups = [file.metadata.row_group(number).num_rows for number in range(file.num_row_groups)]
     is_short = len(groups) == 1 and groups[0] <= BLOCK_ROWS
@@ -243,13 +241,10 @@ def open_parquet(path: Path) -> Source:
 
 def read_cells(path: Path) -> dict[str, list[Any]]:
     """Return the columns of any Parquet file."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-    try:
+    with _reading(path, "cannot be read"):
         return dict(pq.ParquetFile(literal(path)).read().to_pydict())
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(str(error))}") from error
 
 
 def make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
@@ -298,12 +293,10 @@ def read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
     text = (schema.metadata or {}).get(METADATA_KEY)
     if text is None:
         raise InputError(f"{path}: is not a recording of panda-cosim: its metadata is missing")
-    try:
-        metadata = json.loads(text, parse_int=read_integer)
-        version = metadata.get("format")
+    with _reading(path, "is damaged"):
+        metadata = dict(json.loads(text, parse_int=read_integer))
         columns = tuple(_read_column(path, field) for field in schema)
-    except (ValueError, AttributeError) as error:
-        raise InputError(f"{path}: is damaged: {one_line(str(error))}") from None
+    version = metadata.get("format")
     if version != FORMAT:
         raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
     return columns, metadata
