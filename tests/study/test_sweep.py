@@ -42,7 +42,7 @@ def made(**keys: Any) -> Sweep:
         ('scenario = "push"\nsamples = 8', "nothing is varied"),
         ('scenario = "push"\nsamples = 8.5', "samples: value 8.5; must be a whole number"),
         ('scenario = "push"\ndesign = "sobl"', "design: value 'sobl'; must be one of .*'sobol'"),
-        ('scenario = "push"\nkeep = "best"', "keep: value 'best'; must be none, failures"),
+        ('scenario = "push"\nkeep = "best"', "keep: value 'best'; must be one of none, failures"),
         ('scenario = "push"\ndesign = "list"', "file: required with"),
         ('scenario = "push"\n[vary.plant.block_mass]\nuniform = [0, 1]', "needs quotes"),
         (

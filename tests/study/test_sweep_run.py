@@ -90,15 +90,14 @@ def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus):
     definition = replace(load_sweep("random_box"), design="random", samples=2, seed=11)
     design = Design(definition)
     tasks = [Task(i, 0, design.values(i)) for i in range(2)]
-    both = [*tasks, *(replace(task, keep=True) for task in tasks)]
-    rows: dict[bool, dict[int, dict[str, object]]] = {False: {}, True: {}}
-    with Local(job(definition, fmus), 1) as local:
-        for done in filter(None, local.run(both)):
-            assert bool(done.files) == done.task.keep
-            row = {name: value for name, value in done.row.items() if name != "wall_s"}
-            rows[done.task.keep][done.task.index] = row
-    assert len(rows[False]) == 2
-    assert rows[False] == rows[True]
+    rows: dict[str, dict[int, dict[str, object]]] = {"none": {}, "all": {}}
+    for keep, found in rows.items():
+        with Local(job(definition, fmus, keep=keep), 1) as local:
+            for done in filter(None, local.run(tasks)):
+                assert bool(done.files) == (keep == "all")
+                found[done.task.index] = {k: v for k, v in done.row.items() if k != "wall_s"}
+    assert len(rows["none"]) == 2
+    assert rows["none"] == rows["all"]
 
 
 def test_a_sweep_is_judged_by_its_success_rate(whole, tmp_path):
@@ -167,19 +166,6 @@ def test_a_changed_definition_is_refused_and_named(whole):
         definition = short_sweep(whole, **{"samples": 40, "keep": "failures", **keys})
         with pytest.raises(InputError, match=f"holds another sweep: .*{named}"):
             sweep(definition, whole / "out")
-
-
-def test_the_worst_rows_are_kept_when_all_are_known(tmp_path):
-    out = sweep(short_sweep(tmp_path, 6, keep="worst:2"), tmp_path / "out", jobs=1).folder
-    rows = sorted(rows_of(out), key=lambda row: row["margin"])
-    kept = sorted(int(path.name) for path in (out / "runs").iterdir())
-    assert kept == sorted(row["index"] for row in rows[:2])
-    worst = out / "runs" / f"{kept[0]:07d}"
-    assert Recording.open(worst).sha256()
-    # A kill while its files are written leaves the first of them.
-    (worst / "summary.json").unlink()
-    sweep(short_sweep(tmp_path, 6, keep="worst:2"), out, jobs=1)
-    assert (worst / "summary.json").exists()
 
 
 def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path):

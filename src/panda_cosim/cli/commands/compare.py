@@ -9,7 +9,6 @@ from pathlib import Path
 from rich.text import Text
 
 from ...fmus.atomic import check_replaceable, write_whole
-from ...fmus.errors import InputError
 from ...study.compare.between_runs import RunComparison, compare
 from ...study.compare.wording import signal_names
 from ..console import Item, show_result, table
@@ -49,8 +48,6 @@ def command(
         runs: Folders of runs, or logs (.csv, .parquet, .mcap); compared with the first, a run.
         out: Write compare.html there, with all details.
     """
-    if len(runs) < 2:
-        raise InputError("RUN: only one; must be at least two runs")
     comparison = compare(runs[0], *runs[1:], names=names)
     if out is not None:
         check_replaceable(out / PAGE, overwrite=overwrite)

@@ -253,8 +253,7 @@ def _signals_part(comparison: RunComparison, table: Table) -> Part:
         (comparison.other_units, "columns in other units or types, not compared"),
         (comparison.missing, "columns that only some runs have"),
     ):
-        rows = [(name,) for name in columns]
-        tables.append(Table(("Signal",), rows, f"{len(rows)} {words}"))
+        tables.append(Table(("Signal",), [(each,) for each in columns], f"{len(columns)} {words}"))
     numbers = [row for row in comparison.signals if row.name in comparison.recordings[0].units]
     shown = varied(numbers, lambda row: row.name, ALIKE)[:FIGURES]
     note = "A range below a thousandth of the signal's largest value counts as that."

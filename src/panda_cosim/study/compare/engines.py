@@ -54,7 +54,7 @@ def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
     if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
         return ""
     own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
-    return difference_of(own_run, noisy_run, run, own.tolerances)
+    return difference_of(own_run, noisy_run, run, own.read.regression)
 
 
 def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:

@@ -49,9 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
     for folder in config.getoption("--panda-scenarios"):
         if not folder.is_dir():
             raise pytest.UsageError(f"--panda-scenarios: {folder}: no such folder")
-        parents = [Path(argument.partition("::")[0]).resolve() for argument in config.args]
-        if not any(folder.resolve().is_relative_to(parent) for parent in parents):
-            config.args.append(str(folder))
+        config.args.append(str(folder))  # pytest collects what is named twice once
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:

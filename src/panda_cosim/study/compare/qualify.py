@@ -9,7 +9,9 @@ from __future__ import annotations
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -71,22 +73,24 @@ def changes_of(scenario: Scenario, share: float) -> Iterator[Change]:
             if isinstance(value, int | float) and not isinstance(value, bool):
                 signals[signal_of(name)].append(float(value))
         for name, before in signals.items():
-            key = f"{instance}.{name}"
-            step = STEPS.get(key, 0.0)
-            for factor in (1.0 + share, 1.0 - share):
-                now = tuple(value * factor if any(before) else step for value in before)
-                change = Change(key, tuple(before), now)
-                if change.now != change.before and _is_valid(change, scenario):
-                    yield change
-                    break
+            tried = _tried(f"{instance}.{name}", tuple(before), share)
+            yield from islice((change for change in tried if _is_valid(change, scenario)), 1)
+
+
+def _tried(key: str, before: tuple[float, ...], share: float) -> Iterator[Change]:
+    """Yield a change up and one down; of zeros, one by a step of their own."""
+    if not any(before):
+        yield Change(key, before, tuple(STEPS.get(key, 0.0) for _ in before))
+        return
+    for factor in (1.0 + share, 1.0 - share):
+        yield Change(key, before, tuple(value * factor for value in before))
 
 
 def _is_valid(change: Change, scenario: Scenario) -> bool:
-    try:
+    with suppress(InputError):
         start_values(change.applied(scenario))
-    except InputError:
-        return False
-    return True
+        return change.now != change.before
+    return False
 
 
 def qualify(
@@ -107,38 +111,33 @@ def qualify(
         if not outcome.ok:
             raise InputError(f"{outcome.name}: {outcome.verdict}: must pass before it is qualified")
         digests[outcome.name] = _digests(outcome.run)
-    scenarios = [each for each in suite.scenarios if isinstance(each, Scenario)]
-    trials: dict[str, tuple[str, Change]] = {}
-    changed = []
-    for scenario in scenarios:
-        for change in changes_of(scenario, share):
-            name = f"{scenario.name}-{change.key}"
-            trials[name] = (scenario.name, change)
-            changed.append(replace(change.applied(scenario), name=name))
+    trials = {
+        f"{scenario.name}-{change.key}": (scenario, change)
+        for scenario in suite.scenarios if isinstance(scenario, Scenario)
+        for change in changes_of(scenario, share)
+    }  # fmt: skip
     seen: dict[str, str] = {}
 
     def look(outcome: Outcome) -> None:
-        tell(outcome, len(changed))
-        name, _ = trials[outcome.name]
-        seen[outcome.name] = noticed_by(outcome)
-        if not seen[outcome.name] and _digests(outcome.run) == digests[name]:
-            seen[outcome.name] = NO_EFFECT
+        tell(outcome, len(trials))
+        is_same = _digests(outcome.run) == digests[trials[outcome.name][0].name]
+        seen[outcome.name] = noticed_by(outcome) or NO_EFFECT * is_same
         shutil.rmtree(outcome.run, ignore_errors=True)
 
+    changed = [replace(each.applied(one), name=name) for name, (one, each) in trials.items()]
     run_suite(replace(suite, scenarios=changed), folder, look)
-    return _findings(trials, seen)
-
-
-def _findings(trials: Mapping[str, tuple[str, Change]], seen: Mapping[str, str]) -> list[Finding]:
-    keys = dict.fromkeys(change.key for _, change in trials.values())
-    found = []
-    for key in keys:
-        runs = [(scenario, change, seen[name]) for name, (scenario, change) in trials.items()
-                if change.key == key]  # fmt: skip
-        noticed = [(scenario, by) for scenario, _, by in runs if by not in ("", NO_EFFECT)]
-        blind = [scenario for scenario, _, by in runs if not by]
-        found.append(Finding(key, str(runs[0][1]), tuple(noticed), tuple(blind)))
-    return found
+    found = defaultdict[str, list[tuple[str, str, str]]](list)  # scenario, change, by what
+    for name, (scenario, change) in trials.items():
+        found[change.key].append((scenario.name, str(change), seen[name]))
+    return [
+        Finding(
+            key,
+            runs[0][1],
+            noticed=tuple((name, by) for name, _, by in runs if by not in ("", NO_EFFECT)),
+            blind=tuple(name for name, _, by in runs if not by),
+        )
+        for key, runs in found.items()
+    ]
 
 
 def noticed_by(outcome: Outcome) -> str:
@@ -146,11 +145,10 @@ def noticed_by(outcome: Outcome) -> str:
     if outcome.ok:
         return ""
     missed = [criterion.name for criterion in outcome.criteria if not criterion.ok]
-    first = outcome.comparison.first if outcome.comparison else None
-    if first is not None:
-        also = f", {MISSED.word} {', '.join(missed)}" if missed else ""
-        return f"{first.name} at {first.first:.3f} s{also}"
-    return f"{MISSED.word} {', '.join(missed)}" if missed else outcome.reason
+    first = outcome.comparison and outcome.comparison.first
+    found = [f"{first.name} at {first.first:.3f} s"] if first else []
+    found += [f"{MISSED.word} {', '.join(missed)}"] if missed else []
+    return ", ".join(found) or outcome.reason
 
 
 def _digests(run: Path) -> dict[str, str]:

@@ -24,12 +24,10 @@ from ...run.system.assembly import assemble
 from ...task.client import MissingPackageError
 from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
-from ...task.tolerances import Tolerances
 from ..work import Workers
 from .against_reference import Comparison, Deviation, compare_with_reference
 from .causes import changed, is_parameter, models_of, named
-from .differences import Row
-from .reference import Models, Reference, how_to_make, kept_metadata, reference_path
+from .reference import Reference, how_to_make, kept_metadata, reference_path
 
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
@@ -107,10 +105,10 @@ class Outcome:
         return self.scenario.name
 
     @property
-    def tolerances(self) -> Tolerances:
-        """Tolerances of the comparison."""
-        assert isinstance(self.scenario, Scenario)  # an unreadable scenario has no run
-        return self.scenario.regression
+    def read(self) -> Scenario:
+        """The scenario, where there is a run of one."""
+        assert isinstance(self.scenario, Scenario)
+        return self.scenario
 
     @property
     def reason(self) -> str:
@@ -150,8 +148,7 @@ class Outcome:
     @property
     def reference_path(self) -> Path:
         """Path of the scenario's reference, which need not exist."""
-        assert isinstance(self.scenario, Scenario)
-        return reference_path(self.scenario)
+        return reference_path(self.read)
 
 
 def start(
@@ -194,33 +191,30 @@ def _outcome(scenario: Scenario | Unusable, *, run: Path, options: Options, exac
 def _compared(judged: Outcome, summary: Summary, exact: bool) -> Outcome:
     """Compare a run with its reference; without one, it stays as it was judged by its criteria."""
     path = judged.reference_path
-    assert isinstance(judged.scenario, Scenario)
-    if path.is_file():
-        try:
-            recording, reference = Recording.open(judged.run), Reference.read(path)
-            comparison = compare_with_reference(
-                recording, summary, reference, judged.tolerances, exact=exact
-            )
-            needed = not comparison.ok or judged.scenario.mujoco
-            models = models_of(judged.scenario, recording) if needed else {}
-        except CosimError as refused:
-            return replace(judged, verdict="no reference", error=str(refused))
-        comparison = replace(comparison, causes=_causes(recording, reference, models))
-        verdict: Verdict = "same" if comparison.ok else "differs"
-        return replace(judged, verdict=verdict, comparison=comparison, error="")
-    if summary.verdict is NO_CRITERIA:
+    if not path.is_file():
+        if summary.verdict is not NO_CRITERIA:
+            return judged
         advice = f"{how_to_make(path)} makes it, or give the scenario a section [success]"
         missing = f"{path}: does not exist; {advice}"
         return replace(judged, verdict="no reference", error=missing)
-    return judged
+    try:
+        comparison = _comparison(judged, summary, exact)
+    except CosimError as refused:
+        return replace(judged, verdict="no reference", error=str(refused))
+    verdict: Verdict = "same" if comparison.ok else "differs"
+    return replace(judged, verdict=verdict, comparison=comparison, error="")
 
 
-def _causes(recording: Recording, reference: Reference, models: Models) -> tuple[Row, ...]:
-    """Return what differs; of models, only if these of the run are given."""
+def _comparison(judged: Outcome, summary: Summary, exact: bool) -> Comparison:
+    """Compare a run with its reference, and models where they may be the cause."""
+    recording, reference = Recording.open(judged.run), Reference.read(judged.reference_path)
+    scenario = judged.read
+    found = compare_with_reference(recording, summary, reference, scenario.regression, exact=exact)
+    models = {} if found.ok and not scenario.mujoco else models_of(scenario, recording)
     known = {name: reference.models[name] for name in models if name in reference.models}
     before = {**reference.metadata, "models": known}
     now = {**kept_metadata(recording), "models": {name: models[name] for name in known}}
-    return tuple(changed(before, now))
+    return replace(found, causes=tuple(changed(before, now)))
 
 
 def _failed(scenario: Scenario | Unusable, run: Path, began: float, error: str) -> Outcome:
@@ -354,9 +348,8 @@ def candidate(outcome: Outcome) -> Reference:
     if not outcome.has_run:
         raise InputError(f"{outcome.verdict}, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)
-    assert isinstance(outcome.scenario, Scenario)
-    models = models_of(outcome.scenario, recording)
-    return Reference.of(recording, outcome.summary, outcome.tolerances, models)
+    models = models_of(outcome.read, recording)
+    return Reference.of(recording, outcome.summary, outcome.read.regression, models)
 
 
 def changes(outcome: Outcome, new: Reference) -> list[str]:

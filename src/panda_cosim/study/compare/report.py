@@ -134,7 +134,7 @@ def _figure(
         {"reference": expected, "run": run},
         reference.time,
         deviation.time,
-        tube(expected, width, outcome.tolerances.ticks(reference.step_size)),
+        tube(expected, width, outcome.read.regression.ticks(reference.step_size)),
         deviation.tolerance,
         POINTS_INSIDE if deviation.ok else POINTS,
     )

@@ -16,7 +16,6 @@ from ...fmus.errors import InputError
 from ...fmus.sources.targets import Target, build
 from ...fmus.twins import notice
 from ...result.judging.criterion import Criterion
-from ...result.judging.summary import SUMMARY_FILE
 from ...run.folder import default_folder
 from ...task.criteria import Success
 from ...task.typed import typed
@@ -82,9 +81,8 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     if jobs is not None and jobs < 1:
         raise InputError(f"jobs: value {jobs!r}; must be at least 1")
     scenarios, design = check_sweep(definition, out)
-    keep = "none" if definition.keep.startswith("worst:") else definition.keep
     versions = map(str, dict.fromkeys(design.columns.get("mujoco", ())))
-    job = _job(scenarios, versions, time_limit=time_limit, keep=keep)
+    job = _job(scenarios, versions, time_limit=time_limit, keep=definition.keep)
     begun_with = origin(definition, job.scenarios, job.fmus)
     store, jobs = Store(default_folder("sweep") if out is None else out), jobs or cores()
     with store.claimed():
@@ -100,7 +98,6 @@ def sweep(  # noqa: PLR0913 - options, by keyword
             for text in filter(None, (notice(), *idle, *store.changed_scenarios())):
                 remark(text)
             _fill(store, definition, design, rows, progress or (lambda *_: None))
-            _keep_worst(store, definition, rows)
     counts = store.count()
     gate = judge_rate(definition, counts, len(design)) if definition.min_success else None
     return SweepResult(store.folder, counts, gate)
@@ -199,17 +196,3 @@ def _fill(
             progress(len(there) + new, len(design))
     finally:
         store.add(part, columns)
-
-
-def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:
-    """Run the worst rows once more, to keep their recordings."""
-    if not definition.keep.startswith("worst:"):
-        return
-    keys, labels = store.content.keys, list(store.content.nominal)
-    tasks = [
-        Task(row["index"], labels.index(row["scenario"]), {k: row[k] for k in keys}, keep=True)
-        for row in store.worst(int(definition.keep.partition(":")[2]), keys)
-        if not (store.run_folder(row["index"]) / SUMMARY_FILE).exists()  # written last
-    ]
-    for done in filter(None, rows.run(tasks)):
-        store.keep(done)

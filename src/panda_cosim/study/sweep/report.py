@@ -94,35 +94,37 @@ def _unit(key: str) -> str:
     return "N" if re.fullmatch(r"push\[\d+\]\.force\[\d\]", key) else unit_of(key)
 
 
-def _rows(results: Results, chosen: list[int], worst: list[int], beside: Path) -> dict[str, object]:
-    """Return how the drawn rows ended, what repeats them, and links to them in 3D."""
+def _rows(results: Results, chosen: list[int]) -> dict[str, object]:
+    """Return how the drawn rows ended, and what repeats them."""
     store, content = results.store, results.content
-    keys, given = content.keys, content.origin["definition"]["scenario"]
-    names = dict(zip(content.nominal, given, strict=True))
-    rows = store.rows(chosen, ["status", "missed", "error", "scenario", *keys])
-    views = {}
-    for index in chosen:
-        run = store.run_folder(index)
-        if index in worst and (run / SUMMARY_FILE).exists() and not (run / VIEW_FILE).exists():
-            write_view([shown_run(run, name=f"row {index}")], run / VIEW_FILE)
-        pages = (store.folder / "shown" / run.name / VIEW_FILE, run / VIEW_FILE)
-        if page := next((each.resolve() for each in pages if each.exists()), None):
-            inside = page.is_relative_to(top := beside.resolve())
-            views[str(index)] = (
-                f"./{quote_address(page.relative_to(top).as_posix())}" if inside else page.as_uri()
-            )
+    names = dict(zip(content.nominal, content.origin["definition"]["scenario"], strict=True))
+    rows = store.rows(chosen, ["status", "missed", "error", "scenario", *content.keys])
+    # What is pasted into a shell must be one line that does what it says. So it is made here, and
+    # not taken from the table, which others may have written.
+    commands = (command(names[r["scenario"]], {key: r[key] for key in content.keys}) for r in rows)
     return {
         "results": [row["missed"] or row["status"] for row in rows],
         "errors": [row["error"] for row in rows],
-        # What is pasted into a shell must be one line that does what it says. So it is made here,
-        # and not taken from the table, which others may have written.
-        "commands": [
-            printable(command(names[row["scenario"]], {key: row[key] for key in keys}))
-            for row in rows
-        ],
+        "commands": [*map(printable, commands)],
         "show": printable(f"panda-cosim sweep show {quote(str(store.folder))}"),
-        "views": views,
     }
+
+
+def _views(store: Store, worst: Sequence[int], chosen: list[int], beside: Path) -> dict[str, str]:
+    """Return links to rows in 3D, with pages of the worst ones that are kept."""
+    views, top = {}, beside.resolve()
+    for index in worst:
+        run = store.run_folder(index)
+        if (run / SUMMARY_FILE).exists() and not (run / VIEW_FILE).exists():
+            write_view([shown_run(run, name=f"row {index}")], run / VIEW_FILE)
+    for index in chosen:
+        run = store.run_folder(index)
+        pages = (store.folder / "shown" / run.name / VIEW_FILE, run / VIEW_FILE)
+        if page := next((each.resolve() for each in pages if each.exists()), None):
+            inside = page.is_relative_to(top)
+            place = f"./{quote_address(page.relative_to(top).as_posix())}" if inside else ""
+            views[str(index)] = place or page.as_uri()
+    return views
 
 
 def _data(results: Results, keys: Sequence[str], beside: Path, *, bounds: bool) -> dict[str, Any]:
@@ -131,13 +133,14 @@ def _data(results: Results, keys: Sequence[str], beside: Path, *, bounds: bool) 
     first, *others = results.content.nominal.values()
     worst = [row["index"] for row in results.store.worst(OPENED, ())]
     chosen = np.union1d(_sample(results), np.flatnonzero(np.isin(results.index, worst)))
+    indices = results.index[chosen].tolist()
     return {
         "keys": keys,
         "labels": results.labels,
         "metrics": {name: _metric(name) for name in (*results.margins, *results.metrics)},
         "units": {key: _unit(key) for key in keys},
         "points": {name: _rounded(c) for name, c in results.columns(keys, chosen)},
-        "index": results.index[chosen].tolist(),
+        "index": indices,
         "bad": results.bad[chosen].astype(int).tolist(),
         "total": len(results.bad),
         "marginals": {key: marginal(results, key, bounds=bounds) for key in keys},
@@ -147,7 +150,8 @@ def _data(results: Results, keys: Sequence[str], beside: Path, *, bounds: bool) 
         "influences": None,
         "search": definition["design"] == "search" and definition["goal"],
         "searched": margin_column(definition["criterion"], results.margins),
-        **_rows(results, results.index[chosen].tolist(), worst, beside),
+        "views": _views(results.store, worst, indices, beside),
+        **_rows(results, indices),
     }
 
 

@@ -57,7 +57,6 @@ class Task:
     index: int
     scenario: int  # which of the sweep's
     values: Mapping[str, ParameterValue]  # by key
-    keep: bool = False  # the recording, whatever the sweep's setting
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def _job_in(folder: Path) -> Job:
 def _run_row(folder: Path, task: Task) -> Done:
     """Run a row, of failures that are kept once more, to have their recording."""
     job = _job_in(folder)
-    writes = task.keep or job.keep == "all"
+    writes = job.keep == "all"
     done = _run(folder, task, writes=writes)
     failed = done.row["status"] not in ("success", "timeout")
     if failed and job.keep == "failures" and not writes:
