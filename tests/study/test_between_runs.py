@@ -184,16 +184,6 @@ def test_a_recording_is_a_table_of_pandas(recording):
         recording.to_pandas(["controller.dp"])
 
 
-def test_a_recording_is_a_dataset_of_xarray(recording):
-    pytest.importorskip("xarray")
-    data = recording.to_xarray(["controller.dq", "plant.jac", "plant.contact_force"])
-    assert data["plant.jac"].dims == ("time", "plant.jac_1", "plant.jac_2")
-    assert data["controller.dq"].attrs["units"] == "rad"
-    at = data["controller.dq"].sel({"time": 0.2, "controller.dq_1": 2}, method="nearest")
-    assert float(at) == recording["controller.dq[2]"][200]
-    assert "plant.qpos" in recording.to_xarray()
-
-
 def test_a_notebook_shows_a_run_and_its_plot(tmp_path):
     write_files(tmp_path / "short", "duration = 0.2\n[success]\ntracking_rms = 0.005\n")
     script = (

@@ -265,7 +265,7 @@ def test_a_tolerance_is_of_a_number_that_is_recorded():
     )
     for name in ("a.temperatur", "a.q[3]", "time"):
         with pytest.raises(
-            InputError, match="no such number is recorded; valid: time, scale, events, a"
+            InputError, match="must be a number that is recorded: time, scale, events, a"
         ):
             Tolerances(values={name: 1.0}).check_names(("time", "a.temperature", "a.q[1]"))
 

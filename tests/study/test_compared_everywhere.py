@@ -175,4 +175,4 @@ def test_an_fmu_of_ones_own_is_compared_whatever_its_name(tmp_path, name, kind, 
         command(*regress, *option, code=code)
     (folder / "scenario.toml").write_text(f'{settings}"{name}.z" = 1.0\n')
     told = command(*regress).stderr, command("check", folder).stdout
-    assert all(f"key '{name}.z': no such number is recorded" in text for text in told)
+    assert all(f"value '{name}.z'; must be a number that is recorded" in text for text in told)

@@ -228,23 +228,18 @@ def _describe(error: ValidationError, cls: type) -> str:
     unknown = [p for p in problems if p["type"] == "unexpected_keyword_argument"]
     problem = (unknown or problems)[0]
     loc: Loc = problem["loc"]
-    owner = _class_at(cls, loc[:-1])
     if unknown:
-        valid = [name.removesuffix("_") for name in field_names(owner)]  # `from_` stands for `from`
+        names = field_names(_class_at(cls, loc[:-1]))
+        valid = [name.removesuffix("_") for name in names]  # `from_` stands for `from`
         return _section(loc[:-1]) + _unknown(str(loc[-1]), valid)
     if problem["type"] == "missing":
-        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {_required(owner)}"
+        return f"{_section(loc[:-1])}key {loc[-1]} is missing"
     cause = problem.get("ctx", {}).get("error")
     is_section = _class_at(cls, loc) is not None or not loc
     if cause is None:  # something else where a section is needed
         form = _form(loc, is_list=problem["type"] == "tuple_type", is_section=is_section)
         return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
     return f"{_section(loc)}{cause}" if is_section else _joined(_place(loc), cause)
-
-
-def _required(cls: Any) -> str:
-    fields, none = dataclasses.fields(cls), dataclasses.MISSING
-    return ", ".join(f.name for f in fields if f.default is f.default_factory is none)
 
 
 def _form(loc: Loc, *, is_list: bool, is_section: bool) -> str:

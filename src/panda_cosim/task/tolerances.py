@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from ..fmus.errors import InputError, did_you_mean, excerpt
+from ..fmus.errors import InputError, refuse
 from .fields import Quantity, Whole
 
 _OWN: Final = {
@@ -85,12 +85,9 @@ class Tolerances:
         known = dict.fromkeys(n for each in columns for n in (signal_of(each), each) if n != "time")
         for name in self.values:
             if name not in known:
-                signals = dict.fromkeys(signal_of(each) for each in known)
-                raise InputError(
-                    f"[regression] key {excerpt(name)}: no such number is recorded; valid: "
-                    f"{', '.join((*_OWN, *signals))}, or an element of these"
-                    f"{did_you_mean(name, (*_OWN, *known))}"
-                )
+                signals = ", ".join((*_OWN, *dict.fromkeys(map(signal_of, known))))
+                must = f"must be a number that is recorded: {signals}, or an element of these"
+                refuse("[regression] key", name, must, (*_OWN, *known))
 
     def ticks(self, step_size: float) -> int:
         """Return the half-width of all tubes in time, in steps."""

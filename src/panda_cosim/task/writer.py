@@ -6,6 +6,7 @@ import json
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -99,14 +100,12 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
 def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
     if scenario.folder is None:
         return None
-    try:
-        if Scenario.read(scenario.folder) != scenario:
-            return None
-        names = filter(None, (SCENARIO_FILE, TABLE_FILE, str(scenario.inputs.get("file", ""))))
-        files = ((folder / name, scenario.folder / name) for name in names)
-        return {new: old.read_bytes().decode("utf-8") for new, old in files if old.exists()}
-    except (InputError, OSError, ValueError):  # changed or removed since
-        return None
+    with suppress(InputError, OSError, ValueError):  # changed or removed since
+        if Scenario.read(scenario.folder) == scenario:
+            names = (SCENARIO_FILE, TABLE_FILE, *filter(None, [scenario.inputs.get("file")]))
+            files = ((folder / str(name), scenario.folder / str(name)) for name in names)
+            return {new: old.read_bytes().decode("utf-8") for new, old in files if old.exists()}
+    return None
 
 
 def settings_text(scenario: Scenario) -> str:

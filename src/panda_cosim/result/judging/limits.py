@@ -157,9 +157,9 @@ def largest_share(shares: Metrics) -> float | None:
 def exceeded(recording: Recording, shares: Metrics) -> Iterator[tuple[str, str, float]]:
     """Yield each kind of exceeded limit, as "torque rate of joint 2", "176%", and when [s]."""
     for key, metric in METRICS.items():
-        values = shares.get(key)
-        most = int(np.argmax(values)) if values else 0
-        if values and values[most] > 1.0:
+        values = shares.get(key, [0.0])
+        most = int(np.argmax(values))
+        if values[most] > 1.0:
             part = "finger" if key == "finger_speed_share" else "joint"
             share = f"{values[most]:.0%}"
             used = [*shares_over_time(recording, key)][most]

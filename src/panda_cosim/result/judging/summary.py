@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from ...fmus.errors import InputError, excerpt, one_line
+from ...fmus.errors import InputError, excerpt, one_line, refuse
 from ...task.files import read_integer
 from .criterion import Criterion, missed_text, smallest_margin, verdict_of
 from .verdict import Verdict
@@ -111,8 +111,7 @@ class Summary:
             if name not in values and value is not None:
                 value = tuple(value) if isinstance(value, list) else value
                 if default is not None and not isinstance(value, type(default)):
-                    kind = _KINDS[type(default)]
-                    raise InputError(f"{name}: value {excerpt(content[name])}; must be {kind}")
+                    refuse(name, content[name], f"must be {_KINDS[type(default)]}")
                 values[name] = value
         return cls(**values)
 

@@ -131,9 +131,8 @@ def _of_mcap(path: Path, wanted: Collection[str]) -> Columns:
     instants = [np.array(list(each)) for each in series.values()]
     times = np.unique(np.concatenate(instants))
     times = times[(times >= max(map(np.min, instants))) & (times <= min(map(np.max, instants)))]
-    held = {name: np.array(list(each.values())) for name, each in series.items()}
-    joined = zip(held, instants, held.values(), strict=True)
-    return {TIME: times} | {name: np.interp(times, own, values) for name, own, values in joined}
+    joined = {n: np.interp(times, [*each], [*each.values()]) for n, each in series.items()}
+    return {TIME: times} | joined
 
 
 def messages(path: Path) -> Iterator[tuple[str, float, Any]]:

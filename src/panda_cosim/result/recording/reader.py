@@ -63,17 +63,19 @@ class Recording:
     def __init__(self, path: Path, source: Source) -> None:
         self.path = path
         self.metadata = source.metadata
-        numbers = [column for column in source.columns if column.type not in TEXTS]
-        self.columns = tuple(column.name for column in numbers)
-        self.texts = tuple(column.name for column in source.columns if column.type in TEXTS)
         self.types = {column.name: column.type for column in source.columns}
+        self.texts = tuple(name for name, kind in self.types.items() if kind in TEXTS)
+        self.units = {c.name: c.unit for c in source.columns if c.type not in TEXTS}
+        self.columns = tuple(self.units)
         self.nominals = {c.name: c.nominal for c in source.columns if c.nominal is not None}
         self._types = {name: read_type(kind) for name, kind in self.types.items()}
-        self.units = {column.name: column.unit for column in numbers}
         self.descriptions = {column.name: column.description for column in source.columns}
         self.addresses = addresses(source.columns)
         self._source = source
-        self._check()
+        if self.columns[:1] != ("time",):
+            raise InputError(f"{path}: the first column is not time")
+        if len(self.types) != len(source.columns):
+            raise InputError(f"{path}: two columns have the same name")
         self._shapes = shapes_of(self.columns) | shapes_of(self.texts)
 
     @classmethod
@@ -206,11 +208,9 @@ class Recording:
         """Write all rows as CSV (RFC 4180), in full precision.
 
         Raises:
-            InputError: The file exists, cannot be written, or its name does not end in .csv.
+            InputError: The file exists or cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() != ".csv":
-            raise InputError(f"{path}: the file is written as CSV; its name must end in .csv")
         check_replaceable(path, overwrite=overwrite)
         with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)  # writes floats exactly, as repr()
@@ -227,13 +227,11 @@ class Recording:
         array `signals` has variable, signal, unit and description, a row for each.
 
         Raises:
-            InputError: The file exists, cannot be written, or its name does not end in .mat.
+            InputError: The file exists or cannot be written.
         """
         from scipy.io import savemat  # noqa: PLC0415 - slow to import
 
         path = Path(path)
-        if path.suffix.lower() != ".mat":
-            raise InputError(f"{path}: the file is written for MATLAB; its name must end in .mat")
         check_replaceable(path, overwrite=overwrite)
         variables, rows = {"signals": np.empty((0, 4), object)}, []
         for signal in self:
@@ -250,7 +248,7 @@ class Recording:
     def to_pandas(self, signals: Sequence[str] | None = None) -> Any:
         """Return a pandas.DataFrame with one column per scalar, indexed by time [s].
 
-        `attrs` holds units and descriptions by column.
+        `attrs` holds units and descriptions by column; its own `to_xarray` makes a dataset of it.
 
         Args:
             signals: Signals to include; None: all.
@@ -259,40 +257,14 @@ class Recording:
             InputError: pandas is not installed.
             InputError: There is no such signal.
         """
-        pandas = _library("pandas")
+        with needing("pandas", "notebook", "this table"):
+            pandas = import_module("pandas")
         names = [name for signal in signals or self.signals for name in self.elements(signal)]
         index = pandas.Index(self.time, name="time")
         frame = pandas.DataFrame({name: self[name] for name in names if name != "time"}, index)
         frame.attrs["units"] = {name: self.units.get(name, "") for name in frame.columns}
         frame.attrs["descriptions"] = {name: self.descriptions[name] for name in frame.columns}
         return frame
-
-    def to_xarray(self, signals: Sequence[str] | None = None) -> Any:
-        """Return an xarray.Dataset with one variable per signal, whose first dimension is time [s].
-
-        Further dimensions are `NAME_1`, `NAME_2`, with indices from 1. Each variable has a
-        `description`, and `units` if all its elements have the same unit.
-
-        Args:
-            signals: Signals to include; None: all.
-
-        Raises:
-            InputError: xarray is not installed.
-            InputError: There is no such signal.
-        """
-        xarray = _library("xarray")
-        variables: dict[str, tuple[Any, ...]] = {}
-        indices: dict[str, NDArray[np.int_]] = {}
-        for signal in signals or self.signals:
-            values = self[signal]
-            dimensions = [f"{signal}_{axis}" for axis in range(1, values.ndim)]
-            sizes = zip(dimensions, values.shape[1:], strict=True)
-            indices |= {dimension: np.arange(1, size + 1) for dimension, size in sizes}
-            variables[signal] = (("time", *dimensions), values, self._attributes(signal))
-        variables.pop("time", None)
-        time = ("time", self.time, {"units": "s"})
-        metadata = {k: v for k, v in self.metadata.items() if isinstance(v, str | float | int)}
-        return xarray.Dataset(variables, {"time": time, **indices}, metadata)
 
     def elements(self, name: str) -> list[str]:
         """Return the columns of a signal, or the one column of that name."""
@@ -306,12 +278,6 @@ class Recording:
         indices = (np.array(index) + 1 for index in np.ndindex(*shape))
         return [f"{name}[{','.join(map(str, index))}]" for index in indices]
 
-    def _attributes(self, signal: str) -> dict[str, str]:
-        names = self.elements(signal)
-        units = {self.units.get(name, "") for name in names}
-        same_unit = {"units": units.pop()} if len(units) == 1 else {}
-        return {**same_unit, "description": self.descriptions[names[0]]}
-
     def check_time(self) -> None:
         """Refuse instants that do not increase."""
         time = self.time
@@ -323,12 +289,6 @@ class Recording:
                 f"{self.path}: time: value {time[row]} in row {row + 1}; must increase from row to "
                 "row"
             )
-
-    def _check(self) -> None:
-        if self.columns[:1] != ("time",):
-            raise InputError(f"{self.path}: the first column is not time")
-        if len(self._types) != len(self.columns) + len(self.texts):
-            raise InputError(f"{self.path}: two columns have the same name")
 
 
 def by_rows(
@@ -367,11 +327,6 @@ def _matlab_name(signal: str, taken: Collection[str]) -> str:
     name = (bare if bare[:1].isalpha() else f"x{bare}")[:60]
     numbers = (f"{name}_{number}" for number in range(2, 100))
     return next(each for each in (name, *numbers) if each not in taken)
-
-
-def _library(name: str) -> Any:
-    with needing(name, "notebook", "this table"):
-        return import_module(name)
 
 
 @lru_cache(maxsize=16)  # runs of a sweep have the same columns
