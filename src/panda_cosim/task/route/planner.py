@@ -74,20 +74,14 @@ def _motions(
         above, loads = block[:3] + np.array([0.0, 0.0, height]), (Load.GRASPED, Load.SET_DOWN)
         yaw = 2.0 * math.atan2(block[6], block[3])
         picks = [*islice(scene.lines(above, yaw, LIFT, loads, scene.grasp, starts), CHOICE)]
-        while picks:
-            scene.block, scene.opening = block, OPEN
-            to_block = _way(scene, HOME, [down[0] for down, _ in picks], Load.STANDS)
-            if to_block is None:
-                reason = NoRouteError("no way leads to the block")
-                break
-            down, lift = picks.pop(_reached(to_block, picks))
+        if picks:
+            reason = NoRouteError("no way leads to the block")
+        for to_block, down, lift in _ways(scene, HOME, picks, Load.STANDS, OPEN):
             try:
                 carried = _carried(scene, place, starts, height, down, lift)
             except NoPlaceError as error:
                 reason = error
                 continue
-            finally:
-                scene.block = block
             return [
                 Motion("home", to_block, OPEN),
                 Motion("approach", down, READY),
@@ -95,6 +89,7 @@ def _motions(
                 Motion("lift", lift, CLOSED, CARRY),
                 *carried,
             ]
+    scene.block = block
     raise reason
 
 
@@ -106,13 +101,9 @@ def _carried(  # noqa: PLR0913 - all that the rest depends on
     scene.opening = READY
     above, loads = place + np.array([0.0, 0.0, height + DROP]), (Load.SET_DOWN, Load.GRASPED)
     places = [*islice(scene.lines(above, 0.0, RETREAT, loads, scene.release, starts), CHOICE)]
-    reason = "no posture of the arm sets the block down at its place"
-    while places:
-        scene.opening = READY
-        carry = _way(scene, lift[-1], [lower[0] for lower, _ in places], Load.HELD)
-        if carry is None:
-            raise NoPlaceError("no way leads to the place")
-        lower, retreat = places.pop(_reached(carry, places))
+    nothing = "no posture of the arm sets the block down at its place"
+    reason = "no way leads to the place" if places else nothing
+    for carry, lower, retreat in _ways(scene, lift[-1], places, Load.HELD, READY):
         scene.release(lower[-1])
         scene.opening = OPEN
         back = _way(scene, retreat[-1], [HOME], Load.STANDS)
@@ -128,9 +119,18 @@ def _carried(  # noqa: PLR0913 - all that the rest depends on
     raise NoPlaceError(reason)
 
 
-def _reached(way: Array, choice: Sequence[Lines]) -> int:
-    """Return which lines a way leads to."""
-    return int(np.argmin([np.abs(down[0] - way[-1]).max() for down, _ in choice]))
+def _ways(
+    scene: RouteScene, start: Array, choice: list[Lines], load: Load, opening: float
+) -> Iterator[tuple[Array, Array, Array]]:
+    """Yield a way to one of the lines down, with both lines there; then to one of the others."""
+    block = scene.block
+    while choice:
+        scene.block, scene.opening = block, opening
+        way = _way(scene, start, [down[0] for down, _ in choice], load)
+        if way is None:
+            return
+        reached = np.argmin([np.abs(down[0] - way[-1]).max() for down, _ in choice])
+        yield way, *choice.pop(int(reached))
 
 
 def _way(scene: RouteScene, start: Array, goals: Sequence[Array], load: Load) -> Array | None:
@@ -163,17 +163,15 @@ def _path(  # noqa: PLR0913 - all that it depends on
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(SEED)
     space, bounds = base.RealVectorStateSpace(7), base.RealVectorBounds(7)
+    bounds.low, bounds.high = scene.low.tolist(), scene.high.tolist()
+    space.setBounds(bounds)
 
     def state_of(q: Array) -> Any:
         state = space.allocState()
-        for joint in range(7):
-            state[joint] = float(q[joint])
+        for joint, angle in enumerate(q.tolist()):
+            state[joint] = angle
         return state
 
-    for joint in range(7):
-        bounds.setLow(joint, float(scene.low[joint]))
-        bounds.setHigh(joint, float(scene.high[joint]))
-    space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
     setup.setStateValidityChecker(lambda state: is_free(_joints(state)))
     information = setup.getSpaceInformation()

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...assets.fields import Array
 from ...assets.franka import DEFAULT_ROBOT, HOME_Q, HOME_XQUAT, ROBOTS
+from ...controller.ik import pose_error
 from ...plant.parameters import ARM_AND_PALM, BLOCK, FINGERS
 from .. import rotations
 
@@ -174,12 +175,10 @@ class RouteScene:
 
         Damped least squares, Ref: Nakamura and Hanafusa, 1986.
         """
-        error, turn, jac = np.empty(6), np.empty(3), self._jac
+        jac = self._jac
         for _ in range(_ROUNDS):
             hand = self.hand(q)
-            mujoco.mju_subQuat(turn, pose[3:], hand[3:])
-            mujoco.mju_rotVecQuat(error[3:], turn, hand[3:])
-            error[:3] = pose[:3] - hand[:3]
+            error = pose_error(pose[:3], pose[3:], hand[:3], hand[3:])
             size = float(np.linalg.norm(error))
             if size < _REACHED:
                 return q

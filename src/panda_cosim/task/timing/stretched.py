@@ -43,7 +43,6 @@ STRETCHING_ROUNDS: Final = 20  # each brings a segment close to its limit
 MOST_AT_ONCE: Final = 3.0  # times a segment's duration
 SPARE: Final = 1.005  # a little more than needed, so that few rounds suffice
 MUCH_SLOWER: Final = 3.0  # times, from which a joint that is at its end is there for good
-HELPED: Final = 0.9  # a hand that misses more of what it did before does not come closer in time
 SLOWLY_CORRECTED: Final = 0.0008  # [m] 2 linear_braking / ik_gain^2
 SETTLING: Final = 0.5  # [s] after the last row
 CLOSE: Final = 0.2  # [rad] from it, within which a joint brakes; it takes as much from full speed
@@ -57,7 +56,7 @@ def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -
     """
     spans, lengths = np.diff(trajectory.times), segment_lengths(trajectory)
     moving, usual = np.flatnonzero(lengths > STILL), np.maximum(spans, lengths / SPEED)
-    slowed, missed = trajectory, dict[int, float]()
+    slowed = trajectory
     for number in range(STRETCHING_ROUNDS):
         reference, violations, shares = _rehearsed(slowed, gains, load, share)
         if not violations:
@@ -70,7 +69,7 @@ def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -
                 text = "no row moves the hand before, so more time does not help"
                 raise InputError(f"{violation}; {text}")
             at = int(before[-1])
-            _refuse_if_hopeless(violation, times[at] / usual[at], reference, missed)
+            _refuse_if_hopeless(violation, times[at] / usual[at], reference)
             order = min(ORDERS[violation.quantity], KINK_ORDER if number else math.inf)
             factor = violation.share ** (1.0 / order) * SPARE
             needed[at] = max(needed[at], min(factor, MOST_AT_ONCE))
@@ -101,21 +100,12 @@ def _rehearsed(
 
 
 def _refuse_if_hopeless(
-    violation: LimitViolation, slower: float, reference: JointReference, missed: dict[int, float]
+    violation: LimitViolation, slower: float, reference: JointReference
 ) -> None:
-    """Refuse a violation that more time does not mend.
-
-    Its segment is `slower` times as slow as usual; `missed` is by how much the hand missed each
-    row's segment in the round before, and is changed.
-    """
+    """Refuse a violation that more time does not mend: its segment is so many times slower."""
     tick = round((violation.time - reference.time[0]) / STEP_SIZE)
     if slower >= MUCH_SLOWER and (ended := reference.end_reached(tick)):
         raise InputError(f"row {violation.row}: {ended} (t = {violation.time:.3f} s)")
-    if violation.quantity == "reach":
-        before = missed.get(violation.row, math.inf)
-        missed[violation.row] = violation.value
-        if violation.value > HELPED * before and slower >= MUCH_SLOWER:
-            raise InputError(str(violation))
     if slower >= SLOWEST:
         raise InputError(f"{violation}, {slower:.0f} times slower; {remedy(violation.quantity)}")
 

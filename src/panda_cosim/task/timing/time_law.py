@@ -143,6 +143,7 @@ def _constraints(
     bounds: Bounds, grid: Array, dynamics: ArmDynamics, joints_at: Callable[[float], Array]
 ) -> list[Any]:
     """Limits as toppra takes them, over the seven joints and the six of `_hand`."""
+    from scipy.linalg import block_diag  # noqa: PLC0415 - slow, and rarely needed
     from toppra import constraint  # noqa: PLC0415 - an extra
 
     robot, limit = dynamics.robot, bounds.shares
@@ -154,17 +155,12 @@ def _constraints(
         others = np.array([FREE, FREE, FREE, *hand, np.interp(place, grid, bounds.ceiling)])
         return np.column_stack((np.append(-down, -others), np.append(up, others)))
 
-    rows = np.zeros((28 + len(DIRECTIONS), 17))
-    rows[:14, :7] = np.vstack((np.eye(7), -np.eye(7)))
-    rows[14:28, 7:14] = rows[:14, :7]
-    rows[28:, 14:] = DIRECTIONS
-    most = np.concatenate(
-        (
-            np.tile(limit["acceleration"] * robot.acceleration, 2),
-            np.tile(limit["torque"] * franka.TORQUE_MAX, 2),
-            np.full(len(DIRECTIONS), limit["hand acceleration"] * robot.translation[1]),
-        )
-    )
+    sides = np.vstack((np.eye(7), -np.eye(7)))
+    rows = block_diag(sides, sides, DIRECTIONS)
+    joints = limit["acceleration"] * robot.acceleration
+    torques = limit["torque"] * franka.TORQUE_MAX
+    at_hand = np.full(len(DIRECTIONS), limit["hand acceleration"] * robot.translation[1])
+    most = np.concatenate((joints, joints, torques, torques, at_hand))
 
     def forces(p: Array, rate: Array, change: Array) -> Array:
         """Joint accelerations, torques and the hand's acceleration."""
