@@ -126,27 +126,20 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch):
 
 
 @pytest.mark.parametrize("age", [2 * KEPT, -2 * KEPT], ids=["old", "of the future"])
-def test_what_a_killed_process_left_goes_a_week_later(tmp_path, age):
+def test_what_a_killed_process_left_goes_a_week_later_and_what_is_in_use_stays(tmp_path, age):
     file, folder, new = (tmp_path / f"{TEMPORARY}{n}" for n in ("0.txt", "1", "2.txt"))
     file.touch()
     folder.mkdir()
-    for left in (file, folder):
-        os.utime(left, (time.time() - age,) * 2)
     new.touch()
     (tmp_path / ".mine").mkdir()
-    with replacing(tmp_path / "x.txt") as partial:
-        partial.write_text("x")
-    assert {path.name for path in tmp_path.iterdir()} == {"x.txt", new.name, ".mine"}
-
-
-@pytest.mark.parametrize("age", [2 * KEPT, -2 * KEPT], ids=["old", "of the future"])
-def test_what_is_in_use_stays_however_old_it_is(tmp_path, age):
-    with temporary_folder(tmp_path) as folder:
-        os.utime(folder, (time.time() - age,) * 2)
+    with temporary_folder(tmp_path) as used:
+        for left in (file, folder, used):
+            os.utime(left, (time.time() - age,) * 2)
         with replacing(tmp_path / "x.txt") as partial:
             partial.write_text("x")
-        assert folder.exists()
-    assert [path.name for path in tmp_path.iterdir()] == ["x.txt"]
+        names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"x.txt", new.name, ".mine", used.name}
+    assert not used.exists()
 
 
 def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path):

@@ -106,6 +106,7 @@ slave_fmu(slave, None)
 """
 
 
+@pytest.mark.long
 def test_nor_does_it_where_a_users_script_starts_processes(tmp_path):
     """`PYTHONSAFEPATH` is set for the project's own children then, and for theirs."""
     spoil(tmp_path / "here", {"json", "numpy", "pythonfmu", "importlib", "socket"})
@@ -149,17 +150,14 @@ def shared():
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user, too")
-def test_another_users_cache_is_refused(shared, monkeypatch):
-    (shared / "theirs").mkdir(mode=0o700)
-    os.chown(shared / "theirs", OTHER, OTHER)
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared / "theirs"))
-    with pytest.raises(InputError, match=r"others may write to it.*PANDA_COSIM_CACHE"):
-        cache_folder()
-
-
-@pytest.mark.parametrize("mode", [0o770, 0o777, 0o1777])
-def test_a_cache_that_others_may_write_to_is_refused(shared, mode, monkeypatch):
+@pytest.mark.parametrize(
+    ("mode", "owner"), [(0o700, OTHER), *((mode, os.geteuid()) for mode in (0o770, 0o777, 0o1777))]
+)
+def test_a_cache_of_another_user_or_that_others_may_write_to_is_refused(
+    shared, monkeypatch, mode, owner
+):
     shared.chmod(mode)
+    os.chown(shared, owner, -1)
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared))
     with pytest.raises(InputError, match=r"others may write to it.*PANDA_COSIM_CACHE"):
         cache_folder()

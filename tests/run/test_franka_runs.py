@@ -29,23 +29,26 @@ def pick(tmp_path_factory):
 
 
 @needs_clients
-def test_the_program_of_a_new_scenario_picks_the_block_with_equal_bits(pick, tmp_path):
-    runs = []
-    for out in (tmp_path / "a", tmp_path / "b"):
-        done = command("run", pick, *QUIET, "--out", out, code=0)
+@pytest.mark.parametrize("runs", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_the_program_of_a_new_scenario_picks_the_block_with_equal_bits(pick, tmp_path, runs):
+    bits = set()
+    for number in range(runs):
+        done = command("run", pick, *QUIET, "--out", tmp_path / f"{number}", code=0)
         assert "lifted, 60.0 mm between the fingers" in done.stderr
-        runs.append(Recording.open(out))
-    assert runs[0].complete
-    assert runs[0].sha256() == runs[1].sha256()
-    lift = runs[0]["plant.qpos[12]"]
+        recording = Recording.open(tmp_path / f"{number}")
+        bits.add(recording.sha256())
+    assert recording.complete
+    assert len(bits) == 1
+    lift = recording["plant.qpos[12]"]
     assert lift.max() - lift[0] > 0.1  # m
     # It commands poses, so that no rate of commanded torques is measured, and none is green.
-    found = Summary.open(tmp_path / "a").preflight
+    found = Summary.open(tmp_path / "0").preflight
     assert (found["interface"], found["torque_refusals"], found["refusals"]) == ("arm", None, 0)
     assert found["torque_rate_share"] is None
 
 
 @needs_clients
+@pytest.mark.long
 def test_a_lift_the_wrong_way_is_stopped_by_the_reflex_that_the_robot_has(tmp_path):
     """The hand's frame points down: along its z axis, the block is pressed onto the floor."""
     folder = tmp_path / "wrong"
@@ -87,26 +90,19 @@ def test_delay_and_dropout_act_on_the_line_and_other_errors_on_the_sensors(pick)
 
 
 @pytest.mark.parametrize(
-    ("line", "problem"),
+    ("line", "new", "problem"),
     [
-        ('robot = "fr3"', "robot: value 'panda'; must be \"fr3\" with the FMU franka"),
-        ('scene = "motors"', 'scene "motors" takes torques'),
-        ('controller = "franka"', "trajectory.csv: no such file"),
+        ('robot = "fr3"', "", "robot: value 'panda'; must be \"fr3\" with the FMU franka"),
+        ('scene = "motors"', "", 'scene "motors" takes torques'),
+        ('controller = "franka"', "", "trajectory.csv: no such file"),
+        ('"franka"', '"franca"', "[fmus] controller: value 'franca'; must be LAW.py:CLASS"),
+        ('"franka"', '"franca"', "did you mean 'franka'?"),
     ],
 )
-def test_what_the_interface_needs_is_said(tmp_path, line, problem):
+def test_what_the_interface_needs_is_said(tmp_path, line, new, problem):
     make_scenario(tmp_path / "pick", ["franka"])
     path: Path = tmp_path / "pick" / "scenario.toml"
     text = path.read_text()
     assert line in text
-    path.write_text(text.replace(line, ""))
+    path.write_text(text.replace(line, new))
     assert problem in command("check", path.parent, code=2).stdout
-
-
-def test_a_word_that_names_none_of_our_fmus_is_refused(tmp_path):
-    make_scenario(tmp_path / "pick", ["franka"])
-    path: Path = tmp_path / "pick" / "scenario.toml"
-    path.write_text(path.read_text().replace('"franka"', '"franca"'))
-    said = command("check", path.parent, code=2).stdout
-    assert "[fmus] controller: value 'franca'; must be LAW.py:CLASS" in said
-    assert "did you mean 'franka'?" in said

@@ -99,7 +99,10 @@ def peak(function: Callable[[], object]) -> int:
     return most
 
 
-@pytest.mark.parametrize("use", [judge, compare_runs, regress, update])
+LONGER = [pytest.param(use, marks=pytest.mark.long) for use in (compare_runs, regress, update)]
+
+
+@pytest.mark.parametrize("use", [judge, *LONGER])
 def test_few_columns_of_a_long_run_are_in_memory(runs, use):
     use(*runs[SHORT])  # imports
     grown = peak(lambda: use(*runs[LONG])) - peak(lambda: use(*runs[SHORT]))

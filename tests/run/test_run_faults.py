@@ -272,10 +272,7 @@ def test_a_step_timeout_is_a_number_above_zero_of_an_isolated_fmu(seconds):
         Options(step_timeout=1.0)
 
 
-# Ctrl-C leaves no process, and no folder of one.
-
-
-# It interrupts the build as soon as it has begun.
+# Ctrl-C leaves no process, and no folder of one: it interrupts the build as soon as it has begun.
 COMPILER = """#!/bin/sh
 sleep 300.75 &
 kill -s "$INTERRUPT" $PPID
@@ -318,17 +315,13 @@ except cli.INTERRUPTS as error:
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_whose_exception_nobody_sees_ends_the_command(number):
-    command = [sys.executable, "-c", UNSEEN, str(int(number))]
-    done = ran(command, code=128 + number)
-    assert done.stderr == ""
+    assert ran([sys.executable, "-c", UNSEEN, str(int(number))], code=128 + number).stderr == ""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
-@pytest.mark.parametrize("what", ["own", "slave"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("number", "what"), [(signal.SIGINT, "own"), (signal.SIGTERM, "slave")])
 def test_a_first_build_that_is_interrupted_ends_its_compilers(tmp_path, number, what):
     compiler, slave, cache = tmp_path / "bin" / "cc", tmp_path / "slave.py", tmp_path / "cache"
     compiler.parent.mkdir()

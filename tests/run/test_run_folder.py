@@ -231,9 +231,9 @@ def test_what_was_made_is_replaced_and_so_is_a_file_that_is_given_up(tmp_path):
     for _ in range(2):
         command("plot", run, "--out", out / "x.png", cwd=tmp_path, code=0)
     assert [path.name for path in out.iterdir()] == ["x.png"]
-    (out / "x.png").write_text("mine")
-    command("plot", run, "--out", out / "x.png", "--overwrite", cwd=tmp_path, code=0)
-    assert (out / "x.png").read_bytes().startswith(b"\x89PNG")
+    (out / "x.html").write_text("mine")
+    command("view", run, "--out", out / "x.html", "--overwrite", cwd=tmp_path, code=0)
+    assert (out / "x.html").read_text() != "mine"
 
 
 def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path):

@@ -83,7 +83,7 @@ on = "block"
     [
         ("law", "2"),
         ("plant and slave", "3"),
-        pytest.param("all types", "2", marks=needs_reference_fmus),
+        pytest.param("all types", "2", marks=[needs_reference_fmus, pytest.mark.long]),
         pytest.param("all types", "3", marks=needs_reference_fmus),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 import shutil
@@ -29,9 +28,6 @@ from .forms import described, flag
 
 MIN_COLUMNS = 20  # of a terminal
 HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
-# Errors of the operating system that are due to a limit of the machine or the user.
-AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM,
-            errno.EAGAIN}  # fmt: skip
 
 
 class PlainFlags:
@@ -69,20 +65,12 @@ class LazyCommand(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
         """Import the command and let it read its arguments."""
-        name, args = _current(str(self.name), args)
+        name = str(self.name)
+        if args and f"{name} {args[0]}" in ELSEWHERE:  # such as `sweep report`
+            name, args = f"{name} {args[0]}", args[1:]
         command = load(name)
         startup.imported()
         return command.make_context(name, args, *more, **extra)
-
-
-def _current(name: str, args: list[str]) -> tuple[str, list[str]]:
-    """Return a command's full name, such as `sweep report`; `run --session RUN` is `replay RUN`."""
-    if args and f"{name} {args[0]}" in ELSEWHERE:
-        return f"{name} {args[0]}", args[1:]
-    if name == "run" and any(re.match("--session(=|$)", arg) for arg in args):
-        rest = (re.sub("^--session=?", "", arg) for arg in args)
-        return "replay", [arg for arg in rest if arg]
-    return name, args
 
 
 @cache
@@ -145,17 +133,18 @@ def report(error: BaseException) -> int:
 
 def _explain(error: BaseException) -> tuple[int, str]:
     """Return the exit code and the line for an error."""
-    if isinstance(error, CosimError):
-        return error.exit_code, str(error)
+    match error:
+        case CosimError():
+            return error.exit_code, str(error)
+        case ModuleNotFoundError():
+            return 1, f"{error}; `panda-cosim doctor` shows what is missing and how to get it"
+        case OSError() if error.filename is not None:
+            return InputError.exit_code, f"{error.filename}: {error.strerror}"
+        case OSError() | MemoryError():  # mostly a limit of the machine or the user
+            reason = getattr(error, "strerror", None) or "out of memory"
+            return 1, f"the operating system ends the command: {reason}"
     if hasattr(error, "format_message"):  # raised by typer or click
         return InputError.exit_code, _usage_message(error)
-    if isinstance(error, ModuleNotFoundError):
-        return 1, f"{error}; `panda-cosim doctor` shows what is missing and how to get it"
-    if isinstance(error, OSError) and error.filename is not None:
-        return InputError.exit_code, f"{error.filename}: {error.strerror}"
-    if isinstance(error, MemoryError) or getattr(error, "errno", None) in AT_LIMIT:
-        reason = getattr(error, "strerror", None) or "out of memory"
-        return 1, f"a limit of this machine or user ends the command: {reason}"
     return 1, (
         f"unexpected {type(error).__name__}: {error}; append --debug to the command to get the "
         f"traceback; {notice() or 'please report it'}"

@@ -29,7 +29,6 @@ FOLDED = 12  # characters to which a column that may wrap is narrowed at most
 COLUMN_GAP = 3  # characters between two columns
 LINE_INTERVAL = 5.0  # [s] between two lines of progress in a file
 LONGEST = 4000  # characters of an error
-DRAW_INTERVAL = 0.1  # [s] between two updates of a progress bar
 
 
 class QuietConsole(Console):
@@ -176,15 +175,15 @@ def table(
 class Update:
     """Shows progress as lines, one every few seconds."""
 
-    def __init__(self, label: str) -> None:
-        self._label = label
+    def __init__(self, console: Console, label: str) -> None:
+        self._console, self._label = console, label
         self._printed = time.monotonic()
         self._first: tuple[float, int] | None = None  # when progress began [s], and at what count
-        tell(f"{label} ...")
+        self.say(f"{label} ...")
 
     def say(self, text: str, style: str | None = "dim") -> None:
-        """Print a line."""
-        tell(text, style)
+        """Print a line, above the bar if there is one."""
+        self._console.print(text, style=style, markup=False, soft_wrap=True)
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` is done, unless the last line is recent."""
@@ -195,26 +194,18 @@ class Update:
         if before < done < total and now - self._printed >= LINE_INTERVAL:
             self._printed = now
             left = (now - began) * (total - done) / (done - before)
-            tell(f"{self._label}: {done / total:.0%}, about {left:.0f} s left")
+            self.say(f"{self._label}: {done / total:.0%}, about {left:.0f} s left")
 
 
 class _Bar(Update):
-    """Draws a bar, at most ten times a second."""
+    """Draws a bar."""
 
     def __init__(self, bar: Any, label: str) -> None:
-        self._bar, self._task = bar, bar.add_task(label, total=None)
-        self._due = 0.0  # when it is drawn again [s]
-
-    def say(self, text: str, style: str | None = "dim") -> None:
-        """Print a line above the bar."""
-        self._bar.console.print(text, style=style, markup=False, soft_wrap=True)
+        self._console, self._bar, self._task = bar.console, bar, bar.add_task(label, total=None)
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` is done."""
-        is_due = done >= total or time.monotonic() >= self._due
-        self._bar.update(self._task, completed=done, total=total, refresh=is_due)
-        if is_due:
-            self._due = time.monotonic() + DRAW_INTERVAL
+        self._bar.update(self._task, completed=done, total=total, refresh=True)
 
 
 @contextmanager
@@ -222,7 +213,7 @@ def progress(label: str) -> Iterator[Update]:
     """Show progress: as a bar with the time left, or as plain lines if output goes to a file."""
     console = _console(stderr=True)
     if not console.is_terminal:
-        yield Update(label)
+        yield Update(console, label)
         return
     from rich.progress import Progress  # noqa: PLC0415 - slow, and no help needs it
 

@@ -42,11 +42,12 @@ from typing import Literal
 import typer
 
 from ..fmus.build.platforms import PLATFORMS
-from ..fmus.errors import InputError, did_you_mean
+from ..fmus.errors import InputError
 from ..fmus.interface.parameters import ParameterValue, literal
 from ..fmus.sources.targets import Kind, Target, outdated
 from ..fmus.twins import IN_RUNS, notice
 from ..result.judging.verdicts import MISSED
+from ..task.fields import check_choice
 from ..task.scenario import SCENARIO_FILE, Scenario, load_scenario
 from ..task.values import Values
 from .console import tell, warn
@@ -102,9 +103,7 @@ def target_of(
         raise InputError("--scalars: needs --fmi 3; FMI 2.0 has no arrays")
     keys = tuple(name.strip() for name in platforms.split(",")) if platforms.strip() else ()
     for name in keys:
-        if name not in PLATFORMS:
-            valid = ", ".join(PLATFORMS)
-            raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
+        check_choice("--platform", name, PLATFORMS)
     return Target(kind, int(fmi), keys, scalars, names == "flat")
 
 

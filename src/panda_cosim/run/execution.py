@@ -116,12 +116,13 @@ class Execution:
         """
         if self._stack is not None:
             raise InputError("session: is already open; `close` or `restart` ends its run")
-        if self._output is not None:  # of a run before
+        if is_another := self._output is not None:  # of a run before
             self._reset()
         with self._warnings_told(), ExitStack() as stack:
             prepared = stack.enter_context(addressed(self.prepared))
             if self._writes:
-                self.folder = stack.enter_context(claimed_folder(self._out, self.scenario.name))
+                folder = claimed_folder(self._out, self.scenario.name, is_another=is_another)
+                self.folder = stack.enter_context(folder)
             with exit_guard(self.folder):
                 system = stack.enter_context(prepared.open(self.warnings))
                 self._output = Output(
@@ -189,8 +190,7 @@ class Execution:
             unfinished = self._client.unfinished if self._client else ""
             self.warnings += filter(None, [ended, unfinished])
         default = ended or f"the session was ended at t = {self.time:.3f} s"
-        complete = finished or left
-        self._close_recording(None if complete else reason or default, complete=complete)
+        self._close_recording(None if finished or left else reason or default)
 
     @property
     def _has_left(self) -> bool:
@@ -199,10 +199,11 @@ class Execution:
             return ended.instance in self.prepared.listening
         return self._client is not None and self._client.left
 
-    def _close_recording(self, reason: str | None, *, complete: bool) -> None:
+    def _close_recording(self, reason: str | None) -> None:
+        """End the recording, for a reason if it is not complete."""
         recorder = self._begun.recorder
         recorder.late |= self._adjustments.inputs.guarded.happened()
-        recorder.end(complete=complete, reason=reason)
+        recorder.end(complete=reason is None, reason=reason)
 
     def __enter__(self) -> Self:
         """Open it."""
@@ -228,18 +229,14 @@ class Execution:
         """Step up to a tick, or until asked to stop, at the pace of the options."""
         self._check_open()
         last, stop = self.ticks if last is None else last, stop or StopRequest()
-        master, options, pace = self._master, self.prepared.options, None
-        if options.realtime:
-            period = self.scenario.step / options.realtime
-            waits = bool(self.prepared.listening)  # for a program, which takes its time
-            pace = RealtimePacer(period, master.statistics, catches_up=not waits).wait
+        master, tell = self._master, progress or (lambda _done, _total: None)
 
         def look(done: int) -> None:
             stop.poll()
-            if progress is not None:
-                progress(done, self.ticks)
+            tell(done, self.ticks)
 
-        stop.watch(master, options.time_limit)
+        pace = self._pace()
+        stop.watch(master, self.prepared.options.time_limit)
         with self._guarded(stop):
             inputs = self._adjustments.inputs
             with self._client.beside(master, stop) if self._client else nullcontext():
@@ -250,8 +247,15 @@ class Execution:
                 master.flush()
             if self._client and self._has_left and not stop.reason:
                 self._client.check_end(self.time, master.ended)
-        if progress is not None:
-            progress(self.tick, self.ticks)
+        tell(self.tick, self.ticks)
+
+    def _pace(self) -> Callable[[int], None] | None:
+        options, waits = self.prepared.options, bool(self.prepared.listening)
+        if not options.realtime:
+            return None
+        period = self.scenario.step / options.realtime
+        # A program that it waits for takes its time.
+        return RealtimePacer(period, self._master.statistics, catches_up=not waits).wait
 
     def _value(self, signal: str) -> NDArray[np.float64]:
         """Present value of a signal of several elements, row by row (n,)."""
@@ -314,7 +318,7 @@ class Execution:
             self.failure = "" if stopped else str(error)
             with suppress(CosimError):  # the failure itself says more
                 reason = stopped or f"{type(error).__name__}: {error}"
-                self._close_recording(reason, complete=False)
+                self._close_recording(reason)
                 self._summary = self._begun.judge(_end_by(stop) if stop and stopped else FAILED)
             if not stopped:
                 raise

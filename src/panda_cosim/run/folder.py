@@ -24,13 +24,15 @@ SCENARIO_FOLDER = "scenario"
 
 
 @contextmanager
-def claimed_folder(out: str | Path | None, name: str) -> Iterator[Path]:
+def claimed_folder(
+    out: str | Path | None, name: str, *, is_another: bool = False
+) -> Iterator[Path]:
     """Yield the folder of a run; a new one that nothing was written to goes again."""
-    if out is not None:
+    if out is not None and not is_another:
         refuse_existing(Path(out))
         yield Path(out)
         return
-    folder = default_folder(name)
+    folder = default_folder(name) if out is None else new_folder(Path(out))
     try:
         yield folder
     finally:

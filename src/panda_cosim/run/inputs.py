@@ -13,6 +13,7 @@ from ..fmus.interface.tables import INTERFACES
 from ..fmus.interface.types import in_row
 from ..fmus.master.wiring import Array
 from ..task.scenario import Scenario
+from ..task.table import TrajectoryTable
 from .guarded import GuardedCommands
 from .start import StartValues, resolve
 from .system.assembly import Assembly
@@ -29,36 +30,45 @@ class Inputs:
 
     def __init__(self, scenario: Scenario, values: StartValues, assembly: Assembly) -> None:
         self._values, self._assembly = values, assembly
-        self._scalars = {".".join(name): assembly.scalars[name] for name in assembly.external}
-        self._columns = {name: column for column, name in enumerate(self._scalars)}
+        self._names = [".".join(name) for name in assembly.external]
+        self._columns: dict[str, list[int]] = {}  # of inputs, and of their elements
+        for column, name in enumerate(self._names):
+            for each in {name, name.partition("[")[0]}:
+                self._columns.setdefault(each, []).append(column)
         self._start = assembly.inputs_at_start(values)
         self._of_plant = [i for i, (fmu, _) in enumerate(assembly.external) if fmu == "plant"]
-        self._scale = scenario.input_scale
-        self._from_time, self._step = assembly.start_time, scenario.step
         self._held: dict[int, float] = {}
         self.guarded = GuardedCommands()
-        self.shape = (scenario.ticks + 1, len(self._columns))  # instants, inputs
+        self.shape = (scenario.ticks + 1, len(self._names))  # instants, inputs
         self.use(scenario)
 
     # The scenario's values.
 
     def use(self, scenario: Scenario) -> None:
         """Take commands and pushes from a scenario."""
+        self._scenario = scenario
         if scenario.is_commanded:
             self.guarded = GuardedCommands(resolve(scenario, self._values), self.guarded)
-            outputs = {f"{i}.{n.partition('[')[0]}" for i, names in self._assembly.outputs.items()
-                       for n in names}  # fmt: skip
-            for signal in self.guarded.signals - outputs:
-                raise InputError(f"column until: needs {signal}, which is no output of an FMU")
-        self._pushes, self._pushed, self.table = scenario.push, scenario.pushed, scenario.table
+            self._check_felt()
         variables = [("plant", FORCES[body]) for body in scenario.pushed]
         variables += [("controller", command) for command in scenario.commands]
         names = [f"{i}.{n}" for i, v in variables for n in INTERFACES[i].variable(v).names()]
-        self._from = [i for i, name in enumerate(names) if name in self._columns]
-        self._to = [self._columns[names[i]] for i in self._from]
-        self._inputs_move = scenario.inputs_move
+        self._from = [i for i, name in enumerate(names) if name in self]
+        self._to = [self._columns[names[i]][0] for i in self._from]
         self._chunk = (-1, 0)  # first tick, and early ends of rows
-        self._part = np.empty((0, len(self._columns)))
+        self._part = np.empty((0, len(self._names)))
+
+    def _check_felt(self) -> None:
+        """Refuse rows that end early by what no FMU gives."""
+        outputs = self._assembly.outputs.items()
+        given = {f"{i}.{name.partition('[')[0]}" for i, names in outputs for name in names}
+        for signal in self.guarded.signals - given:
+            raise InputError(f"column until: needs {signal}, which is no output of an FMU")
+
+    @property
+    def table(self) -> TrajectoryTable | None:
+        """The trajectory table, if there is one."""
+        return self._scenario.table
 
     def copied(self) -> Inputs:
         """Return a copy, which later actions and ends of rows do not change."""
@@ -87,25 +97,26 @@ class Inputs:
     def _computed(self, first: int, count: int) -> Array:
         count = min(count, self.shape[0] - first)
         rows, ticks = np.tile(self._start, (count, 1)), np.arange(first, first + count)
-        places = self.guarded.places(ticks) if self._inputs_move else ticks
+        places = self.guarded.places(ticks) if self._scenario.inputs_move else ticks
+        times = self._assembly.start_time + self._scenario.step * places.astype(np.float64)
         for name, driven in self._assembly.driven.items():
-            times = self._from_time + self._step * places.astype(np.float64)
-            rows[:, self._columns[".".join(name)]] = driven.sample(times)
+            rows[:, self._columns[".".join(name)][0]] = driven.sample(times)
         scenario = [self._forces(STEP_SIZE * ticks.astype(np.float64))]
         if self.guarded.trajectory is not None:
             scenario.append(self.guarded.commands(first, count))
         rows[:, self._to] = np.hstack(scenario)[:, self._from]
-        if self._scale != 1.0:
-            rows[:, self._of_plant] *= self._scale
+        if self._scenario.input_scale != 1.0:
+            rows[:, self._of_plant] *= self._scenario.input_scale
         return rows
 
     def _forces(self, times: Array) -> Array:
-        forces = np.zeros((len(times), len(self._pushed), 3))
-        for push in self._pushes:
+        pushed = self._scenario.pushed
+        forces = np.zeros((len(times), len(pushed), 3))
+        for push in self._scenario.push:
             active = (times >= push.start - STEP_SIZE / 2) & (
                 times < push.start + push.duration - STEP_SIZE / 2
             )
-            forces[active, self._pushed.index(push.on)] += push.force
+            forces[active, pushed.index(push.on)] += push.force
         return forces.reshape(len(times), -1)
 
     # Values held instead.
@@ -113,17 +124,18 @@ class Inputs:
     @property
     def held(self) -> list[str]:
         """Held scalars."""
-        return [scalar for scalar, column in self._columns.items() if column in self._held]
+        return [self._names[column] for column in sorted(self._held)]
 
     def hold(self, name: str, value: object) -> None:
         """Hold `controller.pos_cmd` or one of its scalars: one value for all, or one each."""
-        names = self._named(name)
-        values = value if isinstance(value, list) else [value] * len(names)
-        if len(values) != len(names):
-            raise InputError(f"{name}: value of {len(values)} items; must be {len(names)} numbers")
-        scalars = [self._scalars[each] for each in names]
+        columns = self.columns(name)
+        values = value if isinstance(value, list) else [value] * len(columns)
+        if len(values) != len(columns):
+            must = f"must be {len(columns)} numbers"
+            raise InputError(f"{name}: value of {len(values)} items; {must}")
+        scalars = [self._assembly.scalars[self._assembly.external[each]] for each in columns]
         held = [in_row(s, s.checked(name, v)) for s, v in zip(scalars, values, strict=True)]
-        for column, content in zip(self.columns(name), held, strict=True):
+        for column, content in zip(columns, held, strict=True):
             self._held[column] = content + 0.0 if content == 0.0 else content  # no -0.0
 
     def release(self, name: str) -> None:
@@ -135,19 +147,15 @@ class Inputs:
             del self._held[column]
 
     def columns(self, name: str) -> list[int]:
-        """Columns of an input."""
-        return [self._columns[scalar] for scalar in self._named(name)]
-
-    def _named(self, name: str) -> list[str]:
-        """Return the scalars of an input, or the one of that name."""
+        """Columns of an input, or of one of its elements."""
         if name not in self:
-            valid = list(dict.fromkeys(n.partition("[")[0] for n in self._columns))
+            valid = list(dict.fromkeys(n.partition("[")[0] for n in self._names))
             raise InputError(
                 f"{name}: is not an external input; valid: {', '.join(valid)}"
                 f"{did_you_mean(name, valid)}"
             )
-        return [n for n in self._columns if name in (n, n.partition("[")[0])]
+        return self._columns[name]
 
     def __contains__(self, name: str) -> bool:
         """Return whether there is such an input."""
-        return any(name in (n, n.partition("[")[0]) for n in self._columns)
+        return name in self._columns

@@ -21,33 +21,34 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from ..fmus.atomic import writing
-from ..fmus.errors import InputError, excerpt
+from ..fmus.errors import InputError, located
 from ..fmus.interface.parameters import ParameterValue, expand
 from ..fmus.interface.variables import Scalar, Value
 from ..fmus.master.step import SWITCHED
 from ..fmus.sources.targets import Kind
-from ..task.fields import check_choice, check_keys, field_names
+from ..task.fields import Whole, check_choice, check_keys, field_names
 from ..task.files import read_text
+from ..task.scenario import MAX_STEPS
 from ..task.table import TableRow, TrajectoryTable
 from .prepare import Prepared
+from .system.parts import split
 
 JOURNAL_FILE = "session.jsonl"
-FORMAT = 1
 _MAX_BYTES = 256 * 1024 * 1024
 
 Parameters = Mapping[str, Mapping[str, Value]]  # by instance and scalar variable
-T = TypeVar("T", bound=BaseModel)
 
 
 def _plain(value: Any) -> Any:
@@ -101,6 +102,8 @@ class End(_Act):
 
 
 Act = Set | Release | MoveWaypoint | SetCoupling | End
+_KINDS: dict[str, type[Act]] = {kind.model_fields["do"].default: kind for kind in get_args(Act)}
+_OBJECT = TypeAdapter(dict[str, Any])
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ class Action:
 class Head(BaseModel):
     """First line of a journal: what was run."""
 
-    format: Literal[1] = 1
+    format: Literal[1]
     scenario: str  # its name
     kind: Kind
     fmus: dict[str, dict[str, str | None]]  # GUID and SHA-256 of each
@@ -157,50 +160,28 @@ class Journal:
                 "Session, or the run's folder"
             )
         lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)
-        head = _head(f"{path}: line 1", lines.readline())
+        with _checked(f"{path}: line 1"):
+            head = Head.model_validate_json(lines.readline())
         actions: list[Action] = []
         for number, line in enumerate(lines, start=2):  # ends at the first that cannot be used
-            place = f"{path}: line {number}"
-            actions.append(_action(place, _parse(place, line), actions))
+            least = actions[-1].tick if actions else 0
+            actions.append(_action(f"{path}: line {number}", line, least))
         return cls(path, head, tuple(actions))
 
 
-def _parse(place: str, line: str) -> dict[str, object]:
+def _action(place: str, line: str, least: int) -> Action:
+    with _checked(place):
+        content = _OBJECT.validate_json(line)
+    tick = Whole(least, MAX_STEPS).check(f"{place}: tick", content.pop("tick", None))
+    name = check_choice(f"{place}: action", content.pop("action", None), _KINDS)
+    with _checked(f"{place}: {name}"):
+        return Action(tick, _KINDS[name].model_validate(content))
+
+
+@contextmanager
+def _checked(place: str) -> Iterator[None]:
     try:
-        content = json.loads(line)
-    except (ValueError, RecursionError):
-        content = None
-    if not isinstance(content, dict):
-        raise InputError(f"{place}: {excerpt(line.rstrip())}; must be a JSON object")
-    return content
-
-
-def _head(place: str, line: str) -> Head:
-    content = _parse(place, line)
-    if content.get("format") != FORMAT:
-        raise InputError(
-            f"{place}: format {excerpt(content.get('format'))}; must be {FORMAT}, as the "
-            f"{JOURNAL_FILE} of a session of this version"
-        )
-    check_choice(f"{place}: kind", content.get("kind"), get_args(Kind))
-    return _checked(place, Head, content)
-
-
-def _action(place: str, content: dict[str, object], before: list[Action]) -> Action:
-    tick, name = content.pop("tick", None), content.pop("action", None)
-    least = before[-1].tick if before else 0
-    if isinstance(tick, bool) or not isinstance(tick, int) or tick < least:
-        raise InputError(f"{place}: tick {excerpt(tick)}; must be a whole number from {least} on")
-    if before and isinstance(before[-1].act, End):
-        raise InputError(f"{place}: {excerpt(name)} after the end; must be the last line")
-    kinds = {kind.model_fields["do"].default: kind for kind in get_args(Act)}
-    kind = kinds[check_choice(f"{place}: action", name, kinds)]
-    return Action(tick, _checked(f"{place}: {name}", kind, content))
-
-
-def _checked(place: str, kind: type[T], content: object) -> T:
-    try:
-        return kind.model_validate(content)
+        yield
     except ValidationError as error:
         raise InputError(f"{place}: {first_problem(error)}") from None
 
@@ -208,7 +189,7 @@ def _checked(place: str, kind: type[T], content: object) -> T:
 def first_problem(error: ValidationError) -> str:
     """Return the first problem of what was read, in one line."""
     first = error.errors(include_input=False, include_url=False)[0]
-    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
 
 
 class Adjustments:
@@ -260,10 +241,7 @@ class Adjustments:
         if name in self.inputs:
             self.inputs.hold(name, value)
             return {}
-        instance, _dot, parameter = name.partition(".")
-        if instance not in self.interfaces:
-            names = ", ".join(self.interfaces)
-            raise InputError(f"{name}: no instance {instance!r}; valid: {names}")
+        instance, parameter = split("", name, self.interfaces)
         values = expand(instance, self.interfaces[instance], {parameter: value})
         if any(f"{instance}.{scalar}" not in self.tunables for scalar in values):
             valid = dict.fromkeys(s.variable.name for s in self.tunables.values())
@@ -275,8 +253,7 @@ class Adjustments:
         return {instance: values}
 
     def _set_coupling(self, coupling: Any) -> None:
-        if coupling not in SWITCHED:
-            raise InputError(f"coupling: {excerpt(coupling)}; valid: {', '.join(SWITCHED)}")
+        check_choice("coupling", coupling, SWITCHED)
         if self._scenario.coupling not in SWITCHED or self._scenario.steps:
             raise InputError('coupling: cannot change with [steps], or from "iterated"')
         self.coupling = coupling
@@ -286,10 +263,8 @@ class Adjustments:
             raise InputError("move_waypoint: the scenario is a system without a trajectory")
         rows, ahead = list(self.inputs.table.rows), self.inputs.guarded.ahead(tick)
         now = (tick + ahead) * self._scenario.step
-        if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
-            last = len(rows) - 1
-            raise InputError(f"move_waypoint: row {row!r}; must be a whole number from 0 to {last}")
-        try:
+        row = Whole(0, len(rows) - 1).check("move_waypoint: row", row)
+        with located(f"move_waypoint: row {row}"):
             check_keys("", changes, field_names(TableRow))
             changed = replace(rows[row], **changes)
             time = min(rows[row].time, changed.time)
@@ -298,5 +273,3 @@ class Adjustments:
             rows[row] = changed
             table = TrajectoryTable(tuple(rows))
             self.inputs.use(replace(self._scenario, table=table))
-        except InputError as error:
-            raise InputError(f"move_waypoint: row {row}: {error}") from None

@@ -60,8 +60,7 @@ class Options:
     def __post_init__(self) -> None:
         """Check values that may come from a command line."""
         check_types(type(self), vars(self))
-        if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
-            refuse("realtime", self.realtime, "must be a number of at least 0")
+        Quantity(0.0, MAX_TIME_LIMIT).check("realtime", self.realtime)
         check_choice("kind", self.kind, get_args(Kind))
         check_choice("master", self.master, get_args(Stepper))
         if not (self.step_timeout is None or 0.0 < self.step_timeout < math.inf):
@@ -80,7 +79,6 @@ class Options:
         values = {f"fmus.{name}": file for name, file in self.parts.items()}
         values |= {} if self.coupling is None else {"coupling": self.coupling}
         for key, value in self.overrides.items():
-            by_name = {f"{key}.{name}": each for name, each in value.items()} if isinstance(
-                value, Mapping) else {key: value}  # fmt: skip
-            values |= by_name
+            named = value.items() if isinstance(value, Mapping) else ()
+            values |= {f"{key}.{name}": each for name, each in named} if named else {key: value}
         return values

@@ -53,6 +53,7 @@ class Output:
         make = Recorder if writes else MemoryRecorder
         self.recorder: MemoryRecorder = make(folder, columns, metadata)
         self.head = Head(
+            format=1,
             scenario=prepared.scenario.name,
             kind=prepared.options.kind,
             fmus=provenance.get("fmus", {}),
@@ -118,19 +119,12 @@ def _metadata(prepared: Prepared) -> dict[str, object]:
     if scenario.system:
         ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
     scene = values.get("plant", {}).get("scene")
-    if isinstance(scene, str):  # from an .ssp file it is a number
-        ours["scene"] = scene
-    if scenario.mujoco:
-        ours["mujoco"] = scenario.mujoco
+    ours |= {"scene": scene} if isinstance(scene, str) else {}  # in an .ssp file, a number
+    ours |= {"mujoco": scenario.mujoco} if scenario.mujoco else {}
     if not scenario.is_system:
         times, names = played_rows(scenario, values)
-        ours |= {
-            "robot": scenario.robot,
-            "gains": scenario.gains,
-            "interpolation": scenario.interpolation,
-            "row_times": times,
-            "row_names": names,
-        }
+        ours |= {name: getattr(scenario, name) for name in ("robot", "gains", "interpolation")}
+        ours |= {"row_times": times, "row_names": names}
     if scenario.folder is not None and not is_shipped(scenario):
         ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is
     return {

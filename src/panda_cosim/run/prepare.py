@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +28,9 @@ from .options import Options
 from .start import (
     StartValues,
     check_criteria,
-    late_pushes,
+    doubts,
     start_pose,
     start_values,
-    unsuitable_gains,
 )
 from .system.assembly import Assembly, assemble
 
@@ -76,9 +77,8 @@ class Prepared:
         parts = self.assembly.parts if self.options.kind == "auto" else ()
         asked = {self.options.master, *(part.own for part in parts)}
         python = notice(twin for twin in IN_RUNS if twin in asked)
-        gains = unsuitable_gains(self.scenario, self.values)
-        late = late_pushes(self.scenario)
-        return [*self.assembly.notes, *gains, *late, *filter(None, [python])]
+        doubted = doubts(self.scenario, self.values)
+        return [*self.assembly.notes, *doubted, *filter(None, [python])]
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
         """Return the external inputs, of a changed scenario if one is given."""
@@ -106,23 +106,6 @@ class Prepared:
 
         `longer`: time for which they can be stepped beyond the scenario's end [s].
         """
-        heard: dict[str, set[str]] = defaultdict(set)  # warnings by instance
-
-        def hear(instance: str, status: str, text: str) -> None:
-            if instance in self.options.log:
-                print(printable(f"{instance}: [{status}] {text}"), file=sys.stderr, flush=True)
-            kind, before = "" if status == "Warning" else f" {status.lower()}", heard[instance]
-            line = f"{instance}{kind}: {without_traceback(text)}"
-            if len(before) == MOST_WARNINGS:
-                line = f"{instance}: further messages are left out"
-            if (
-                status not in ("OK", "Discard")
-                and line not in before
-                and len(before) <= MOST_WARNINGS
-            ):
-                before.add(line)
-                warnings.append(line)
-
         start = self.assembly.start_time
         is_planned = not self.scenario.route or self.scenario.table is not None
         return open_system(
@@ -134,11 +117,34 @@ class Prepared:
             coupling=self.scenario.coupling,
             external=self.inputs().at_start() if is_planned else None,
             tolerance=self.scenario.tolerance,
-            on_message=hear,
+            on_message=_Listener(self.options.log, warnings).hear,
             isolate=self.options.isolate,
             step_timeout=self.options.step_timeout,
             stepper=self.options.master,
         )
+
+
+class _Listener:
+    """Hears what FMUs say: shows what is asked for, and keeps warnings, each once."""
+
+    def __init__(self, shown: Sequence[str], warnings: list[str]) -> None:
+        self._shown, self._warnings = shown, warnings
+        self._heard: dict[str, set[str]] = defaultdict(set)  # warnings by instance
+
+    def hear(self, instance: str, status: str, text: str) -> None:
+        """Hear a message of an FMU."""
+        if instance in self._shown:
+            print(printable(f"{instance}: [{status}] {text}"), file=sys.stderr, flush=True)
+        if status not in ("OK", "Discard") and len(self._heard[instance]) <= MOST_WARNINGS:
+            self._keep(instance, "" if status == "Warning" else f" {status.lower()}", text)
+
+    def _keep(self, instance: str, kind: str, text: str) -> None:
+        line, before = f"{instance}{kind}: {without_traceback(text)}", self._heard[instance]
+        if len(before) == MOST_WARNINGS:
+            line = f"{instance}: further messages are left out"
+        if line not in before:
+            before.add(line)
+            self._warnings.append(line)
 
 
 def prepare(
@@ -155,20 +161,7 @@ def prepare(
     `UnreadSlaveError`, and the installed version stands for one that is not there.
     """
     options = options or Options()
-
-    def connected(scenario: Scenario) -> Prepared:
-        assembly = assemble(
-            scenario,
-            options.kind,
-            files=options.fmus,
-            run_code=run_code,
-            from_outside=interactive,
-        )
-        check_criteria(scenario, assembly)
-        values = start_values(scenario, assembly)
-        assembly.recorded()  # refuses columns of the same name
-        return Prepared(scenario, options, assembly, values)
-
+    connected = partial(_connected, options, run_code=run_code, from_outside=interactive)
     if scenario.client:
         scenario.client.words(scenario.folder or Path())  # refuses one that cannot be started
     prepared = connected(_on_line(scenario.changed(options.values)))
@@ -178,6 +171,13 @@ def prepare(
     for name in options.log:
         check_choice("--log", name, prepared.assembly.interfaces)
     return prepared
+
+
+def _connected(options: Options, scenario: Scenario, **how: bool) -> Prepared:
+    assembly = assemble(scenario, options.kind, files=options.fmus, **how)
+    check_criteria(scenario, assembly)
+    assembly.recorded()  # refuses columns of the same name
+    return Prepared(scenario, options, assembly, start_values(scenario, assembly))
 
 
 def _on_line(scenario: Scenario) -> Scenario:

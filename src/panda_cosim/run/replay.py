@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ..fmus.errors import InputError, excerpt
+from ..fmus.errors import located
+from ..task.fields import Whole
 from ..task.scenario import Scenario
 from ..task.typed import typed
 from .folder import SCENARIO_FOLDER
@@ -82,9 +83,6 @@ def _check_actions(journal: Journal, prepared: Prepared) -> None:
     """Check that all actions can be taken, one after the other."""
     adjustments, last = Adjustments(prepared), prepared.scenario.ticks
     for number, action in enumerate(journal.actions, start=2):
-        try:
-            if action.tick > last:
-                raise InputError(f"tick {excerpt(action.tick)}; must be at most {last}")
+        with located(f"{journal.path}: line {number}"):
+            Whole(0, last).check("tick", action.tick)
             adjustments.take(action)
-        except InputError as error:
-            raise InputError(f"{journal.path}: line {number}: {error}") from None

@@ -144,13 +144,12 @@ class Run:
     def _repr_html_(self) -> str:
         """Return the verdict as a table, and the contact sheet if one was drawn."""
         summary, sheet = self.summary, self.folder / SHEET_FILE
-        title = f"<p><b>{_text(summary.scenario)}</b>: {_text(summary.brief)}</p>"
-        table = html((), _HEADS, [cells(criterion) for criterion in summary.criteria])
+        title = f"{summary.scenario}: {summary.brief}"
+        table = html([title], _HEADS, [cells(criterion) for criterion in summary.criteria])
         if not sheet.is_file():
-            return title + table
-        style = "max-width:100%"
-        picture = f'<img alt="contact sheet" style="{style}" src="{_data_url(sheet, "image/png")}">'
-        return title + table + picture
+            return table
+        url = _data_url(sheet, "image/png")
+        return f'{table}<img alt="contact sheet" style="max-width:100%" src="{url}">'
 
     def shown(self, name: str | None = None) -> Shown:
         """Return the run for the view.

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -38,65 +38,16 @@ from ..task.trajectory import StartPose, Trajectory
 from ..task.typed import typed
 from ..task.values import Values
 from .execution import Execution, Progress
-from .folder import keep_scenario, new_folder, refuse_existing
+from .folder import keep_scenario, refuse_existing
 from .inputs import Inputs
 from .journal import Act, Action, Adjustments, Head, MoveWaypoint, Release, Set, SetCoupling
 from .options import Options
 from .output import Output
-from .prepare import Prepared, prepare
+from .prepare import prepare
 from .start import start_pose
 from .stopping import stopping_on_signals
 
 _DIGITS: Final = 9  # of a time in a scenario [s]; a tick is 1e-3
-
-
-def as_scenario(prepared: Prepared, actions: Sequence[Action], ticks: int) -> Scenario:
-    """Write a session as a scenario, with the criteria within its time.
-
-    The scenario's external inputs are computed and compared with the session's.
-    """
-    if ticks == 0:
-        raise InputError("session: no step yet; a scenario needs at least one")
-    scenario, adjustments = prepared.scenario, Adjustments(prepared)
-    inputs, rows, first = adjustments.inputs, [], 0
-    started = scenario
-    for action in actions:
-        rows.append(inputs[first : action.tick])
-        first = action.tick
-        when = f"at {_time(prepared, action.tick)}; a scenario has"
-        match action.act:
-            case Set(name=name, value=value) if name not in inputs:
-                if action.tick > 0:
-                    only = "values of parameters at its start only"
-                    raise InputError(f"session: {name} was set {when} {only}")
-                started = started.changed({name: value})
-            case SetCoupling() if action.tick > 0:
-                raise InputError(f"session: the coupling was changed {when} one")
-        adjustments.take(action)
-    session = np.vstack([*rows, inputs[first:ticks]])
-    start, duration = prepared.assembly.start_time, round(ticks * scenario.step, _DIGITS)
-    written = replace(
-        started,
-        coupling=adjustments.coupling,
-        table=inputs.table,
-        duration=duration,
-        success=scenario.success.within(start, start + duration),
-        push=tuple(_all_pushes(session, inputs)),
-        folder=scenario.folder if scenario.has_own_parts else None,
-    )
-    if written.coupling == "jacobi" and written.controller != scenario.controller:
-        raise InputError(
-            "session: a parameter was set before the first step, which with Jacobi coupling acts a "
-            "tick later than a start value; give it in the session's `values`"
-        )
-    same = prepared.inputs(written)[0:ticks] == session
-    if not same.all():
-        tick = int(np.flatnonzero(~same.all(axis=1))[0])
-        raise InputError(
-            f"session: from {_time(prepared, tick)} on, no table gives its commands: they were "
-            "held, or a waypoint was moved when the hand was on its way to it"
-        )
-    return written
 
 
 def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
@@ -115,10 +66,6 @@ def _all_pushes(rows: Array, inputs: Inputs) -> Iterator[Push]:
                 yield Push(start=start, duration=duration, force=newton, on=body)
 
 
-def _time(prepared: Prepared, tick: int) -> str:
-    return f"t = {prepared.assembly.start_time + tick * prepared.scenario.step:.3f} s"
-
-
 @dataclass(frozen=True, eq=False)
 class Saved:
     """A session as it was at a tick, to which `Session.restore` returns."""
@@ -130,9 +77,6 @@ class Saved:
     actions: list[Action]
     adjustments: Adjustments
     mark: tuple[tuple[int, int], int]  # in recording and journal
-
-
-_REFUSED = ("realtime", "time_limit")  # options: the caller paces, and stops
 
 
 @typed
@@ -169,24 +113,17 @@ class Session(Execution):
     ) -> None:
         scenario = load_scenario(scenario).changed(values or {})
         options = options or Options()
-        for name in _REFUSED:
-            if getattr(options, name) != getattr(Options(), name):
-                raise InputError(f"{name}: does not apply to a session, whose caller steps it")
+        if options.realtime or options.time_limit is not None:
+            raise InputError("realtime, time_limit: do not apply to a session; its caller steps it")
         super().__init__(prepare(scenario, options, interactive=True), out, journals=True)
         self.interfaces = self.prepared.assembly.interfaces
         self._places = count(1)  # of saved states
 
     def restart(self) -> None:
         """End this run, keep its folder, and open a new run in a new folder at t = 0."""
-        first = self._out
         if self._stack is not None:
             self.close()
-        if first is not None:
-            self._out = new_folder(first)
-        try:
-            self.open()
-        finally:
-            self._out = first
+        self.open()
 
     # Stepping.
 
@@ -400,10 +337,64 @@ class Session(Execution):
     def as_scenario(self) -> Scenario:
         """Return a scenario that gives the same bits up to the current time.
 
+        Its criteria are within that time, and its external inputs are computed and compared.
+
         Raises:
             InputError: An action cannot be written as a scenario; it is named.
         """
-        return as_scenario(self.prepared, self.actions, self.tick)
+        if self.tick == 0:
+            raise InputError("session: no step yet; a scenario needs at least one")
+        scenario, adjustments = self.scenario, Adjustments(self.prepared)
+        inputs, rows, first = adjustments.inputs, [], 0
+        started = scenario
+        for action in self.actions:
+            rows.append(inputs[first : action.tick])
+            first = action.tick
+            started = started.changed(self._at_start(action))
+            adjustments.take(action)
+        session = np.vstack([*rows, inputs[first : self.tick]])
+        start = self.prepared.assembly.start_time
+        duration = round(self.tick * scenario.step, _DIGITS)
+        written = replace(
+            started,
+            coupling=adjustments.coupling,
+            table=inputs.table,
+            duration=duration,
+            success=scenario.success.within(start, start + duration),
+            push=tuple(_all_pushes(session, inputs)),
+            folder=scenario.folder if scenario.has_own_parts else None,
+        )
+        if written.coupling == "jacobi" and written.controller != scenario.controller:
+            raise InputError(
+                "session: a parameter was set before the first step, which with Jacobi coupling "
+                "acts a tick later than a start value; give it in the session's `values`"
+            )
+        same = self.prepared.inputs(written)[: self.tick] == session
+        if not same.all():
+            tick = int(np.flatnonzero(~same.all(axis=1))[0])
+            raise InputError(
+                f"session: from {self._when(tick)} on, no table gives its commands: they were "
+                "held, or a waypoint was moved when the hand was on its way to it"
+            )
+        return written
+
+    def _at_start(self, action: Action) -> dict[str, ParameterValue]:
+        """Values that an action changes, which a scenario has at its start alone."""
+        match action.act:
+            case Set(name=name, value=value) if name not in self.inputs:
+                what, values = f"{name} was set", {name: value}
+            case SetCoupling():
+                what, values = "the coupling was changed", {}
+            case _:
+                return {}
+        if action.tick > 0:
+            when = self._when(action.tick)
+            raise InputError(f"session: {what} at {when}; a scenario has it at its start alone")
+        return values
+
+    def _when(self, tick: int) -> str:
+        start = self.prepared.assembly.start_time
+        return f"t = {start + tick * self.scenario.step:.3f} s"
 
     def keep(self, folder: Path | str) -> None:
         """Write the session as a scenario into a new folder.

@@ -14,7 +14,7 @@ from ..assets import ELASTIC
 from ..assets.franka import HOME_XPOS, HOME_XQUAT
 from ..controller.gains import Gains
 from ..controller.presets import DEFAULT, OF_IMPEDANCE, OF_SERVOS, PRESETS, preset
-from ..fmus.errors import InputError, refuse
+from ..fmus.errors import located, refuse
 from ..fmus.interface.controller import CONTROLLER
 from ..fmus.interface.parameters import grouped
 from ..fmus.interface.variables import Value
@@ -57,14 +57,11 @@ def check_criteria(scenario: Scenario, assembly: Assembly) -> None:
         columns = assembly.recorded(scenario.coupling)
         units = {column.name: column.unit for column in columns if column.type not in TEXTS}
         units |= {short: units[name] for short, name in addresses(columns).items()}
-        start = assembly.start_time
-        try:
+        start, folder = assembly.start_time, scenario.folder
+        with located(folder / SCENARIO_FILE if folder else scenario.name):
             scenario.success.check_windows(start, start + scenario.duration)
             check_signals(scenario.success.signal, units)
             check_bodies(scenario.success.body, units)
-        except (InputError, ValueError) as error:
-            place = f"{scenario.folder}/{SCENARIO_FILE}: " if scenario.folder else ""
-            raise InputError(f"{place}{error}") from None
 
 
 def check_tolerances(scenario: Scenario, assembly: Assembly) -> None:
@@ -157,34 +154,33 @@ def law_gains(scenario: Scenario, values: StartValues) -> Gains:
     return gains if gains.law == "reference" else default
 
 
-def late_pushes(scenario: Scenario) -> Iterator[str]:
-    """Say of each push that it has no effect, as it begins after the end."""
+def doubts(scenario: Scenario, values: StartValues) -> Iterator[str]:
+    """Say which pushes and gains have no effect, or what the gains do not suit."""
     for push in scenario.push:
         if push.start >= scenario.duration:
             yield f"{SCENARIO_FILE}: [[push]] at {push.start:g} s begins after the end"
-
-
-def unsuitable_gains(scenario: Scenario, values: StartValues) -> list[str]:
-    """Say which gains the law does not have, or that it amplifies noise or elastic joints."""
     if scenario.is_system or "controller" in scenario.fmus:
-        return []
-    law, others = "servos", OF_IMPEDANCE
-    if values["controller"]["impedance"]:
-        law, others = "impedance", OF_SERVOS
+        return
+    is_impedance = values["controller"]["impedance"]
+    law, others = ("impedance", OF_SERVOS) if is_impedance else ("servos", OF_IMPEDANCE)
     idle = [key for key in scenario.controller if key.partition("[")[0] in others]
     if idle:
-        return [f"[controller] {', '.join(idle)}: without effect, as the law is that of {law}"]
-    if scenario.gains != "default" or scenario.fmus:
-        return []
+        yield f"[controller] {', '.join(idle)}: without effect, as the law is that of {law}"
+    elif causes := _amplified(scenario, values):
+        yield (
+            f"gains: the default ones do not suit {' and '.join(causes)}: the torque rate or "
+            'oscillations may exceed the limits of the robot; gains = "robust" suits them'
+        )
+
+
+def _amplified(scenario: Scenario, values: StartValues) -> list[str]:
+    """Noise and elastic joints, if the gains are the default ones, which amplify them."""
     gains, mismatch = law_gains(scenario, values), scenario.mismatch.values
-    causes = [f"mismatch.{key}" for key in NOISES if np.any(mismatch.get(key, 0.0))]
-    causes += [f'scene "{ELASTIC}"'] * (scenario.scene == ELASTIC)
-    if not causes or any(getattr(gains, n) != getattr(DEFAULT, n) for n in ("kp", "ik_gain")):
+    is_changed = (gains.kp, gains.ik_gain) != (DEFAULT.kp, DEFAULT.ik_gain)
+    if is_changed or scenario.gains != "default" or scenario.fmus:
         return []
-    return [
-        f"gains: the default ones do not suit {' and '.join(causes)}: the torque rate or "
-        'oscillations may exceed the limits of the robot; gains = "robust" suits them'
-    ]
+    causes = [f"mismatch.{key}" for key in NOISES if np.any(mismatch.get(key, 0.0))]
+    return causes + [f'scene "{ELASTIC}"'] * (scenario.scene == ELASTIC)
 
 
 def carried_mass(scenario: Scenario, values: StartValues) -> float:

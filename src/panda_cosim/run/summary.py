@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Final
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from ..task.criteria import Direction, Success, split_instant
 from ..task.fields import field_names
 from ..task.scenario import Scenario
 
+if TYPE_CHECKING:
+    from ..result.judging.definitions import Definition
+
 _HAND, _FORCE = ("plant.hand_xpos", "plant.hand_xquat"), "plant.contact_force"
 # Signals without which a section is empty; foreign FMUs may lack some.
 NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
@@ -46,26 +50,25 @@ def summarize(
     """Measure a run; `end`: how it ended, if it is not complete."""
     held = find_holds(recording)
     happened = events(recording, held)
-
-    def measured_if(names: Iterable[str], measure: Callable[[], Metrics]) -> Metrics:
-        """Measure what the recorded signals allow."""
-        return measure() if all(name in recording for name in names) else {}
-
     success, counts = scenario.success, recording.metadata.get("engine", {})
     if any(counts.values()) and success.max_engine_warnings is None:
         success = replace(success, max_engine_warnings=0.0)
-    target = success.block_position
+    measures: dict[str, Callable[[Recording], Metrics]] = {
+        "tracking": _tracking,
+        "orientation": _orientation,
+        "block": partial(measure_block, held=held, goal=success.block_position),
+        "contact": unwanted_contacts,
+        "energy": _energy,
+    }
+    peak = {"peak_force_N": _peak(recording[_FORCE])} if _FORCE in recording else {}
     measured = {
-        "tracking": measured_if(NEEDED["tracking"], lambda: _tracking(recording)),
-        "orientation": measured_if(NEEDED["orientation"], lambda: _orientation(recording)),
-        "block": measured_if(NEEDED["block"], lambda: measure_block(recording, held, target)),
-        "contact": {
-            **measured_if([_FORCE], lambda: {"peak_force_N": _peak(recording[_FORCE])}),
-            **measured_if(NEEDED["contact"], lambda: unwanted_contacts(recording)),
-        },
+        name: measure(recording) if all(each in recording for each in NEEDED[name]) else {}
+        for name, measure in measures.items()
+    }
+    measured |= {
+        "contact": peak | measured["contact"],
         "limits": limit_shares(recording),
         "preflight": _preflight(recording, scenario.preflight),
-        "energy": measured_if(NEEDED["energy"], lambda: _energy(recording)),
         "engine": {"warnings": sum(counts.values()) if counts else None},
         "timing": _timing(recording, happened, statistics),
     }
@@ -134,14 +137,14 @@ def _orientation(recording: Recording) -> Metrics:
 
 def _energy(recording: Recording) -> Metrics:
     """Work of the arm's servos; braking does not recover energy."""
-
-    def positive(torque: Array, speed: Array) -> Any:
-        return np.maximum(torque[:, :7] * speed[:, :7], 0.0).sum(axis=1)
-
-    power = by_rows(recording, positive, "plant.actuator_force", "plant.qvel")
+    power = by_rows(recording, _positive, "plant.actuator_force", "plant.qvel")
     # A row's torques are those of the step that ends there.
     work = float(power[1:] @ np.diff(recording.time)) if len(power) else None
     return {"arm_work_J": work, "peak_power_W": _peak(power)}
+
+
+def _positive(torque: Array, speed: Array) -> Any:
+    return np.maximum(torque[:, :7] * speed[:, :7], 0.0).sum(axis=1)
 
 
 def _timing(recording: Recording, happened: Events, statistics: RunStatistics | None) -> Metrics:
@@ -165,18 +168,24 @@ def _timing(recording: Recording, happened: Events, statistics: RunStatistics | 
 
 def unrecorded(success: Success, recorded: Container[str]) -> Iterator[str]:
     """Say of each criterion on a metric which signal it lacks."""
-    from ..result.judging.definitions import DEFINITIONS  # noqa: PLC0415 - slow to read
-
-    for name in field_names(Success):
-        definition = DEFINITIONS.get(f"success.{name}")
-        reason = _lacking(definition.metric, recorded) if definition is not None else None
-        if reason and getattr(success, name) is not None:
+    for name, _, definition in _asked(success):
+        if reason := _lacking(definition.metric, recorded):
             yield f"{name}: {reason}"
     windows = [(each.label, at) for each in success.signal for at in (each.from_, each.to)]
     for label, at in (*windows, *((each.body, each.at) for each in success.body)):
-        reason = _lacking(f"events.{split_instant(at)[0]}", recorded) if isinstance(at, str) else ""
-        if reason:
+        event = isinstance(at, str) and f"events.{split_instant(at)[0]}"
+        if event and (reason := _lacking(event, recorded)):
             yield f"{label}: {at} never happens: {reason}"
+
+
+def _asked(success: Success) -> Iterator[tuple[str, float, Definition]]:
+    """Yield name, bound and definition of each criterion on a metric."""
+    from ..result.judging.definitions import DEFINITIONS  # noqa: PLC0415 - read while FMUs step, for pages
+
+    for name in field_names(Success):
+        definition, bound = DEFINITIONS.get(f"success.{name}"), getattr(success, name)
+        if definition is not None and bound is not None:
+            yield name, bound, definition
 
 
 def _lacking(metric: str, recorded: Container[str]) -> str | None:
@@ -192,18 +201,17 @@ def _criteria(
     success: Success, measured: Mapping[str, Metrics], recorded: Container[str]
 ) -> Iterator[Criterion]:
     """Compare the metrics with the success criteria, in the scenario file's units."""
-    from ..result.judging.definitions import DEFINITIONS  # noqa: PLC0415 - read while FMUs step, for pages
+    for name, bound, definition in _asked(success):
+        section, _, key = definition.metric.partition(".")
+        value = measured[section].get(key) if key else largest_share(measured[section])
+        direction: Direction = "above" if definition.better == "higher" else "below"
+        reason = _unmeasured(definition.metric, recorded) if value is None else None
+        value = _scaled(value, 1e-3) if key.endswith("_mm") else value
+        yield Criterion(name, value, bound, definition.unit, direction, reason)
 
-    for name in field_names(Success):
-        definition = DEFINITIONS.get(f"success.{name}")
-        bound = getattr(success, name)
-        if definition is not None and bound is not None:
-            section, _, key = definition.metric.partition(".")
-            value = measured[section].get(key) if key else largest_share(measured[section])
-            if key.endswith("_mm"):
-                value = _scaled(value, 1e-3)
-            direction: Direction = "above" if definition.better == "higher" else "below"
-            reason = _lacking(definition.metric, recorded) if value is None else None
-            if key and value is None:
-                reason = reason or DEFINITIONS[definition.metric].unmeasured
-            yield Criterion(name, value, bound, definition.unit, direction, reason)
+
+def _unmeasured(metric: str, recorded: Container[str]) -> str | None:
+    from ..result.judging.definitions import DEFINITIONS  # noqa: PLC0415 - slow to read
+
+    lacking = _lacking(metric, recorded)
+    return lacking if lacking or "." not in metric else DEFINITIONS[metric].unmeasured

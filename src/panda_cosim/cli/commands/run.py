@@ -141,7 +141,7 @@ def replay(  # noqa: PLR0913 - one for each option
     """Repeat a run of `live` or of a Session, bit for bit.
 
     Scenario, FMUs and actions are those of the run's journal. The results are those of
-    `panda-cosim run`, which takes `--session RUN`, too.
+    `panda-cosim run`.
 
     ```
     panda-cosim replay runs/my-session

@@ -34,12 +34,11 @@ from ...run.start import (
     StartValues,
     carried_mass,
     check_tolerances,
+    doubts,
     instants,
-    late_pushes,
     law_gains,
     resolve,
     start_values,
-    unsuitable_gains,
 )
 from ...run.summary import unrecorded
 from ...run.system.assembly import system_scenario, with_parameter_set
@@ -99,7 +98,7 @@ def check_folder(
         return [Diagnostic("wrong", f"{place}{error}")]
     # An .ssp file has neither a purpose nor criteria.
     remarks = [] if folder.suffix == SYSTEM else [*_remarks(prepared.scenario)]
-    remarks += unsuitable_gains(prepared.scenario, prepared.values)
+    remarks += doubts(prepared.scenario, prepared.values)
     try:
         check_tolerances(prepared.scenario, prepared.assembly)
     except InputError as error:  # which `run` ignores, and `regress` refuses
@@ -263,7 +262,6 @@ def _remarks(scenario: Scenario) -> Iterator[str]:
             f"{TABLE_FILE}: the last row is at {last:g} s, after the duration of "
             f"{scenario.duration:g} s: it is never reached"
         )
-    yield from late_pushes(scenario)
 
 
 def _limits(prepared: Prepared) -> Iterator[str]:
