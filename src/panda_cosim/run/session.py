@@ -118,6 +118,7 @@ class Session(Execution):
         super().__init__(prepare(scenario, options, interactive=True), out, journals=True)
         self.interfaces = self.prepared.assembly.interfaces
         self._places = count(1)  # of saved states
+        self._saved: list[int] = []  # those that lie in this run's past
 
     def restart(self) -> None:
         """End this run, keep its folder, and open a new run in a new folder at t = 0."""
@@ -312,20 +313,23 @@ class Session(Execution):
             row = self._master.save(place)
         except SimulationError as error:
             raise InputError(f"save: {error}") from error
+        self._saved.append(place)
         adjustments, mark = self._adjustments.copied(), self._begun.mark()
         return Saved(self._begun, place, self.tick, row, [*self.actions], adjustments, mark)
 
     def restore(self, saved: Saved) -> None:
         """Return to what was saved in this run, as often as you like, with the same bits.
 
-        What came after is dropped from recording and journal, as if it had not happened.
+        What came after is dropped from recording and journal, as if it had not happened; states
+        that were saved then are, too.
 
         Raises:
-            InputError: It was saved in another run, or this one is over.
+            InputError: It was saved in another run or has been dropped, or this run is over.
         """
         self._check_open()
-        if saved.output is not self._begun:
-            raise InputError("restore: was saved in another run; must be of this one")
+        if saved.output is not self._begun or saved.place not in self._saved:
+            raise InputError("restore: was saved in another run, or has been dropped by a restore")
+        del self._saved[self._saved.index(saved.place) + 1 :]
         self._adjustments, self.actions = saved.adjustments.copied(), [*saved.actions]
         with self._guarded():
             self._master.couple(self._adjustments.coupling)
