@@ -69,10 +69,7 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(text, message, tm
     ("keys", "message"),
     [
         ({"samples": 0}, "samples"),
-        ({"scenario": ("push", "push")}, "names must differ"),
-        ({"criterion": "max_slip"}, 'only valid with design = "search"'),
         ({"design": "grid", "samples": 5}, 'samples: cannot be combined with design = "grid"'),
-        ({"goal": "best"}, 'only valid with design = "search"'),
         ({"min_success": 95}, "min_success: value 95; must be a number from 0 to 1"),
         ({"min_success": 0.9, "design": "search"}, 'cannot be combined with design = "search"'),
         ({"confidence": 0.9}, "confidence: needs min_success"),

@@ -248,7 +248,7 @@ def _line(outcome: Outcome) -> str:
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
     names = ("name", "verdict", "cause", "reason", "seconds", "criteria", "difference")
-    of_comparison = ("worst", "first", "compared", "uncompared", "constant_fits")
+    of_comparison = ("worst", "first", "compared", "constant_fits")
     return {name: getattr(outcome, name) for name in names} | {
         name: getattr(outcome.comparison, name, None) for name in of_comparison
     }

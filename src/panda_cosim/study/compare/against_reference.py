@@ -168,7 +168,6 @@ class Comparison:
     problems: tuple[str, ...]  # one line each, the most important first
     deviations: tuple[Deviation, ...]  # of each compared column, the worst first
     engines: tuple[str, str] = ("", "")  # versions of MuJoCo: the run's, the reference's
-    uncompared: tuple[str, ...] = ()  # recorded columns that were not compared
     causes: tuple[Row, ...] = ()  # what the run was made with differently, the likeliest first
 
     @property
@@ -208,17 +207,14 @@ class Comparison:
     @property
     def count(self) -> str:
         """Say how many columns were compared, and how many of them a constant would match, too."""
-        share = f" of {self.compared + len(self.uncompared)}" if self.uncompared else ""
         fits = f", {len(self.constant_fits)} loose" if self.constant_fits else ""
-        return f"{self.compared}{share} columns{fits}"
+        return f"{self.compared} columns{fits}"
 
     @property
     def scope(self) -> str:
-        """Say what was compared, what was not, and which signals a constant would match, too."""
-        loose = "loose, as a constant would match"
-        others = {"not compared": self.uncompared, loose: sorted(self.constant_fits)}
-        names = [f" ({what}: {signal_names(each)})" for what, each in others.items() if each]
-        return "".join([f"Compared: {self.count}", *names, "."])
+        """Say what was compared, and which signals a constant would match, too."""
+        loose = signal_names(sorted(self.constant_fits))
+        return f"Compared: {self.count}{f' (as a constant would match: {loose})' if loose else ''}."
 
 
 def compare_with_reference(
@@ -247,9 +243,7 @@ def compare_with_reference(
         problems += bit_problems(recording, reference)
     run, made = (each.metadata.get("versions", {}) for each in (recording, reference))
     engines = (run.get("mujoco", ""), made.get("mujoco", ""))
-    compared = {"time", *(deviation.name for deviation in deviations)}
-    uncompared = tuple(name for name in recording.types if name not in compared)
-    return Comparison(tuple(problems), tuple(deviations), engines, uncompared)
+    return Comparison(tuple(problems), tuple(deviations), engines)
 
 
 def _check_precision(reference: Reference, half: Mapping[str, float]) -> None:

@@ -8,6 +8,7 @@ another program is compared as a run without parameters, criteria and metrics.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,7 +27,7 @@ from ...task.typed import typed
 from . import differences
 from .differences import Extent, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
-from .wording import DASH, multiple, numbers, percent, precise, unit_of
+from .wording import DASH, multiple, numbers, precise, short, unit_of
 
 Names = tuple[str, ...]
 
@@ -121,7 +122,7 @@ class RunComparison:
             for row in self.criteria
         ]
         signals = [
-            (row.name, multiple(row.multiple), percent(row.share), *row.texts)
+            (row.name, multiple(row.multiple), f"{short(100.0 * row.share)} %", *row.texts)
             for row in self.signals
         ]
         parameters, metrics = (
@@ -189,12 +190,12 @@ def _differing(tables: Sequence[Mapping[str, object]]) -> tuple[differences.Row,
 
 def _columns(runs: Sequence[Recording]) -> tuple[Names, Names, Names]:
     """Return the columns that can be compared, those of other units, and those not in all runs."""
-    every = dict.fromkeys(name for run in runs for name in run.types if name != "time")
-    common = [name for name in every if all(name in run.types for run in runs)]
-    # The unit of a number, None of a text.
-    compared = tuple(n for n in common if len({run.units.get(n) for run in runs}) == 1)
-    other_units = tuple(name for name in common if name not in compared)
-    return compared, other_units, tuple(name for name in every if name not in common)
+    counts = Counter(name for run in runs for name in run.types if name != "time")
+    common = [name for name, count in counts.items() if count == len(runs)]
+    units = {name: {run.units.get(name) for run in runs} for name in common}  # None: of a text
+    compared = tuple(name for name in common if len(units[name]) == 1)
+    others = tuple(name for name in common if name not in compared)
+    return compared, others, tuple(name for name in counts if name not in units)
 
 
 def _opened(
@@ -255,7 +256,7 @@ def _signals_part(comparison: RunComparison, table: Table) -> Part:
     ):
         tables.append(Table(("Signal",), [(each,) for each in columns], f"{len(columns)} {words}"))
     numbers = [row for row in comparison.signals if row.name in comparison.recordings[0].units]
-    shown = varied(numbers, lambda row: row.name, ALIKE)[:FIGURES]
+    shown = varied(numbers, ALIKE)[:FIGURES]
     note = "A range below a thousandth of the signal's largest value counts as that."
     figures = [_figure(row, comparison) for row in shown]
     return Part(SIGNALS, tables, note if table.rows else "", figures)

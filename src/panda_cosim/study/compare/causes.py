@@ -63,9 +63,8 @@ def elements(model: Any) -> Elements:
 def _numbered(name: str, values: Any) -> Elements:
     """Return values by name, with numbers from 1 if there are several."""
     listed = np.ravel(values).astype(float).tolist()
-    return {name: listed[0]} if len(listed) == 1 else {
-        f"{name}[{number}]": value for number, value in enumerate(listed, 1)
-    }  # fmt: skip
+    names = [f"{name}[{number}]" for number in range(1, len(listed) + 1)]
+    return dict(zip([name] if len(listed) == 1 else names, listed, strict=True))
 
 
 def models_of(scenario: Scenario, recording: Recording) -> dict[str, Elements]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
@@ -23,10 +23,12 @@ from ...task.tolerances import signal_of
 from .wording import multiple
 
 if TYPE_CHECKING:
+    from .against_reference import Deviation
+    from .differences import SignalRow
     from .regress import Outcome
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
+T = TypeVar("T", "Deviation", "SignalRow")
 
 TEMPLATE: Final = Path(__file__).with_name("page_template.html")
 DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar
@@ -113,13 +115,11 @@ def short_share(share: float) -> str:
     return "∞" if math.isinf(share) else multiple(share) if share >= 1e-3 else "0"
 
 
-def varied(rows: Iterable[T], name: Callable[[T], str], alike: int) -> list[T]:
+def varied(rows: Iterable[T], alike: int) -> list[T]:
     """Keep at most `alike` elements of each signal, so that other signals are seen."""
-    counts: Counter[str] = Counter()
-    kept = []
+    counts, kept = Counter[str](), []
     for row in rows:
-        signal = signal_of(name(row))
-        counts[signal] += 1
+        counts[signal := signal_of(row.name)] += 1
         if counts[signal] <= alike:
             kept.append(row)
     return kept

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
@@ -288,8 +288,7 @@ def exit_code(outcomes: Iterable[Outcome]) -> int:
     judged = {outcome.verdict for outcome in outcomes}
     if judged == {"skipped"}:
         return InputError.exit_code
-    codes = {MEANINGS[verdict].exit_code for verdict in judged}
-    return 1 if 1 in codes else max(codes, default=0)
+    return next(meaning.exit_code for each, meaning in MEANINGS.items() if each in judged)
 
 
 def find_scenarios(
@@ -297,15 +296,8 @@ def find_scenarios(
 ) -> list[Scenario | Unusable]:
     """Load scenarios by name, or all; an unusable folder becomes an `Unusable`."""
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
-    for name in names:
-        if name not in known and not (Path(name) / SCENARIO_FILE).is_file():
-            place = "the shipped ones" if folder is None else folder
-            must = f"must be a folder with {SCENARIO_FILE}, or one of {place}: {', '.join(known)}"
-            refuse("scenario", name, must, known)
-    scenarios = [
-        read_scenario(known[name], name) if name in known else read_scenario(Path(name))
-        for name in names or known
-    ]
+    place = "the shipped ones" if folder is None else str(folder)
+    scenarios = [_named(name, known, place) for name in names or known]
     name, count = Counter(scenario.name for scenario in scenarios).most_common(1)[0]
     if count > 1:
         raise InputError(f"scenario {name!r}: is listed twice")
@@ -313,6 +305,15 @@ def find_scenarios(
     if len(errors) == len(scenarios):
         raise InputError(errors[0])
     return scenarios
+
+
+def _named(name: str, known: Mapping[str, Path], place: str) -> Scenario | Unusable:
+    if name in known:
+        return read_scenario(known[name], name)
+    if not (Path(name) / SCENARIO_FILE).is_file():
+        must = f"must be a folder with {SCENARIO_FILE}, or one of {place}: {', '.join(known)}"
+        refuse("scenario", name, must, known)
+    return read_scenario(Path(name))
 
 
 def read_scenario(folder: Path, name: str = "") -> Scenario | Unusable:

@@ -21,7 +21,7 @@ from .differences import Row, differing
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference
 from .regress import MEANINGS, Outcome, exit_code, headline
-from .requirements import proofs
+from .requirements import Proof, of_outcome
 from .tubes import tube
 from .views import Views, limited, shown_reference
 from .wording import DASH, instant, measure, numbers
@@ -42,10 +42,8 @@ def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> Non
     """Write the report of a suite that was run with some values changed, by key."""
     views = Views()
     sections = [_section(outcome, views) for outcome in sorted(outcomes, key=_rank)]
-    if proven := proofs(outcomes):
-        state = "good" if all(proof.ok for proof in proven) else "bad"
-        table = Table(REQUIREMENTS, [proof[:4] for proof in proven])
-        sections.insert(0, Section("Requirements", state, [Part("What proves them", [table])]))
+    if proven := sorted(proof for outcome in outcomes for proof in of_outcome(outcome)):
+        sections.insert(0, _requirements(proven))
     page = Page(
         title=headline(outcomes),
         state="bad" if exit_code(outcomes) else "good",
@@ -56,6 +54,12 @@ def write_report(outcomes: Sequence[Outcome], path: Path, values: Values) -> Non
         settings=[f"{key} = {value}" for key, value in values.items()],
     )
     write_whole(path, render(page))
+
+
+def _requirements(proven: Sequence[Proof]) -> Section:
+    state = "good" if all(proof.ok for proof in proven) else "bad"
+    table = Table(REQUIREMENTS, [proof[:4] for proof in proven])
+    return Section("Requirements", state, [Part("What proves them", [table])])
 
 
 def _rank(outcome: Outcome) -> tuple[int, float, str]:
@@ -83,20 +87,23 @@ def _section(outcome: Outcome, views: Views) -> Section:
 def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:
     """Return the parts of a run that was compared with its reference."""
     reference, recording = Reference.read(outcome.reference_path), Recording.open(outcome.run)
-    failed = [d for d in comparison.deviations if not d.ok]
-    others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
-    shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
+    failed = [d for d in comparison.deviations if not d.ok]  # the first of them
+    listed = len(failed[:LISTED])
+    shown = varied(failed, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
     shown = [deviation for deviation in shown if deviation.name in reference.columns]
     metrics = differing([dict(each.summary.numbers()) for each in (reference, outcome)])
     metrics.sort(key=lambda row: -row.relative)
-    tables = [
-        Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
-        Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
-    ]
+    rows = [_deviation(d) for d in comparison.deviations]
+    others = Table(SIGNALS, rows[listed:], f"{len(rows) - listed} more signals")
     figures = [_figure(d, outcome, recording, reference) for d in shown]
     return [
         _view(outcome, shown, views),
-        Part("Signals, worst first", tables, comparison.scope, figures),
+        Part(
+            "Signals, worst first",
+            [Table(SIGNALS, rows[:listed]), others],
+            comparison.scope,
+            figures,
+        ),
         _changes("Parameters, models, versions, FMUs", comparison.causes),
         _changes("Metrics", metrics, f"{len(metrics)} that differ"),
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from ...task.scenario import Scenario
@@ -21,13 +21,8 @@ class Proof(NamedTuple):
     ok: bool
 
 
-def proofs(outcomes: Iterable[Outcome]) -> list[Proof]:
-    """Return what is stated, by requirement; a run that failed proves nothing."""
-    return sorted(proof for outcome in outcomes for proof in of_outcome(outcome))
-
-
 def of_outcome(outcome: Outcome) -> Iterator[Proof]:
-    """Yield what an outcome says of the requirements that its scenario states."""
+    """Yield what an outcome says of its scenario's requirements; a failed run proves nothing."""
     scenario = outcome.scenario
     if not isinstance(scenario, Scenario):
         return

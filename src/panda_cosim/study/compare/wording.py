@@ -59,11 +59,6 @@ def multiple(share: float) -> str:
     return numbers((1.0, share))[1] if text == "1" else text
 
 
-def percent(share: float) -> str:
-    """Format a share in percent."""
-    return f"{short(100.0 * share)} %"
-
-
 def precise(value: float) -> str:
     """Format a time with all digits that its tick can have, without those of rounding."""
     return f"{value:.12g}"

@@ -12,6 +12,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import ExitStack
+from copy import copy
 from functools import partial
 from itertools import islice
 from typing import Any, Final
@@ -107,11 +108,6 @@ class Local(Backend):
         )
 
 
-def keep(job: Job) -> Job:
-    """Return the job; called by a cluster's worker, which holds the result for its chunks."""
-    return job
-
-
 def run_chunk(job: Job, tasks: list[Task]) -> list[Done]:
     """Run rows one after the other; called by a cluster's worker."""
     with Local(job, 1) as here:
@@ -148,7 +144,7 @@ class Cluster(Backend):
         self.callback(self._client.close)
         self._submits = self._client.get_executor(pure=False).submit
         # A task, not scattered data: Dask makes a result again if its worker is lost.
-        self._shared = self._client.submit(keep, job, pure=False)
+        self._shared = self._client.submit(copy, job, pure=False)
         self._seconds = self._rows = 0.0
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:

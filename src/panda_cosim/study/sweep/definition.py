@@ -139,8 +139,6 @@ def _names(value: object) -> tuple[str, ...]:
     names = [value] if isinstance(value, str | Path) else value
     if not isinstance(names, list | tuple) or not names:
         raise ValueError(f"value {excerpt(value)}; must be a scenario's name or folder, or several")
-    if len({str(name) for name in names}) != len(names):
-        raise ValueError(f"value {excerpt(value)}; names must differ")
     return tuple(Line()(str(name)) for name in names)
 
 
@@ -190,9 +188,6 @@ class Sweep:
             ),
             f'samples: value 0; must be at least 1 for "{self.design}"': (
                 is_drawn and not self.samples
-            ),
-            'goal and criterion: only valid with design = "search"': (
-                not is_search and (self.criterion or self.goal != GOALS[0])
             ),
             "scenario: a search has one": is_search and len(self.scenario) > 1,
             'min_success: cannot be combined with design = "search"': (

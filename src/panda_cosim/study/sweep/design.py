@@ -87,12 +87,11 @@ def _probabilities(sweep: Sweep) -> Array:
     rng, dimensions = np.random.default_rng(sweep.seed), len(sweep.vary)
     if sweep.design == "random":
         u = rng.random((sweep.samples, dimensions))
-    elif sweep.design == "latin-hypercube":
-        u = scipy.stats.qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
     else:
+        kinds = {"latin-hypercube": scipy.stats.qmc.LatinHypercube, "sobol": scipy.stats.qmc.Sobol}
         with warnings.catch_warnings():  # any number is allowed; a power of 2 covers the cube best
             warnings.simplefilter("ignore", UserWarning)
-            u = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=rng).random(sweep.samples)
+            u = kinds[sweep.design](dimensions, rng=rng).random(sweep.samples)
     return np.clip(u, _EDGE, 1.0 - _EDGE)
 
 

@@ -112,41 +112,48 @@ def pair(first: str | Path, second: str | Path) -> Paired:
     Raises:
         InputError: They have no values in common, or rows of equal values.
     """
-    stores = Store(first), Store(second)
-    before, now = (store.content for store in stores)
-    tables = [store.table().to_pylist() for store in stores]
-    every = dict.fromkeys(("scenario", *before.keys, *now.keys))
-    values = {key: [{row.get(key) for row in rows} for rows in tables] for key in every}
-    shared = [key for key in every if all(key in rows[0] for rows in tables)]
-    keys = tuple(key for key in shared if max(map(len, values[key])) > 1)
-    sides = [_by_values(s.folder, rows, keys) for s, rows in zip(stores, tables, strict=True)]
-    common = [at for at in sides[0] if at in sides[1]]
+    before, now = _Side(first), _Side(second)
+    every = dict.fromkeys(("scenario", *before.content.keys, *now.content.keys))
+    values = {key: (before.values(key), now.values(key)) for key in every}
+    keys = tuple(key for key, sides in values.items()
+                 if max(map(len, sides)) > 1 and {None} not in sides)  # fmt: skip
+    one, other = before.by(keys), now.by(keys)
+    common = [at for at in one if at in other]
     if not common:
         names = ", ".join(keys) or "constant values"
         raise InputError(f"{second}: no row has the values of a row of {first} ({names})")
     constant = [
-        str(Changed(key, (*one, *other)))
-        for key, (one, other) in values.items()
-        if one != other and len(one) == len(other) == 1
+        str(Changed(key, (*old, *new)))
+        for key, (old, new) in values.items()
+        if old != new and len(old) == len(new) == 1
     ]
     return Paired(
         keys,
-        (*constant, *changes(before.origin, now.origin)),
-        tuple((sides[0][at], sides[1][at]) for at in common),
-        (len(sides[0]) - len(common), len(sides[1]) - len(common)),
+        (*constant, *changes(before.content.origin, now.content.origin)),
+        tuple((one[at], other[at]) for at in common),
+        (len(one) - len(common), len(other) - len(common)),
     )
 
 
-def _by_values(
-    folder: Path, rows: Sequence[Row], keys: Sequence[str]
-) -> dict[tuple[object, ...], Row]:
-    found: dict[tuple[object, ...], Row] = {}
-    for row in rows:
-        values = tuple(row[key] for key in keys)
-        if values in found:
-            raise InputError(
-                f"{folder}: rows {found[values]['index']} and {row['index']} have the same values "
-                f"of {', '.join(keys) or 'all keys'}; must differ, to be paired"
-            )
-        found[values] = row
-    return found
+class _Side:
+    """One of two sweeps."""
+
+    def __init__(self, folder: str | Path) -> None:
+        store = Store(folder)
+        self.folder, self.content, self._rows = folder, store.content, store.table().to_pylist()
+
+    def values(self, key: str) -> set[object]:
+        """Return the values that rows have of a key; None: they have none."""
+        return {row.get(key) for row in self._rows}
+
+    def by(self, keys: Sequence[str]) -> dict[tuple[object, ...], Row]:
+        """Return the rows by their values of keys, which must tell them apart."""
+        found: dict[tuple[object, ...], Row] = {}
+        for row in self._rows:
+            other = found.setdefault(tuple(row[key] for key in keys), row)
+            if other is not row:
+                raise InputError(
+                    f"{self.folder}: rows {other['index']} and {row['index']} have the same values "
+                    f"of {', '.join(keys) or 'all keys'}; must differ, to be paired"
+                )
+        return found

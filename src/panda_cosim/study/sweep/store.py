@@ -7,12 +7,12 @@ since the last one. `scenarios/N/NAME` is the sweep's Nth scenario, as it was sw
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from ...fmus.atomic import held, replacing, write_whole, writing
-from ...fmus.build.identity import code_digest, package_version
+from ...fmus.build.identity import code_digest, digest, package_version
 from ...fmus.errors import InputError, one_line
 from ...run.folder import write_files
 from ...task.files import read_text
@@ -74,13 +74,13 @@ def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) ->
     no_matter = ("keep", "min_success", "confidence")  # they change no row
     definition = {name: value for name, value in asdict(sweep).items() if name not in no_matter}
     vary = definition.pop("vary")
-    definition["file"] = _sha256(sweep.file.read_bytes()) if sweep.file is not None else None
+    definition["file"] = digest(sweep.file.read_bytes()) if sweep.file else None
     definition["scenario"] = scenario_names(sweep.scenario)
     plain: Origin = json.loads(json.dumps({
         "definition": definition,
         "vary": vary,
         "scenarios": {each.name: identity(each) for each in packed},
-        "fmus": {name: _sha256(content) for name, content in fmus.items()},
+        "fmus": {name: digest(content) for name, content in fmus.items()},
         "code": {"panda-cosim": code_digest(ABOVE)[:16]},
         "versions": dict(_versions()),
     }))  # fmt: skip
@@ -95,10 +95,6 @@ def _versions() -> Iterator[tuple[str, str]]:
         with suppress(PackageNotFoundError):
             if not _TOOLS.search(requirement):
                 yield name, package_version(name)
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 def changes(old: Origin, new: Origin) -> Iterator[str]:
@@ -281,8 +277,7 @@ class Store:
 
     def count(self) -> dict[str, int]:
         """Return the number of rows by status."""
-        counts = self.scan(columns=["status"])["status"].value_counts().to_pylist()
-        return {each["values"]: each["counts"] for each in counts}
+        return dict(Counter(self.scan(columns=["status"])["status"].to_pylist()))
 
     def worst(self, number: int, keys: Sequence[str]) -> list[Row]:
         """Return the worst rows, with some varied values."""
