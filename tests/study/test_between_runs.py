@@ -106,7 +106,7 @@ def test_runs_with_nothing_in_common_are_refused(tmp_path):
     for name, signals, told in (
         ("b", later, "no span of time in common"),
         ("c", values, "no signal in common"),
-        ("d", none, "d: nothing to compare: it has no rows"),
+        ("d", none, "a, d: nothing to compare: one of them has no rows"),
     ):
         record(tmp_path / name, signals)
         with pytest.raises(InputError, match=told):

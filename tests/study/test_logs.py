@@ -127,7 +127,7 @@ def test_times_must_increase_and_cells_that_are_used_must_be_numbers(run, tmp_pa
         assert said in str(refused.value)
     (tmp_path / "names.toml").write_text("start = 0")
     (tmp_path / "log.csv").write_text("time,plant.qpos[1]\n")
-    with pytest.raises(InputError, match="nothing to compare: it has no rows"):
+    with pytest.raises(InputError, match="nothing to compare: one of them has no rows"):
         compare(run, tmp_path / "log.csv", names=tmp_path / "names.toml")
     (tmp_path / "log.csv").write_text("time,word,plant.qpos[1]\n0,a,1\n1,b,1\n")
     assert open_log(tmp_path / "log.csv", None, run.recording).columns == ("time", "plant.qpos[1]")

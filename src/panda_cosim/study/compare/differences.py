@@ -114,9 +114,8 @@ def _relative_change(before: Any, now: Any) -> float:
 
 def joint_instants(names: Sequence[str], times: Sequence[Array]) -> tuple[Array, list[Array]]:
     """Return the instants of all runs within the spans of all, and each run's as they are there."""
-    for name, time in zip(names, times, strict=True):
-        if not len(time):
-            raise InputError(f"{name}: nothing to compare: it has no rows")
+    if not all(map(len, times)):
+        raise InputError(f"{', '.join(names)}: nothing to compare: one of them has no rows")
     # Rounding of k * dt makes no second instant of one.
     slack = TIME_SLACK * min(float(np.diff(time).min(initial=1.0)) for time in times)
     every = np.unique(np.concatenate(times))

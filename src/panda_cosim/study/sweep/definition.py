@@ -109,9 +109,6 @@ def read_distribution(section: object) -> Distribution:
         if kind != "normal":
             raise ValueError(f"limits: only valid with normal, not with {kind}")
         limits = _pair("limits", section["limits"])
-        low, high = scipy.special.ndtr((np.array(limits) - numbers[0]) / numbers[1])
-        if not high - low > 1e-9:
-            raise ValueError(f"limits: hold a share of {high - low:.1g} of the distribution")
     steps = Whole(2, MAX_STEPS).check("steps", section.get("steps", _STEPS))
     return Distribution(kind, numbers, limits=limits, steps=steps)
 
@@ -124,13 +121,11 @@ def _choices(values: object) -> tuple[float | bool | str, ...]:
 
 def _pair(kind: str, value: object) -> tuple[float, float]:
     first, second = Vector(2).check(kind, value)
-    is_normal = kind == "normal"
+    place = f"{kind}: value {excerpt(value)}; must be"
     check_rules({
-        f"normal: standard deviation {second!r}; must be above 0": is_normal and second <= 0.0,
-        f"{kind}: value {excerpt(value)}; must be [low, high], low below high": (
-            not (is_normal or first < second)
-        ),
-        f"log-uniform: value {first!r}; must be above 0": kind == "log-uniform" and first <= 0.0,
+        f"{place} [mean, standard deviation], that above 0": kind == "normal" and second <= 0.0,
+        f"{place} [low, high], low below high": kind != "normal" and first >= second,
+        f"{place} [low, high], low above 0": kind == "log-uniform" and first <= 0.0,
     })  # fmt: skip
     return first, second
 
@@ -176,25 +171,15 @@ class Sweep:
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
         is_list, is_search = self.design == "list", self.design == "search"
-        is_drawn = is_search or self.design in SAMPLED
+        is_drawn, drawn = is_search or self.design in SAMPLED, ", ".join(SAMPLED)
         check_rules({
             'file: required with design = "list", and only then': is_list != bool(self.file),
-            'vary: cannot be combined with design = "list"; the file has the values': (
-                is_list and self.vary
-            ),
-            'vary: nothing is varied; must have sections [vary."KEY"]': not (is_list or self.vary),
-            f'samples: cannot be combined with design = "{self.design}"': (
-                self.samples and not is_drawn
-            ),
-            f'samples: value 0; must be at least 1 for "{self.design}"': (
-                is_drawn and not self.samples
-            ),
+            'vary: sections required, but not with design = "list"': is_list == bool(self.vary),
+            f"samples: required with search, {drawn}, alone": is_drawn != bool(self.samples),
             "scenario: a search has one": is_search and len(self.scenario) > 1,
-            'min_success: cannot be combined with design = "search"': (
-                is_search and self.min_success
-            ),
+            "min_success: a search has no success rate": is_search and self.min_success,
             "confidence: needs min_success": self.confidence and not self.min_success,
-            f"confidence: needs random rows; must be {', '.join(SAMPLED)}": (
+            f"confidence: needs random rows, of {drawn}": (
                 self.confidence and self.design not in SAMPLED
             ),
         })  # fmt: skip
