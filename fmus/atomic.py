@@ -29,9 +29,9 @@ _NOTES: Final = {  # what a member of an archive of ours holds: of an .fmu, an .
 }
 
 
-def check_replaceable(*paths: Path, overwrite: bool | None = None) -> None:
-    """Refuse to replace a file that has no `MARK`, and a recording in any case."""
-    for path in paths:
+def check_replaceable(*paths: Path | None, overwrite: bool | None = None) -> None:
+    """Refuse to replace a file that has no `MARK`, and a recording in any case; None is no file."""
+    for path in filter(None, paths):
         head = _head(path)
         if head.startswith(_RECORDINGS):
             raise InputError(f"{path}: holds a recording; must be another file")

@@ -74,8 +74,7 @@ def perform(
     Modules that are needed afterwards are imported while the FMUs step, and the scene of these
     parameters, by FMU, is described.
     """
-    if output.junit is not None:
-        check_replaceable(output.junit)
+    check_replaceable(output.junit)
     # No warning: an overflow leads to a value that is not finite, which is an error.
     warnings.simplefilter("ignore", RuntimeWarning)
     began = time.monotonic()

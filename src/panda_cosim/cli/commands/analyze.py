@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from itertools import chain, product
 from pathlib import Path
@@ -19,7 +19,7 @@ from ...study.analysis.confirm import REFUTED
 from ...study.analysis.margins import HEADS, Analysis, analyze, shown
 from ...study.analysis.plot import draw_analyses
 from ...task.files import marked_json
-from ...task.scenario import Scenario
+from ...task.scenario import Scenario, load_scenario
 from ...task.values import Values
 from ..console import Item, show_result, table, tell, warn
 from ..forms import argument, flag, option
@@ -87,19 +87,9 @@ def command(  # noqa: PLR0913 - one for each option
     tell("Measuring the loops ...")
     Thread(target=import_module, args=("control",), daemon=True).start()  # 1 s, while FMUs step
     found = {name: analyze(each, at, loop=loop, verify=verify) for name, each in chosen.items()}
-    first = next(iter(found.values()))
     remarks = [f"{name}: {text}" for name, each in found.items() for text in each.remarks]
-    model = {n: np.asarray(value).tolist() for n, value in first.matrices.items()}
-    content = {
-        "scenario": first.scenario, "folder": out, "at": first.at, "left_out": LEFT_OUT,
-        "remarks": remarks, "cases": list(found), "variants": [a.margins for a in found.values()],
-        "confirmed": [a.confirmed for a in found.values()], "model": model,
-    }  # fmt: skip
-    write_whole(files[0], marked_json(to_json(content, inf_nan_mode="null").decode()))
-    with own_style(), replacing(files[1]) as path:  # without `save`, which takes 0.2 s to pack it
-        draw_analyses(found).savefig(path, format="png", metadata={"Comment": MARK})
-    with replacing(files[2]) as path:
-        np.savez(path, note=np.bytes_(MARK), allow_pickle=False, **first.matrices)
+    content = {**_described(found), "folder": out, "remarks": remarks}
+    _write(files, found, content)
     for remark in remarks:
         warn(remark)
     items = chain.from_iterable(_shown(name, analysis) for name, analysis in found.items())
@@ -108,25 +98,47 @@ def command(  # noqa: PLR0913 - one for each option
     end(missed=any(it.verdict == REFUTED for a in found.values() for it in a.confirmed))
 
 
+def _described(found: Mapping[str, Analysis]) -> dict[str, object]:
+    """Return plain values of all cases, with the first one's model."""
+    first, *_ = analyses = [*found.values()]
+    return {
+        "scenario": first.scenario, "at": first.at, "left_out": LEFT_OUT, "cases": [*found],
+        "variants": [each.margins for each in analyses],
+        "confirmed": [each.confirmed for each in analyses],
+        "model": {name: np.asarray(value).tolist() for name, value in first.matrices.items()},
+    }  # fmt: skip
+
+
+def _write(files: list[Path], found: Mapping[str, Analysis], content: object) -> None:
+    """Write the numbers, the plots of all cases, and the first one's model."""
+    first = next(iter(found.values()))
+    write_whole(files[0], marked_json(to_json(content, inf_nan_mode="null").decode()))
+    with own_style(), replacing(files[1]) as path:  # without `save`, which takes 0.2 s to pack it
+        draw_analyses(found).savefig(path, format="png", metadata={"Comment": MARK})
+    with replacing(files[2]) as path:
+        np.savez(path, note=np.bytes_(MARK), allow_pickle=False, **first.matrices)
+
+
 def _cases(words: list[str] | None, common: Values, *lists: str) -> dict[str, Scenario]:
     """Scenarios by name: those of the words, with each period and coupling of the lists."""
     keys = ("controller.period", "coupling")
     each = [[f"{key}={value.strip()}" for value in text.split(",")]
             for key, text in zip(keys, lists, strict=True) if text]  # fmt: skip
-    found, scenario = {}, None
+    found, scenario = {}, load_scenario(DEFAULT_SCENARIO)
     for word in words or [DEFAULT_SCENARIO]:
-        values: Values = {}
-        if "=" in word:
-            values = values_of(_NEXT_KEY.split(word))
-        elif ".py:" in word or word.endswith(".fmu"):
-            values = {"fmus.controller": word}
-        else:
-            scenario = find_scenario(word)
-        scenario = scenario or find_scenario(DEFAULT_SCENARIO)
+        values = _values(word)
+        scenario = scenario if values else find_scenario(word)
         for more in product(*each):
             changed = scenario.changed({**common, **values, **values_of(more)})
             found[" ".join((word, *more))] = changed
     return found
+
+
+def _values(case: str) -> Values:
+    """Return the values by which a case differs from the scenario; of a scenario's name, none."""
+    if "=" in case:
+        return values_of(_NEXT_KEY.split(case))
+    return {"fmus.controller": case} if re.search(r"\.py:|\.fmu$", case) else {}
 
 
 def _shown(name: str, analysis: Analysis) -> Iterator[Item]:

@@ -34,7 +34,7 @@ def command(
     Args:
         json: Also write the numbers to this file.
     """
-    check_replaceable(*filter(None, (json,)), overwrite=overwrite)
+    check_replaceable(json, overwrite=overwrite)
     tell("Measuring; do not use the machine meanwhile ...")
     announce_python(kind)
     result = bench(kind=kind)

@@ -120,16 +120,21 @@ class Build:
             for path, make in self.files.items():
                 make(new := stack.enter_context(replacing(path)))
                 if path.suffix == ".fmu":
-                    try:
-                        whole[path] = add_experiment(new, experiments.get(path))
-                    except CosimError as error:
-                        reason = str(error).replace(str(new), str(path))
-                        lacks = "holds no reference experiment, as it cannot be run here"
-                        warn(f"{path}: {lacks}: {reason}")
+                    whole[path] = _completed(new, path, experiments.get(path))
         for path in self.files:
-            if compatibility and path in whole:
-                write_compatibility(path, whole[path])
+            if compatibility and (experiment := whole.get(path)):
+                write_compatibility(path, experiment)
             show_file(path)
+
+
+def _completed(new: Path, path: Path, experiment: Experiment | None) -> Experiment | None:
+    """Add a reference experiment to a new FMU, which will be at the path, if it can be run."""
+    try:
+        return add_experiment(new, experiment)
+    except CosimError as error:
+        reason = str(error).replace(str(new), str(path))
+        warn(f"{path}: holds no reference experiment, as it cannot be run here: {reason}")
+        return None
 
 
 def _made(fmu: NativeFmu, target: Target) -> Make:

@@ -72,9 +72,8 @@ def command(  # noqa: PLR0913 - one for each option
     if not folder.exists():
         folder = shipped_scenarios().get(str(folder), folder)
     if folder.suffix == ".fmu":
-        for name, value in (("--set", assignments), ("--robot", robot)):
-            if value:
-                raise InputError(f"{name}: not for an .fmu, whose experiments set their own values")
+        if any((assignments, controller, plant, robot, ssv)):
+            raise InputError(f"{folder}: takes --json alone; experiments set their own values")
         _check_fmu(folder, json=json)
         return
     found = _found(folder, values_of(assignments, controller, plant), robot, ssv)
@@ -106,12 +105,12 @@ def _found(
 def _check_fmu(path: Path, *, json: bool) -> None:
     """Run the experiments in an FMU, and print how far it is from their references."""
     outcomes = check_experiments(path)
-    found = [{**asdict(each), "ok": each.ok} for each in outcomes]
-    is_ok = bool(found) and all(each["ok"] for each in found)
-    content = {"fmu": path, "ok": is_ok, "experiments": found}
-    show_result(content, (_line(each.level, each) for each in outcomes), json=json)
     if not outcomes:
         raise InputError(f"{path}: no experiments, so that nothing was compared")
+    found = [{**asdict(each), "ok": each.ok} for each in outcomes]
+    is_ok = all(each["ok"] for each in found)
+    content = {"fmu": path, "ok": is_ok, "experiments": found}
+    show_result(content, (_line(each.level, each) for each in outcomes), json=json)
     if not all(each.values for each in outcomes):
         nothing = "has no references at its instants, so that nothing was compared"
         raise InputError(f"{path}: an experiment {nothing}")

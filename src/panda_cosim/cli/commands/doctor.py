@@ -7,6 +7,7 @@ import platform
 import re
 import sys
 import tempfile
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from importlib.metadata import requires, version
 from typing import Literal, NamedTuple
@@ -64,8 +65,10 @@ def command(json: bool = flag("--json")) -> None:
     # Its option is not that of `options`, whose import needs numpy, which may be missing.
     tell("Examining this machine ...")
     findings = examine()
-    missing = [finding.what for finding in findings if finding.state == "needed"]
-    optional = [finding.what for finding in findings if finding.state == "optional"]
+    found = defaultdict[State, list[str]](list)
+    for finding in findings:
+        found[finding.state].append(finding.what)
+    missing, optional = found["needed"], found["optional"]
     content = {"ready": not missing, "findings": [finding._asdict() for finding in findings]}
     items: list[Item] = [table(("", "what*", "found*"), map(_row, findings))]
     if not missing:
@@ -89,7 +92,7 @@ def examine() -> list[Finding]:
 
 
 def _packages() -> Iterator[Finding]:
-    """Find the package itself, and what it requires without extras."""
+    """Find what lags behind Python, the package itself, and what it requires without extras."""
     for name, extra in EXTRAS.items():
         if no_release(name):
             what, remedy = f"{name} (for {extra})", f"Python 3.{last_python(name)}"
@@ -168,10 +171,7 @@ def _cache() -> str:
 def _opengl() -> str:
     from ...show.pictures.offscreen import describe_gl  # noqa: PLC0415 - numpy may be missing
 
-    backend, detail = describe_gl()
-    if backend is None:
-        raise CosimError(detail)
-    return f"{backend}: {detail}"
+    return describe_gl()
 
 
 def _ffmpeg() -> str:

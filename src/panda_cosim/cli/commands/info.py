@@ -139,12 +139,14 @@ def _filtered(text: str, shown: _Shown) -> _Shown:
     """Keep the variables with a text in name or description, and connections with it in names."""
     interfaces = {}
     for name, interface in shown.interfaces.items():
-        named = ((v, f"{name}.{v.name} {v.description}".lower()) for v in interface.variables)
-        variables = tuple(v for v, words in named if text in words)
-        interfaces[name] = replace(interface, variables=variables)
-    ends = ((it, f"{'.'.join(it.source)} {'.'.join(it.target)}") for it in shown.connections)
-    wires = [each for each, words in ends if text in words.lower()]
+        kept = (v for v in interface.variables if _has(text, (name, v.name), (v.description,)))
+        interfaces[name] = replace(interface, variables=tuple(kept))
+    wires = [each for each in shown.connections if _has(text, each.source, each.target)]
     return shown._replace(interfaces=interfaces, connections=wires)
+
+
+def _has(text: str, *names: Sequence[str]) -> bool:
+    return text in " ".join(map(".".join, names)).lower()
 
 
 def _code(name: str, interface: Interface, file: Path) -> str:

@@ -130,7 +130,10 @@ def command(  # noqa: PLR0913 - one for each option
     # A reference, for instance, is made of a scenario alone.
     is_whole = sweeps and not any((update, engines, kind != "auto"))
     swept = _swept(given, values, folder) if is_whole else []
-    _check_report(report, (*suite.scenarios, *swept), overwrite=overwrite)
+    files = [report / name for name in (REPORT_FILE, JUNIT_FILE)] if report else []
+    check_replaceable(*files, overwrite=overwrite)
+    if report:
+        check_kept_runs(report / "runs", (each.name for each in (*runs, *swept)))
     announce_python(kind)
     with ExitStack() as stack:
         parent = report or cache_folder()  # on the same disk, so that runs can be moved
@@ -139,25 +142,16 @@ def command(  # noqa: PLR0913 - one for each option
         outcomes = [*_run(suite, place), *(_sweep(each, place, suite.jobs) for each in swept)]
         rows = engine_rows(given, len(engines), outcomes) if engines else []
         outcomes = [*chain.from_iterable(rows)] or outcomes
-        if report is not None:
+        if report:
             write_report(outcomes, report / REPORT_FILE, values)
             write_junit(outcomes, report / JUNIT_FILE)
             stack.callback(replace_kept_runs, report / "runs", outcomes)  # once references are made
-        files = [str(report / name) for name in (REPORT_FILE, JUNIT_FILE)] if report else []
         if update:
             return _update(outcomes, files, yes=yes)
-    items = chain(files, _shown(outcomes), _of_engines(engines, rows))
+    items = chain(map(str, files), _shown(outcomes), _conditions(outcomes))
+    items = chain(items, _of_engines(engines, rows))
     show_result({"scenarios": [*map(_described, outcomes)]}, items, json=json)
     raise typer.Exit(exit_code(outcomes))
-
-
-def _check_report(
-    report: Path | None, parts: Iterable[Scenario | Unusable | SuiteSweep], *, overwrite: bool
-) -> None:
-    """Refuse a report that would replace what `regress` did not write."""
-    if report is not None:
-        check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
-        check_kept_runs(report / "runs", (each.name for each in parts))
 
 
 def _qualify(  # noqa: PLR0913 - of the command's options
@@ -171,8 +165,7 @@ def _qualify(  # noqa: PLR0913 - of the command's options
 ) -> None:
     """Say which changes of parameters a suite notices; exit code 3 if too few."""
     file = report / JUNIT_FILE if report is not None else None
-    if file is not None:
-        check_replaceable(file, overwrite=overwrite)
+    check_replaceable(file, overwrite=overwrite)
     with temporary_folder(cache_folder()) as place, progress("Changing parameters") as advance:
         done = itertools.count(1)
         findings = find(suite, place, share, lambda _, total: advance(next(done), total))
@@ -255,18 +248,22 @@ def _described(outcome: Outcome) -> dict[str, object]:
 
 
 def _shown(outcomes: list[Outcome]) -> Iterator[Item]:
-    """Yield what differs, how many match, and by what they were judged."""
+    """Yield what differs, and how many match."""
     wrong = [(o.name, Text(o.verdict, STYLES[o.meaning.level]), o.reason)
              for o in outcomes if not o.ok]  # fmt: skip
     if wrong:
         yield table(("Scenario", "Verdict", "Why*"), wrong)
     yield Text(headline(outcomes), "bold red" if exit_code(outcomes) else "bold green")
-    pairs = [outcome.comparison.engines for outcome in outcomes if outcome.comparison]
+
+
+def _conditions(outcomes: list[Outcome]) -> Iterator[str]:
+    """Yield which MuJoCo was compared with which, and what no reference has judged."""
+    pairs = [o.comparison.engines for o in outcomes if o.comparison]
     if pairs:
         used, made = (", ".join(sorted(set(each))) for each in zip(*pairs, strict=True))
         yield f"MuJoCo of the runs: {used}; of the references: {made}"
-    alone = [outcome for outcome in outcomes if outcome.verdict in ("holds", "missed")]
-    judged = [each.name for each in alone if isinstance(each.scenario, Scenario)]
+    judged = [o.name for o in outcomes
+              if o.verdict in ("holds", "missed") and isinstance(o.scenario, Scenario)]  # fmt: skip
     if judged:
         yield f"Without a reference, judged by their criteria alone: {', '.join(judged)}"
 
@@ -285,10 +282,10 @@ def _of_engine(outcome: Outcome) -> str:
     return "; ".join(filter(None, (outcome.verdict, outcome.difference, left, outcome.cause)))
 
 
-def _update(outcomes: list[Outcome], reports: list[str], *, yes: bool) -> None:
+def _update(outcomes: list[Outcome], reports: list[Path], *, yes: bool) -> None:
     """Show what changes, and overwrite the references."""
     for file in reports:
-        show(file)
+        show(str(file))
     changed, refused = _changed(outcomes)
     replaced = sum(outcome.reference_path.exists() for outcome, _ in changed)
     if replaced and not yes:

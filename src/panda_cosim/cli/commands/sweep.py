@@ -14,6 +14,7 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError
 from ...result.judging.criterion import line as criterion_line
 from ...result.judging.criterion import miss_text
+from ...result.judging.verdict import Verdict
 from ...result.judging.verdicts import FAILED, MISSED, SUCCESS
 from ...run.folder import default_folder, keep_scenario, refuse_existing
 from ...run.prepare import prepare
@@ -27,7 +28,7 @@ from ...study.sweep.fit import fit
 from ...study.sweep.paired import Paired, pair
 from ...study.sweep.report import REPORT_FILE, write_report
 from ...study.sweep.results import missing, share_bounds
-from ...study.sweep.row import STATUSES, UNJUDGED
+from ...study.sweep.row import STATUSES, UNJUDGED, Row
 from ...study.sweep.store import Store
 from ...task.files import as_argument
 from ..console import Item, progress, show, show_file, show_result, table, tell, warn
@@ -114,12 +115,15 @@ def command(  # noqa: PLR0913 - one for each option
     if log is not None:
         _fit(definition, log, names, out, json=json)
         return
-    if junit is not None:
-        check_replaceable(junit)
+    check_replaceable(junit)
     check_sweep(definition, out)  # before anything is built
     announce_build()
     folder = out or default_folder("sweep")
-    name, began = Path(sweep).stem, time.perf_counter()
+    began = time.perf_counter()
+
+    def write_verdict(verdict: Verdict, detail: str) -> None:
+        write_case(junit, "sweep", Path(sweep).stem, time.perf_counter() - began, verdict, detail)
+
     try:
         with progress("Running the sweep") as update:
             done = run_sweep(
@@ -129,16 +133,14 @@ def command(  # noqa: PLR0913 - one for each option
     except BaseException as error:  # also Ctrl-C and SIGTERM
         _tell_stopped(error, folder, "" if out else f" with --out {quote(str(folder))}")
         if isinstance(error, CosimError):
-            write_case(junit, "sweep", name, time.perf_counter() - began, FAILED, str(error))
+            write_verdict(FAILED, str(error))
         raise
     orders = [*convergence(Store(done.folder))]
     content = {"folder": done.folder, "counts": done.counts, "min_success": done.gate,
                "convergence": orders}  # fmt: skip
     show_result(content, _counted(done, definition, orders), json=json)
     if done.gate is not None:
-        verdict = SUCCESS if done.gate.ok else MISSED
-        seconds = time.perf_counter() - began
-        write_case(junit, "sweep", name, seconds, verdict, miss_text(done.gate))
+        write_verdict(SUCCESS if done.gate.ok else MISSED, miss_text(done.gate))
         end(missed=not done.gate.ok)
 
 
@@ -182,6 +184,17 @@ def _counted(done: SweepResult, definition: Sweep, orders: Sequence[Convergence]
     counts = [(status, done.counts[status]) for status in STATUSES if done.counts.get(status)]
     rows = [(status, number, f"{number / total:.1%}") for status, number in counts]
     yield table(("status", "rows", "share"), rows, right=("rows", "share"))
+    yield from _rates(done, definition, total, good)
+    if orders:
+        yield _convergence_table(orders)
+    if done.gate is not None:
+        yield Text(criterion_line(done.gate), "bold green" if done.gate.ok else "bold red")
+    yield f"{done.folder}/results/  {total} rows"
+    yield Text(f"Next: panda-cosim sweep report {quote(str(done.folder))}", "dim")
+
+
+def _rates(done: SweepResult, definition: Sweep, total: int, good: int) -> Iterator[str]:
+    """Yield what the counts of rows, and of successes, mean."""
     if unjudged := sum(done.counts.get(status, 0) for status in UNJUDGED):
         yield f"{unjudged} of {total} rows did not finish or were not judged, and count as failures"
     if definition.design in SAMPLED:
@@ -189,12 +202,6 @@ def _counted(done: SweepResult, definition: Sweep, orders: Sequence[Convergence]
         yield f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)"
     if good and (beyond := Store(done.folder).beyond_limits()) is not None:
         yield f"{beyond} of the {good} successes exceeded a limit of the robot"
-    if orders:
-        yield _convergence_table(orders)
-    if done.gate is not None:
-        yield Text(criterion_line(done.gate), "bold green" if done.gate.ok else "bold red")
-    yield f"{done.folder}/results/  {total} rows"
-    yield Text(f"Next: panda-cosim sweep report {quote(str(done.folder))}", "dim")
 
 
 def _convergence_table(found: Sequence[Convergence]) -> Table:
@@ -312,8 +319,7 @@ def _described(found: Paired) -> dict[str, object]:
 
 def _paired(found: Paired) -> Iterator[Item]:
     """Yield the treatment, the rates, the margins and the flipped rows."""
-    for line in found.treatment:
-        yield f"treatment: {line}"
+    yield from (f"treatment: {line}" for line in found.treatment)
     (before, after), change = found.rates, found.success
     yield (
         f"{len(found.pairs)} pairs: success {before:.1%} -> {after:.1%}, {change.mean:+.1%} "
@@ -326,8 +332,13 @@ def _paired(found: Paired) -> Iterator[Item]:
     rows = [(name or "smallest", f"{it.mean:+.3g}", f"{it.low:+.3g} to {it.high:+.3g}")
             for name, it in found.margins.items()]  # fmt: skip
     yield table(("margin*", "change", "95 %"), rows)
-    for word, lost in (("lost", True), ("gained", False)):
-        for row, other in found.flipped(lost=lost)[:FLIPS]:
-            bad = other if lost else row
-            why = bad["missed"] or bad["error"] or bad["status"]
-            yield f"{word}: rows {row['index']}, {other['index']}: {why}: {other['command']}"
+    yield from _flips("lost", found.flipped(lost=True), 1)
+    yield from _flips("gained", found.flipped(lost=False), 0)
+
+
+def _flips(word: str, pairs: Sequence[tuple[Row, Row]], bad: int) -> Iterator[str]:
+    """Yield a line for each of some pairs, of which one row, the first or second, is no success."""
+    for row, other in pairs[:FLIPS]:
+        failed = (row, other)[bad]
+        why = failed["missed"] or failed["error"] or failed["status"]
+        yield f"{word}: rows {row['index']}, {other['index']}: {why}: {other['command']}"

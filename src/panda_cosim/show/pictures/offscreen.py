@@ -95,13 +95,14 @@ def _start(backend: str, job: list[Any]) -> Child:
     return Child("-m", PROCESS, json.dumps(job), output=DEVNULL, environment=environment)
 
 
-def describe_gl() -> tuple[str | None, str]:
-    """Return the working backend and its device, or None and what to install."""
-    try:
-        with closing(OffscreenRenderer("tabletop", 16, 16)) as renderer:
-            return renderer.backend, renderer.device
-    except RenderError as error:
-        return None, str(error)
+def describe_gl() -> str:
+    """Return the working backend and its device.
+
+    Raises:
+        RenderError: None works; the message says what to install.
+    """
+    with closing(OffscreenRenderer("tabletop", 16, 16)) as renderer:
+        return f"{renderer.backend}: {renderer.device}"
 
 
 def _open_scene(scene: str, width: int, height: int, camera: str) -> tuple[int, Draw]:

@@ -145,9 +145,9 @@ def draw_panels(
         axes.set(xlabel="time [s]")
         axes.tick_params(labelbottom=True)
     if len(runs) > 1:
-        styles = [_style(run, 0, by_run=by_run) for run in range(len(runs))]
         ink = {} if by_run else {"color": INK}
-        lines = [grid[0].plot([], [], **style | ink)[0] for style in styles]
+        styles = (_style(run, 0, by_run=by_run) | ink for run in range(len(runs)))
+        lines = [grid[0].plot([], [], **style)[0] for style in styles]
         figure.legend(lines, runs, loc="outside upper left", ncols=2, handlelength=2.6)
     return figure
 

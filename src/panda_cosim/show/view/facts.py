@@ -50,11 +50,10 @@ def limits_of(summary: Summary) -> list[Json]:
     """Return the largest shares of the robot's limits that the run used."""
     rows = [("limits", key, name, summary.limits) for key, name in METRICS.items()]
     real = summary.preflight
-    judged = (real.get("interface"), "arm") if real else ()
     rows += [
         ("preflight", f"{key}_share", f"{real.get('robot')}: {key.replace('_', ' ')}", real)
         for key, check in CHECKS.items()
-        if check.interface in judged
+        if check.interface in (real.get("interface"), "arm")
     ]
     return [
         {"name": name, "words": meaning(f"{group}.{key}"), "shares": json_values(used[key])}

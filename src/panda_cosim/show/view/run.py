@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from typing import Any, Final
 
@@ -70,20 +71,14 @@ class Shown:
     masses: Sequence[float] | None = None
     summary: Summary = field(default_factory=Summary)
     notes: tuple[str, ...] = ()  # further remarks on its data
-    only: Collection[str] = ()  # signals and columns that are in the page; (): all
+    only: frozenset[str] = frozenset()  # signals and columns that are in the page; none: all
 
 
 def describe(run: Shown, model_key: str, against: Recording | None = None) -> dict[str, Any]:
     """Return a run as plain values."""
     source, metadata = run.source, run.source.metadata
     columns = {role: _columns(source, signal) for role, signal in ROLES.items()}
-    if not len(source.time):
-        raise InputError(f"{run.name}: the recording has no rows; there is nothing to show")
-    if run.model and len(columns["qpos"]) != run.model["nq"]:
-        raise InputError(
-            f"{run.name}: {len(columns['qpos'])} columns of {ROLES['qpos']}; the model that it is "
-            f"drawn with has {run.model['nq']} positions"
-        )
+    _check(run, len(columns["qpos"]))
     thinning = Thinning.of(source.time)
     title, about = describe_run(source)
     ran = [*metadata.get("code", {}).items(), ("stepped by", run.summary.stepped_by)]
@@ -93,11 +88,6 @@ def describe(run: Shown, model_key: str, against: Recording | None = None) -> di
     known = {n: unit for s in signals for n, unit in zip(s["columns"], s["units"], strict=True)}
     is_ours = model_file(source) is None
     bounds = column_bounds(robot_of(source.metadata)) if is_ours else {}
-    forces = FORCES if run.masses else ""
-    order = metadata.get("order", ())
-    steps = shown(order, metadata["late"]) if len(order) > 1 else ""
-    notes = (*refusals_of(run.summary), thinning.words(), ROUNDING, forces, steps,
-             *run.summary.costs(), *run.notes)  # fmt: skip
     return {
         "name": run.name,
         "title": title,
@@ -107,7 +97,7 @@ def describe(run: Shown, model_key: str, against: Recording | None = None) -> di
         "verdict": {"state": run.summary.verdict.level, "words": run.summary.brief},
         "criteria": criteria_of(run.summary),
         "limits": limits_of(run.summary),
-        "notes": list(filter(None, notes)),
+        "notes": list(filter(None, _notes(run, thinning))),
         "time": describe_time(thinning.curve_time),
         "signals": signals,
         "poses": _poses(source, thinning, columns) if thinning.every > 1 else None,
@@ -118,6 +108,26 @@ def describe(run: Shown, model_key: str, against: Recording | None = None) -> di
         "bounds": {name: pair for name, pair in bounds.items() if name in known},
         "curves": shown_curves(CURVES, known),
     }
+
+
+def _check(run: Shown, positions: int) -> None:
+    """Refuse a run that cannot be shown with its model."""
+    if not len(run.source.time):
+        raise InputError(f"{run.name}: the recording has no rows; there is nothing to show")
+    if run.model and positions != run.model["nq"]:
+        raise InputError(
+            f"{run.name}: {positions} columns of {ROLES['qpos']}; the model that it is drawn with "
+            f"has {run.model['nq']} positions"
+        )
+
+
+def _notes(run: Shown, thinning: Thinning) -> Iterator[str]:
+    """Yield remarks on the run and on how it is shown; empty ones are none."""
+    metadata = run.source.metadata
+    yield from (*refusals_of(run.summary), thinning.words(), ROUNDING, FORCES * bool(run.masses))
+    if len(metadata.get("order", ())) > 1:
+        yield shown(metadata["order"], metadata["late"])
+    yield from (*run.summary.costs(), *run.notes)
 
 
 def _columns(source: Recording, signal: str) -> list[str]:
@@ -133,22 +143,20 @@ def _signals(
     source, only = run.source, run.only
     names = [name for name in source.columns if name != "time"]
     if only:
-        names = [name for name in names if name in only or signal_of(name) in only]
+        names = [name for name in names if not only.isdisjoint((name, signal_of(name)))]
     groups = [list(group) for _, group in groupby(names, key=signal_of)]
     curves = ([thinning.curve(source[n]) for n in columns] for columns in groups)
-    steps = [[POSE_STEP if n in positions else None for n in columns] for columns in groups]
-    return (
-        _signal(
-            columns,
-            [source.units.get(name, "") for name in columns],
-            source.descriptions.get(columns[0], ""),
-            block,
-        )
-        for columns, block in zip(groups, second.map(encode, curves, steps), strict=True)
-    )
+    steps = ([POSE_STEP if n in positions else None for n in columns] for columns in groups)
+    return map(partial(_signal, source), groups, second.map(encode, curves, steps))
 
 
-def _signal(columns: list[str], units: list[str], words: str, block: Json) -> dict[str, Any]:
+def _signal(source: Recording, columns: list[str], block: Json) -> dict[str, Any]:
+    units = [source.units.get(name, "") for name in columns]
+    words = source.descriptions.get(columns[0], "")
+    return _described(columns, units, words, block)
+
+
+def _described(columns: list[str], units: list[str], words: str, block: Json) -> dict[str, Any]:
     name = signal_of(columns[0])
     return {"name": name, "columns": columns, "units": units, "words": words, **block}
 
@@ -161,7 +169,7 @@ def _derived(
     curves = []
 
     def add(name: str, unit: str, words: str, values: Array) -> None:
-        curves.append(_signal([name], [unit], words, encode([thinning.curve(values)], [None])))
+        curves.append(_described([name], [unit], words, encode([thinning.curve(values)], [None])))
 
     if _has(source, hand, command):
         error = by_rows(source, _distance, hand, command)
