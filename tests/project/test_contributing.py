@@ -84,6 +84,7 @@ print(*build(["plant", "controller"]).values(), build_fmu(model_part(Path(sys.ar
 BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
 
 
+@pytest.mark.long
 def test_an_output_is_added_in_two_places_and_a_line_of_the_description_in_one(changed, tmp_path):
     write_files(tmp_path, *SCENARIO)
     model = tmp_path / "ball.xml"
@@ -145,6 +146,7 @@ EDITS = {
 }
 
 
+@pytest.mark.long
 def test_a_changed_line_of_python_acts_and_is_named(tmp_path):
     root = copy_of_project(tmp_path)
     scenario = tmp_path / "scenario"

@@ -5,8 +5,8 @@ import hashlib
 import json
 import re
 import shutil
-import subprocess
 import zlib
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,7 +17,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-import regress_support
 from bounded import ran
 from fake_recording import FakeRecording
 from forked import command
@@ -30,6 +29,8 @@ from panda_cosim.show.view import columns, run
 from panda_cosim.show.view.columns import encode
 from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.run import Shown, describe
+from regress_support import columns as one_joint
+from regress_support import record
 from view_support import MODEL, decoded, run_scenario_outside
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([np.nan, np.inf, -np.inf, 0.0])
@@ -207,11 +208,6 @@ def source(tmp_path_factory):
     return folder
 
 
-def node(folder: Path, *command: str) -> None:
-    """Run a command in the source's folder."""
-    ran(command, cwd=folder)
-
-
 def content(file: Path) -> dict[str, bytes]:
     """A built file; code as it runs, since another zlib may deflate it to other bytes."""
     if file.suffix != ".json":
@@ -269,16 +265,18 @@ def test_texts_are_read_on_their_papers_in_light_dark_and_print(sheet):
                 assert contrast >= 4.5, (name, paper, scheme, contrast)
 
 
+@pytest.mark.long
 def test_rebuilding_gives_the_same_code(source, tmp_path):
-    node(source, "node", "build.mjs", str(tmp_path))
+    ran(["node", "build.mjs", str(tmp_path)], cwd=source)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(BUILT)
     for name in BUILT:
         assert content(tmp_path / name) == content(VIEW / "page" / name), name
 
 
+@pytest.mark.long
 def test_the_page_codes_own_tests_pass(source):
     """Its types are checked with those of Python, by `.ci/run`."""
-    node(source, "npm", "test")
+    ran(["npm", "test"], cwd=source)
 
 
 def test_the_bundle_carries_its_licences_and_asks_nobody():
@@ -304,9 +302,7 @@ def recorded(tmp_path_factory):
     return run_scenario_outside(tmp_path_factory.mktemp("runs") / "first")
 
 
-def view(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Call the command in a process of its own."""
-    return command("view", *arguments)
+view = partial(command, "view")
 
 
 def shown(path: Path) -> str:
@@ -341,9 +337,7 @@ def test_a_scenario_of_ones_own_has_its_reference(tmp_path):
 
 
 def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(recorded, tmp_path):
-    regress_support.record(
-        tmp_path / "small", regress_support.columns()
-    )  # one joint, of a scenario that is not shipped
+    record(tmp_path / "small", one_joint())  # of a scenario that is not shipped
     out = tmp_path / "view.html"
     for arguments, words in (
         ((tmp_path / "nothing",), "must be a recording or its folder"),

@@ -315,7 +315,8 @@ def test_a_link_names_an_instant_and_a_camera(page, view):
     time.sleep(0.5)  # and the address with it
     address = page.value("location.hash")
     eye = page.value(f"{STAGE}.camera.position.toArray()")
-    show(page, view, place=address, width=720, height=400)
+    page.value(f"location.hash = '#t=4&cam=top'; location.hash = {address!r}")
+    page.wait(f"{NOW} === 1.25")
     assert page.value(f"{STAGE}.camera.position.toArray()") == pytest.approx(eye, abs=2e-3)
 
 
@@ -387,6 +388,7 @@ def test_the_policy_stops_what_would_get_through(page, view, folder):
     assert [error for error in page.errors if "Content Security Policy" in error]
 
 
+@pytest.mark.long
 def test_a_notebook_shows_it_in_a_frame(page, run, folder):
     path = folder / "notebook.html"
     done = Run(run, summarize(Recording.open(run), load_scenario("pick_and_place")))

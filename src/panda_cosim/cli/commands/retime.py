@@ -9,7 +9,7 @@ from pathlib import Path
 from ...assets import STEP_SIZE
 from ...assets.checks import ARMS
 from ...fmus.atomic import write_whole
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, located
 from ...result.recording.logs import SUFFIXES
 from ...run.folder import keep_scenario, refuse_existing
 from ...run.prepare import prepare
@@ -102,13 +102,10 @@ def retime(
         raise InputError(
             f"{scenario.name}: has FMUs of its own; must have our plant and controller"
         )
-    share = scenario.timing_share if share is None else share
-    word = "feasible" if keep_times else "optimal"
+    share, word = share or scenario.timing_share, "feasible" if keep_times else "optimal"
     new = replace(scenario, timing=word, timing_share=share, duration=MAX_DURATION)
-    try:
+    with located(scenario.name):
         timing = new_timing(new, start_values(scenario))
-    except InputError as error:
-        raise InputError(f"{scenario.name}: {error}") from None
     table, interpolation, duration = timing.table, "spline", timing.cycle
     if table is None:  # the rows at new times, and as much time after the last one as before
         rows, times = scenario.rows, timing.trajectory.times.tolist()

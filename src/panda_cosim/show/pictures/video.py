@@ -81,22 +81,11 @@ def _encoder(path: Path, shape: tuple[int, int], fps: float) -> Iterator[Any]:
     import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
 
     mediapy.set_ffmpeg(find_ffmpeg())
-    writer = mediapy.VideoWriter(path, shape, codec="libx264", fps=fps, ffmpeg_args=FFMPEG_ARGS)
-    writer.__enter__()
+    form: dict[str, Any] = {"codec": "libx264", "fps": fps, "ffmpeg_args": FFMPEG_ARGS}
     try:
-        yield writer
+        with mediapy.VideoWriter(path, shape, **form) as writer:
+            yield writer
     except (RuntimeError, OSError) as error:
-        raise RenderError(f"no video: {one_line(_ending(writer) or error)}") from error
-    finally:
-        message = _ending(writer)
-    if message:
-        raise RenderError(f"no video: {one_line(message)}")
-
-
-def _ending(writer: Any) -> str:
-    """End ffmpeg; return what it complained about, or ""."""
-    try:
-        writer.close()
-    except (RuntimeError, OSError) as error:
-        return str(error)
-    return ""
+        if isinstance(error.__context__, Exception | None):
+            raise RenderError(f"no video: {one_line(error)}") from error
+        raise error.__context__ from None  # Ctrl-C, which ends ffmpeg, too
