@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as ET
 
 import nbformat
@@ -37,7 +36,6 @@ from panda_cosim.task.table import COLUMNS
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-TUTORIALS = [page for page in PAGES if page.parent.name == "learn"]
 MOST_LINES = 400
 UNTIL_CTRL_C = 30.0  # [s]
 LIMIT = 1200.0  # [s] for a command
@@ -159,11 +157,6 @@ def test_each_block_is_run_or_says_why_not(page):
     assert all(is_run(it) or it.file or it.why or it.kind == "text" for it in blocks(page))
 
 
-def test_there_are_eight_tutorials_with_commands():
-    assert len(TUTORIALS) == 8
-    assert all(any(map(is_run, blocks(page))) for page in TUTORIALS)
-
-
 def commands(page: Path) -> Iterator[list[str]]:
     """Words of every command of ours, in blocks and between backticks."""
     text = page.read_text(encoding="utf-8")
@@ -257,24 +250,6 @@ def test_every_link_leads_somewhere(name):
             assert anchor in headings(page), f"{target}#{anchor}"
 
 
-@pytest.mark.long
-def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
-    shown = {
-        cell.source: output.data
-        for cell in executed("first_steps", tmp_path)
-        for output in cell.outputs
-        if output.output_type == "execute_result"
-    }
-    kinds = {source.splitlines()[-1]: set(data) for source, data in shown.items()}
-    assert "text/html" in kinds["run"]
-    assert "image/png" in kinds["run.plot()"]
-    assert "text/html" in kinds["run.view(height=480)"]
-    assert "text/html" in kinds["compared"]
-    table = next(data for source, data in shown.items() if source.startswith("gains ="))
-    assert "success" in table["text/plain"]  # with the scenario's gain
-    assert "missed" in table["text/plain"]  # with half of it the hand lags
-
-
 # The examples run as they stand: four ways to use the project, from own parts to a kept result.
 
 
@@ -288,27 +263,38 @@ def activated(monkeypatch):
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
 
 
-def executed(name: str, folder: Path) -> list[Any]:
-    """Run a notebook; returns its cells of code."""
+def executed(name: str, folder: Path) -> dict[str, dict[str, str]]:
+    """Run a notebook; by each cell's last line, what it shows and prints, by kind."""
     pytest.importorskip("pandas")
     notebook = nbformat.read(EXAMPLES / f"{name}.ipynb", as_version=4)
     place = {"metadata": {"path": folder}}
     NotebookClient(notebook, timeout=EXAMPLE_LIMIT, resources=place).execute()
-    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+    shown: dict[str, dict[str, str]] = {}
+    for cell in notebook.cells:
+        for output in cell.get("outputs", ()):
+            told = shown.setdefault(cell.source.splitlines()[-1], {})
+            told["text/plain"] = told.get("text/plain", "") + output.get("text", "")
+            told |= output.get("data", {})
+    return shown
+
+
+@pytest.mark.long
+def test_the_notebook_runs_and_shows_what_it_says(tmp_path):
+    shown = executed("first_steps", tmp_path)
+    for last in ("run", "run.view(height=480)", "compared"):
+        assert "text/html" in shown[last]
+    assert "image/png" in shown["run.plot()"]
+    tables = [data.get("text/plain", "") for data in shown.values()]
+    # With the scenario's gain; with half of it the hand lags.
+    assert any("success" in table and "missed" in table for table in tables)
 
 
 @pytest.mark.long
 def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path):
-    said = {
-        cell.source.splitlines()[-1]: "".join(
-            output.get("text", "") or output.get("data", {}).get("text/plain", "")
-            for output in cell.outputs
-        )
-        for cell in executed("own_law", tmp_path)
-    }
-    assert "2 passed" in said["!{sys.executable} -m pytest -q test_my_task.py"]
-    margins = said["analysis.margins.disk_margin, stiff.margins.disk_margin"]
-    usual, stiff = (float(each) for each in margins.strip("()").split(","))
+    said = executed("own_law", tmp_path)
+    assert "2 passed" in said["!{sys.executable} -m pytest -q test_my_task.py"]["text/plain"]
+    margins = said["analysis.margins.disk_margin, stiff.margins.disk_margin"]["text/plain"]
+    usual, stiff = literal_eval(margins)
     assert 0 < stiff < usual <= 2
     assert (tmp_path / "my_task" / "reference.parquet").exists()
 
@@ -316,11 +302,7 @@ def test_a_law_of_ones_own_is_analysed_and_kept_by_a_test(tmp_path):
 @pytest.mark.long
 def test_an_lqr_of_the_measured_plant_has_margins_that_runs_confirm(tmp_path):
     pytest.importorskip("slycot")
-    cells = executed("lqr", tmp_path)
-    shown = {
-        cell.source.splitlines()[-1]: output.data for cell in cells for output in cell.outputs
-        if output.output_type == "execute_result"
-    }  # fmt: skip
+    shown = executed("lqr", tmp_path)
     assert shown["run.summary.success"]["text/plain"] == "True"
     assert float(shown["float(abs(plant.poles()).max())"]["text/plain"]) > 1.0  # gravity
     held = shown["analysis.margins.delay_margin_ms, {each.verdict for each in analysis.confirmed}"]

@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from bounded import ran
 
 ROOT = Path(__file__).parents[2]
@@ -99,8 +97,8 @@ def without_end(call: ast.Call, file: str) -> bool:
     return waits and not call.args and "timeout" not in named
 
 
-@pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])
-def test_every_wait_has_an_end(path):
-    calls = [node for node in ast.walk(ast.parse(path.read_bytes())) if isinstance(node, ast.Call)]
-    endless = [f"line {c.lineno}: {ast.unparse(c)}" for c in calls if without_end(c, path.name)]
+def test_every_wait_has_an_end():
+    nodes = ((path, node) for path in FILES for node in ast.walk(ast.parse(path.read_bytes())))
+    calls = ((path, node) for path, node in nodes if isinstance(node, ast.Call))
+    endless = [f"{p}:{c.lineno}: {ast.unparse(c)}" for p, c in calls if without_end(c, p.name)]
     assert endless == [], "give it a timeout; see bounded.py"

@@ -1,4 +1,4 @@
-"""The package as others install it: beside their own modules, and as a wheel without its source."""
+"""The package as others install it: what a build needs, and a wheel without its source."""
 
 import os
 import re
@@ -27,43 +27,6 @@ FILES = (".ci/build_backend.py", "pyproject.toml", "MANIFEST.in", "README.md", "
 def run(*command: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | environment
     return ran(list(map(str, command)), cwd=cwd, env=environment, code=None)
-
-
-# --- Beside modules of the user's own, which have the names of our folders ---------------------
-
-# The user's own modules say so when they are imported.
-OWN = {
-    "controller.py": "WHOSE = 'mine'\n",
-    "plant.py": "WHOSE = 'mine'\n",
-    "scenarios/__init__.py": "WHOSE = 'mine'\n",
-    "fmus.py": "WHOSE = 'mine'\n",
-    "assets/arm.xml": "<mujoco/>\n",
-    "script.py": """
-import controller, fmus, plant, scenarios
-from panda_cosim import Options, run_scenario
-
-if __name__ == "__main__":
-    assert {m.WHOSE for m in (controller, plant, scenarios, fmus)} == {"mine"}
-    run = run_scenario("./short", options=Options(isolate=True))
-    assert run.recording.rows == 51, run.summary
-    print("done")
-""",
-}
-
-
-@pytest.fixture(scope="module")
-def own(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("own")
-    for name, text in OWN.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(text)
-    write_scenario(folder / "short", 0.05)
-    return folder
-
-
-def test_a_script_beside_modules_of_the_same_names_runs(own):
-    done = run(sys.executable, "script.py", cwd=own)
-    assert done.stdout == "done\n", done.stderr
 
 
 # --- What a build needs ------------------------------------------------------------------------

@@ -16,12 +16,11 @@ import pytest
 from browser import Page, find_browser
 from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from fake_recording import FakeRecording
-from panda_cosim import Recording, Run, load_scenario
+from panda_cosim import Recording
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
-from panda_cosim.run.summary import summarize
 from panda_cosim.show.view.model import describe as describe_model
 from panda_cosim.show.view.page import show_source, shown_run, write_view
 from panda_cosim.show.view.run import Shown
@@ -376,31 +375,6 @@ def test_crafted_names_are_shown_as_text(page, folder):
     page.click(".pv-tab")
     check_reach(page, 820, 560)
     assert page.value(HIDDEN) is False
-
-
-def test_the_policy_stops_what_would_get_through(page, view, folder):
-    text = view.read_text(encoding="utf-8")
-    bad = "<script>window.ran=1</script><img src='https://example.org/x' onerror='window.ran=1'>"
-    path = folder / "pierced.html"
-    path.write_text(text.replace("<body", f"{bad}<body"), encoding="utf-8")
-    show(page, path)
-    assert page.value("window.ran") is None
-    assert [error for error in page.errors if "Content Security Policy" in error]
-
-
-@pytest.mark.long
-def test_a_notebook_shows_it_in_a_frame(page, run, folder):
-    path = folder / "notebook.html"
-    done = Run(run, summarize(Recording.open(run), load_scenario("pick_and_place")))
-    html = done.view(against=done, height=600)._repr_html_()
-    path.write_text(f"<!DOCTYPE html><body>{html}", encoding="utf-8")
-    page.open(path)
-    with page.in_frame():
-        page.wait("document.querySelector('.pv-stage canvas') !== null")
-        page.wait("document.querySelectorAll('.pv-chart canvas').length === 5")
-        page.value("PandaView.viewer.go({at: 2})")
-        assert page.value(NOW) == 2
-    assert page.errors == []
 
 
 def test_a_page_in_a_frame_of_the_site_follows_its_colours(page, view):

@@ -97,8 +97,6 @@ def _found(
         return check_folder(folder, values, robot or "", ssv)
     if values:
         raise InputError(f"{folder}: --set: not for a motion")
-    if not robot:
-        raise InputError(f"{folder}: --robot: is missing; must be fer or fr3")
     return [*check_motion(folder, robot)]
 
 

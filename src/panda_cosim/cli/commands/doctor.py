@@ -86,17 +86,14 @@ def _row(finding: Finding) -> tuple[Text, str, Text]:
 
 def examine() -> list[Finding]:
     """Examine all prerequisites; a missing one raises no error."""
-    python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    python = Finding("Python", "ok", found)
     checks = (_checked(*check) for check in CHECKS)
-    return list(dict.fromkeys((Finding("Python", "ok", python), *_packages(), *checks)))
+    return list(dict.fromkeys((python, *_packages(), *_lagging(), *checks)))
 
 
 def _packages() -> Iterator[Finding]:
-    """Find what lags behind Python, the package itself, and what it requires without extras."""
-    for name, extra in EXTRAS.items():
-        if no_release(name):
-            what, remedy = f"{name} (for {extra})", f"Python 3.{last_python(name)}"
-            yield Finding(what, "optional", "has no release for this Python", remedy)
+    """Find the package itself, and what it requires without extras."""
     required = (each for each in requires("panda-cosim") or () if "extra ==" not in each)
     for requirement in ("panda-cosim", *required):
         name = re.split(r"[^\w.-]", requirement)[0]
@@ -107,6 +104,14 @@ def _packages() -> Iterator[Finding]:
         except ModuleNotFoundError:
             state: State = "optional" if use else "needed"
             yield Finding(what, state, "not installed", f"pip install '{requirement}'")
+
+
+def _lagging() -> Iterator[Finding]:
+    """Find packages of extras that have no release for this Python."""
+    for name, extra in EXTRAS.items():
+        if no_release(name):
+            what, remedy = f"{name} (for {extra})", f"Python 3.{last_python(name)}"
+            yield Finding(what, "optional", "has no release for this Python", remedy)
 
 
 def _checked(what: str, state: State, check: Callable[[], str], remedy: str) -> Finding:

@@ -125,13 +125,13 @@ def command(  # noqa: PLR0913 - one for each option
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
     runs = list(with_values(variants(given, engines), values))
     suite = Suite(runs, exact, jobs or cores(), kind)
+    files = [report / name for name in (REPORT_FILE, JUNIT_FILE)] if report else []
+    check_replaceable(*files, overwrite=overwrite)
     if qualify is not None:
-        return _qualify(suite, qualify, min_score, report, json=json, overwrite=overwrite)
+        return _qualify(suite, qualify, min_score, files, json=json)
     # A reference, for instance, is made of a scenario alone.
     is_whole = sweeps and not any((update, engines, kind != "auto"))
     swept = _swept(given, values, folder) if is_whole else []
-    files = [report / name for name in (REPORT_FILE, JUNIT_FILE)] if report else []
-    check_replaceable(*files, overwrite=overwrite)
     if report:
         check_kept_runs(report / "runs", (each.name for each in (*runs, *swept)))
     announce_python(kind)
@@ -154,26 +154,18 @@ def command(  # noqa: PLR0913 - one for each option
     raise typer.Exit(exit_code(outcomes))
 
 
-def _qualify(  # noqa: PLR0913 - of the command's options
-    suite: Suite,
-    share: float,
-    least: float,
-    report: Path | None,
-    *,
-    json: bool,
-    overwrite: bool,
+def _qualify(
+    suite: Suite, share: float, least: float, files: Sequence[Path], *, json: bool
 ) -> None:
     """Say which changes of parameters a suite notices; exit code 3 if too few."""
-    file = report / JUNIT_FILE if report is not None else None
-    check_replaceable(file, overwrite=overwrite)
     with temporary_folder(cache_folder()) as place, progress("Changing parameters") as advance:
         done = itertools.count(1)
         findings = find(suite, place, share, lambda _, total: advance(next(done), total))
     if all(each.state == NO_EFFECT for each in findings):
         raise InputError(f"--qualify {share:g}: none of {len(findings)} changes has an effect")
     found = score(findings)
-    if file is not None:
-        write_findings(findings, file)
+    if files:
+        write_findings(findings, files[-1])
     listed = [{**asdict(each), "state": each.state} for each in findings]
     rows = [
         (each.key, each.change, each.state, _first_notice(each))

@@ -12,7 +12,7 @@ from ...result.recording import Recording
 from ...result.recording.logs import is_log, open_log
 from ...run.result import FIGURE_FILE, PLOT_FILE, SHEET_FILE, VIDEO_FILE
 from ...show.pictures.motion import position_columns
-from ...show.pictures.plot import FORMATS, draw, save
+from ...show.pictures.plot import draw, save
 from ...show.pictures.sheet import contact_sheet
 from ...show.pictures.video import check_video
 from ...show.view.mcap import MCAP, write_mcap
@@ -20,7 +20,6 @@ from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...show.view.run import Shown
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
-from ...task.fields import check_choice
 from ..console import show, show_file, tell
 from ..forms import argument, option
 from ..options import MAP, OPEN_PAGE, OVERWRITE, RUN
@@ -98,7 +97,6 @@ def plot(
     path = out if out is not None else recordings[0].path.parent
     if path.is_dir() or not path.suffix:
         path /= FIGURE_FILE if signals else PLOT_FILE
-    check_choice("--out: format", path.suffix.lower(), FORMATS)
     check_replaceable(path, overwrite=overwrite)
     tell(PLOTTING)
     save(draw(recordings, Summary.of(recordings[0]), signals, width), path)

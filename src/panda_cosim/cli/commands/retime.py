@@ -84,8 +84,6 @@ def _retime_motion(
     path: Path, out: Path | None, robot: Robot | None, share: float, suffix: str
 ) -> None:
     """Write a motion at new times as CSV."""
-    if robot is None:
-        raise InputError(f"{path}: --robot: is missing; must be fer or fr3")
     file = out or Path(f"{path.stem}_{suffix}.csv")
     check_new([file])
     motion, factor = retimed(path, robot, share, keep_times=suffix == "feasible")

@@ -164,10 +164,10 @@ def replay(  # noqa: PLR0913 - one for each option
 
 def _chosen(name: str | None, system: Path | None, duration: float | None) -> Scenario:
     """Return a scenario, or what runs the system of an .ssp file, which a scenario may judge."""
-    if system is None and name is not None and Path(name).suffix == ".ssp":
-        system, name = Path(name), None
+    if system is None and Path(name or "").suffix == ".ssp":
+        system, name = Path(str(name)), None
     if system is None:
-        return find_scenario(DEFAULT_SCENARIO if name is None else name)
+        return find_scenario(name or DEFAULT_SCENARIO)
     alone = system_scenario(system, duration)
     if name is None:
         return alone

@@ -5,9 +5,11 @@ Plain numpy; it needs neither a renderer nor a simulation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import attrgetter
 from textwrap import shorten
 from typing import Final
 
@@ -153,13 +155,18 @@ def key_moments(recording: Recording, count: int) -> list[Moment]:
     if collision is not None:
         labelled.append(Moment(float(time[collision]), "collision"))
     moments: list[Moment] = []
-    for moment in sorted(labelled, key=lambda moment: moment.time):
-        inside = begin <= moment.time <= end
-        if inside and (not moments or moment.time - moments[-1].time > APART):
+    for moment in sorted(labelled, key=attrgetter("time")):
+        since = moment.time - moments[-1].time if moments else math.inf
+        if begin <= moment.time <= end and since > APART:
             moments.append(moment)
     if len(moments) > count:
         chosen = np.linspace(0, len(moments) - 1, count).round().astype(int)
         return [moments[index] for index in chosen]
+    return _with_more(moments, count)
+
+
+def _with_more(moments: list[Moment], count: int) -> list[Moment]:
+    """Add instants in the middle of the longest gaps."""
     while 2 <= len(moments) < count:
         gaps = [later.time - earlier.time for earlier, later in pairwise(moments)]
         longest = int(np.argmax(gaps))

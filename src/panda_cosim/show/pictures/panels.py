@@ -42,7 +42,7 @@ HAND, POSITION = "plant.hand_xpos", "controller.pos_cmd"
 BLOCK_HEIGHT = "plant.qpos[12]"  # z of its centre [m]
 TICKS_REACH = 200.0  # [%] of a limit, up to which the axis is marked at the limit and its half
 LIMIT = "share of limit [%]"
-ROWS_DRAWN = 8000  # points; more than the page's width in pixels; extremes are kept
+ROWS_DRAWN = 4000  # points of a curve; more than a page's width in pixels; extremes are kept
 
 
 Panel = Callable[["Axes", "Curves"], None]
@@ -72,7 +72,8 @@ def read_curves(recording: Recording) -> Curves:
     return Curves(recording, recording.time, find_holds(recording), waypoints, names)
 
 
-def _draw(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> None:
+def trace(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> None:
+    """Draw a long curve through fewer points."""
     rows = drawn_rows([values], ROWS_DRAWN)
     axes.plot(time[rows], values[rows], **style)
 
@@ -85,11 +86,11 @@ def _legend(axes: Axes, columns: int) -> None:
 def _hand(axes: Axes, curves: Curves) -> None:
     for index, name in enumerate("xyz"):
         style = {"color": COLOURS[index], "label": name, "linewidth": 2.2, "alpha": 0.75}
-        _draw(axes, curves.time, curves[f"{HAND}[{index + 1}]"], **style)
+        trace(axes, curves.time, curves[f"{HAND}[{index + 1}]"], **style)
     for index in range(3):
         label = COMMAND["label"] if index == 0 else "_"
         command = curves[f"{POSITION}[{index + 1}]"]
-        _draw(axes, curves.time, command, **COMMAND | {"label": label})
+        trace(axes, curves.time, command, **COMMAND | {"label": label})
     _legend(axes, 4)
 
 
@@ -97,7 +98,7 @@ def _error(axes: Axes, curves: Curves) -> None:
     axis = (curves[f"{HAND}[{i}]"] - curves[f"{POSITION}[{i}]"] for i in (1, 2, 3))
     error = np.asarray(1000 * np.sqrt(sum(away**2 for away in axis)))
     rms, peak = float(np.sqrt(np.mean(error**2))), int(np.argmax(error))
-    _draw(axes, curves.time, error, color=COLOURS[0])
+    trace(axes, curves.time, error, color=COLOURS[0])
     axes.axhline(rms, color=COLOURS[1], linewidth=1.1, dashes=(4, 2.5), label=f"RMS {rms:.3g} mm")
     label = f"max {error[peak]:.3g} mm at {curves.time[peak]:.2f} s"
     axes.plot(curves.time[peak], error[peak], "o", color=COLOURS[1], markersize=5, label=label)
@@ -109,21 +110,21 @@ def _error(axes: Axes, curves: Curves) -> None:
 
 def _opening(axes: Axes, curves: Curves) -> None:
     opening = 1000 * (curves["plant.qpos[8]"] + curves["plant.qpos[9]"])  # of the two fingers
-    _draw(axes, curves.time, opening, color=COLOURS[0], linewidth=2.0, label="between fingertips")
-    _draw(axes, curves.time, 1000 * curves["controller.grip_cmd"], **COMMAND)
+    trace(axes, curves.time, opening, color=COLOURS[0], linewidth=2.0, label="between fingertips")
+    trace(axes, curves.time, 1000 * curves["controller.grip_cmd"], **COMMAND)
     axes.set_ylim(-3, 1000 * OPENING_MAX * 1.08)
     _legend(axes, 2)
 
 
 def _contact(axes: Axes, curves: Curves) -> None:
     force = curves["plant.contact_force"]
-    _draw(axes, curves.time, force, color=COLOURS[2])
+    trace(axes, curves.time, force, color=COLOURS[2])
     axes.set_ylim(0, 1.15 * max(float(force.max()), 1.0))
 
 
 def _block(axes: Axes, curves: Curves) -> None:
     height = curves[BLOCK_HEIGHT]
-    _draw(axes, curves.time, height, color=COLOURS[1], linewidth=1.8)
+    trace(axes, curves.time, height, color=COLOURS[1], linewidth=1.8)
     axes.set_ylim(min(0.0, float(height.min())), 1.15 * max(float(height.max()), 0.1))
 
 
@@ -152,7 +153,7 @@ def _draw_shares(axes: Axes, time: FloatArray, shares: Iterator[FloatArray]) -> 
     peaks = []
     for joint, share in enumerate(shares):
         label = f"{joint + 1}" if joint else "joint 1"
-        _draw(axes, time, 100 * share, color=COLOURS[joint], linewidth=1.2, label=label)
+        trace(axes, time, 100 * share, color=COLOURS[joint], linewidth=1.2, label=label)
         peaks.append(100 * float(np.abs(share).max()))
     reach = 1.06 * float(np.max([100.0, *peaks]))
     if math.isfinite(reach):
@@ -164,7 +165,7 @@ def _draw_shares(axes: Axes, time: FloatArray, shares: Iterator[FloatArray]) -> 
 
 def _power(axes: Axes, curves: Curves) -> None:
     pairs = ((f"plant.actuator_force[{joint}]", f"plant.qvel[{joint}]") for joint in range(1, 8))
-    _draw(axes, curves.time, np.sum([curves[force] * curves[v] for force, v in pairs], axis=0))
+    trace(axes, curves.time, np.sum([curves[force] * curves[v] for force, v in pairs], axis=0))
 
 
 def panels_of(recording: Recording) -> tuple[tuple[tuple[str, str, Panel], ...], ...]:

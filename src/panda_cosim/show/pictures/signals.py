@@ -18,9 +18,9 @@ from ...result.judging.signals import columns_of, evaluate, unit_of
 from ...result.recording.reader import by_rows, run_names, shapes_of
 from ...task.criteria import names_of, read_signal
 from ...task.fields import Quantity
-from ..thinning import NOISE, drawn_rows
+from ..thinning import NOISE
 from .motion import FloatArray, check_signals
-from .panels import COLOURS, INK
+from .panels import COLOURS, INK, trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from ...result.recording import Recording
     from .canvas import ShownFigure
 
-POINTS: Final = 4000  # of a curve
 MOST_NAMED: Final = 12  # curves of a panel with a legend
 DASHES: Final = ((), (5.0, 1.5), (1.2, 1.2), (6.0, 1.5, 1.2, 1.5))  # of runs [line widths]
 AXES: Final = {7: [f"joint {i}" for i in range(1, 8)], 4: [*"wxyz"], 3: [*"xyz"]}  # of our signals
@@ -146,7 +145,7 @@ def draw_panels(
         axes.tick_params(labelbottom=True)
     if len(runs) > 1:
         ink = {} if by_run else {"color": INK}
-        styles = (_style(run, 0, by_run=by_run) | ink for run in range(len(runs)))
+        styles = [_style(run, 0, by_run=by_run) | ink for run in range(len(runs))]
         lines = [grid[0].plot([], [], **style)[0] for style in styles]
         figure.legend(lines, runs, loc="outside upper left", ncols=2, handlelength=2.6)
     return figure
@@ -158,8 +157,7 @@ def _draw(axes: Axes, panels: Sequence[Panel], *, by_run: bool) -> None:
     axes.set(title=panels[0].title, ylabel="" if unit in ("", "1") else f"[{unit}]")
     for run, panel in enumerate(panels):
         for i, values in enumerate(panel.read()):
-            rows = drawn_rows([values], POINTS)
-            axes.plot(panel.recording.time[rows], values[rows], **_style(run, i, by_run=by_run))
+            trace(axes, panel.recording.time, values, **_style(run, i, by_run=by_run))
     if 1 < len(names) <= MOST_NAMED:
         axes.legend(axes.lines[: len(names)], names, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 

@@ -40,9 +40,6 @@ ENGINE: Final = "engine.json"
 NOTICE: Final = "LICENSES-engine.txt"
 VIEW_FILE: Final = "view.html"
 TITLE: Final = 200  # [character]
-VIEW: Final = """<main id="view"><p class="pv-wait">Opening <bdi>$title</bdi> &hellip;</p></main>
-<noscript><p class="pv-wait">This page needs JavaScript and WebGL, which are switched off. \
-The pictures in the run's folder show the run without them.</p></noscript>"""
 
 
 def live_page(
@@ -61,7 +58,7 @@ def live_page(
 
 def _view(title: str, data: str, policy: str = "", scripts: Sequence[str] = ()) -> str:
     title = legible(title, TITLE)
-    body = Template(VIEW).substitute(title=escape(title))
+    body = Template(_part("view.html")).substitute(title=escape(title))
     return document(title, body, data, ["view"], policy=policy, scripts=scripts)
 
 

@@ -151,10 +151,10 @@ def followed(motion: Motion, arm: str) -> Recording:
     return Recording.of_columns({TIME: times, **columns}, metadata)
 
 
-def check_motion(path: Path, robot: str) -> Iterator[Diagnostic]:
+def check_motion(path: Path, robot: str | None) -> Iterator[Diagnostic]:
     """Check the motions in a file for a robot, `fer` or `fr3`."""
     for motion in motions(path):
-        found = preflight(followed(motion, ARMS[robot]), robot)
+        found = _judged(motion, robot)
         apart = np.diff(motion.times).max()
         joined = (
             "" if apart <= STEP_SIZE * 1.001 else f", up to {apart:g} s apart, joined by splines"
@@ -164,7 +164,9 @@ def check_motion(path: Path, robot: str) -> Iterator[Diagnostic]:
         yield from (Diagnostic(level, text) for level, text in refusals(found, complete=True))
 
 
-def retimed(path: Path, robot: str, share: float, *, keep_times: bool) -> tuple[Motion, float]:
+def retimed(
+    path: Path, robot: str | None, share: float, *, keep_times: bool
+) -> tuple[Motion, float]:
     """Return a file's motion as fast as a share of a robot's limits allows, and by which factor.
 
     All of it becomes slower or faster by the same factor; with `keep_times`, no faster.
@@ -185,9 +187,15 @@ def retimed(path: Path, robot: str, share: float, *, keep_times: bool) -> tuple[
     raise InputError(f"{path}: no times were found within {share:.0%} of the limits")
 
 
-def _used(motion: Motion, robot: str) -> dict[str, float]:
+def _judged(motion: Motion, robot: str | None) -> dict[str, Any]:
+    if robot is None:
+        raise InputError("--robot: is missing; must be fer or fr3")
+    return preflight(followed(motion, ARMS[robot]), robot)
+
+
+def _used(motion: Motion, robot: str | None) -> dict[str, float]:
     """Return the largest shares of the limits of joints and arm."""
-    found = preflight(followed(motion, ARMS[robot]), robot)
+    found = _judged(motion, robot)
     own = (key for key, check in CHECKS.items() if check.interface in OWN and check.necessary)
     return {key: max(found[f"{key}_share"] or (0.0,)) for key in own}
 
