@@ -30,9 +30,7 @@ METADATA: dict[str, Any] = {
 }
 CONTENT: dict[str, Any] = {  # of a summary.json
     "success": True,
-    "criteria": [
-        {"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True},
-    ],
+    "criteria": [{"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True}],
     "tracking": {"rms_mm": 100.0, "max_mm": 150.0},
     "limits": {"torque_share": [0.1, 0.2]},
     "timing": {"simulated_s": 0.4, "wall_s": 1.0},

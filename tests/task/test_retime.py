@@ -77,7 +77,7 @@ def test_a_duration_that_is_too_short_is_refused(slow, fast):
         commands(short, np.array([0.0]))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_rounded_path_has_no_kink(seed):
     """Position and orientation are continuous, and so is their slope."""
@@ -109,6 +109,7 @@ def test_rows_that_exceed_nothing_keep_their_time_and_place(slow):
     assert np.array_equal(commands(feasible, times), commands(made, times))
 
 
+@pytest.mark.long
 def test_a_recording_has_the_times_of_its_rows_as_they_are_played(slow, fast, tmp_path):
     optimal = replace(slow, timing="optimal", timing_share=SHARE)
     run = run_scenario(optimal, tmp_path / "run")
@@ -120,6 +121,7 @@ def _at_times(scenario: Scenario, times: tuple[float, ...]) -> TrajectoryTable:
     return TrajectoryTable(tuple(replace(row, time=time) for row, time in rows))
 
 
+@pytest.mark.long
 def test_near_the_stretched_arm_the_shortest_times_keep_the_torque_rate(slow):
     pytest.importorskip("toppra")
     rows = (
@@ -132,12 +134,11 @@ def test_near_the_stretched_arm_the_shortest_times_keep_the_torque_rate(slow):
     assert made.duration < 2.0
 
 
-@pytest.mark.parametrize(("name", "row"), [("near_singular", 3), ("beyond_reach", 4)])
-def test_shortest_times_along_a_stretched_arm_are_refused_soon(name, row):
+def test_shortest_times_along_a_stretched_arm_are_refused_soon():
     """Motions follow each other there without a dwell."""
     pytest.importorskip("toppra")
-    with pytest.raises(InputError, match=rf"^{name}: row {row}: no timing .* stretched arm"):
-        retime(load_scenario(name))
+    with pytest.raises(InputError, match=r"^near_singular: row 3: no timing .* stretched arm"):
+        retime(load_scenario("near_singular"))
 
 
 @pytest.mark.parametrize(
@@ -186,7 +187,9 @@ def stretch(scenario: Scenario) -> Scenario:
 
 def test_the_shares_are_those_of_a_run():
     violations, shares = feasibility(NOMINAL, share=STRETCHED)
-    assert not violations  # so it is left alone, see below
+    assert not violations
+    calm = scenario((0.0, "home", (0, 0, 0)), (1.0, "home", (0, 0, 0.05)))
+    assert stretch(calm) == calm
     limits = run_in_memory(NOMINAL).summary.limits
     for quantity in ("velocity", "acceleration"):
         measured = max(limits[f"reference_{quantity}_share"])
@@ -207,11 +210,6 @@ def test_too_fast_a_segment_is_named_with_joint_and_amount():
     assert worst.joint in range(1, 8)
     assert worst.share > 1.0
     assert 1.0 < worst.time <= 1.3
-
-
-def test_what_fits_is_left_alone():
-    calm = scenario((0.0, "home", (0, 0, 0)), (1.0, "home", (0, 0, 0.05)))
-    assert stretch(calm) == calm
 
 
 def test_what_is_out_of_reach_is_named_and_cannot_be_stretched():

@@ -166,7 +166,7 @@ def test_neither_the_package_nor_a_scenario_imports_anything_heavy(what, heavy):
 
 
 FUZZ = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 VALUE = st.sampled_from(["1", "-1", "nan", "true", '"x"', "[]", "[1, 2]", "{}", "{a = 1}", "1e400"])
 KEY = st.sampled_from(
@@ -234,10 +234,7 @@ BAD_TABLES = {
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
     "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
-    "time repeats": (
-        with_cell("time", "0"),
-        "row 2: time: value 0.0; must be at least 1e-06 s",
-    ),
+    "time repeats": (with_cell("time", "0"), "row 2: time: value 0.0; must be at least 1e-06 s"),
     "time goes back": (
         GOOD_TABLE + A.replace("0,", "0.5,", 1),
         "row 3: time: value 0.5; must be at least",
@@ -245,10 +242,7 @@ BAD_TABLES = {
     "times too close": (with_cell("time", "1e-9"), "value 1e-09; must be at least 1e-06 s after"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
     "quaternion of zero length": (with_cell("qx", "0"), "must be longer than 0, or blank"),
-    "quaternion partly blank": (
-        with_cell("qz", ""),
-        "value of 3 items; must be 4 numbers",
-    ),
+    "quaternion partly blank": (with_cell("qz", ""), "value of 3 items; must be 4 numbers"),
 }
 
 

@@ -147,7 +147,9 @@ def test_a_session_and_its_replay_end_the_row_at_the_same_tick(tmp_path):
             assert np.array_equal(run.recording[name], other[name]), name
 
 
-@pytest.mark.parametrize("until", ["contact > 3", "external_force > 6"])
+@pytest.mark.parametrize(
+    "until", ["contact > 3", pytest.param("external_force > 6", marks=pytest.mark.long)]
+)
 def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path, until):
     push = Push(start=2.8, duration=0.1, force=(0.0, 3.0, 0.0))  # is played, too
     table = TrajectoryTable(tuple(replace(r, posture=HOME_Q) for r in rows(until).rows))
@@ -168,16 +170,9 @@ def test_the_player_in_an_ssp_gives_the_same_commands(tmp_path, until):
     assert np.array_equal(run.recording["plant.link4_force[1]"], moved)
 
 
-BAD = {
-    "touch > 3": "must be blank, or as contact > 3",
-    "contact > -3": "must be blank, or as contact > 3",
-    "external_force[7] > 1": "must be blank, or as contact > 3",
-}
-
-
-@pytest.mark.parametrize("until", BAD)
+@pytest.mark.parametrize("until", ["touch > 3", "contact > -3", "external_force[7] > 1"])
 def test_a_condition_that_cannot_be_read_is_refused(until):
-    with pytest.raises(InputError, match=BAD[until]):
+    with pytest.raises(InputError, match="must be blank, or as contact > 3"):
         rows(until)
 
 
