@@ -49,10 +49,6 @@ class RobotLimits:
 def robot_limits(name: str) -> RobotLimits:
     """Read the limits of one of `LIMIT_FILES`."""
     data = tomllib.loads((ASSETS / f"{name}.toml").read_text(encoding="utf-8"))
-    packets = data.pop("packets")["lost"]
-    arrays = {s: {key: np.array(v) for key, v in keys.items()} for s, keys in data.items()}
-    collision = {f"collision_{key}": value for key, value in arrays["collision"].items()}
-    approach = arrays.get("approach", {})
-    return RobotLimits(
-        **arrays["joint"], **arrays["hand"], **collision, approach=approach, lost_packets=packets
-    )
+    approach = {key: np.array(value) for key, value in data.pop("approach", {}).items()}
+    arrays = {key: np.array(value) for key, value in data.items() if key != "lost_packets"}
+    return RobotLimits(**arrays, approach=approach, lost_packets=data["lost_packets"])

@@ -70,8 +70,7 @@ class Sensors:
     def _measure_joints(self) -> None:
         """Offset, noise and quantisation of the encoders, where there are any."""
         now, errors = self._now, self._errors
-        if errors.joint_offset.any():
-            now.qpos += errors.joint_offset
+        now.qpos += errors.joint_offset
         if self._is_noisy:
             self._draw()
             noise = self._normals[self._tick % _DRAWN]
@@ -91,8 +90,7 @@ class Sensors:
 
     def _see_block(self) -> None:
         """The camera's error of the block's pose."""
-        if self._errors.block_position_error.any():
-            self._now.target_xpos += self._errors.block_position_error
+        self._now.target_xpos += self._errors.block_position_error
         if self._errors.block_yaw_error:
             self._now.target_xmat[:] = self._turn @ self._now.target_xmat
 

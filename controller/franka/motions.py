@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from types import MappingProxyType
 from typing import Final
 
 import mujoco
@@ -201,8 +200,5 @@ def _of_hand(rates: Iterable[Vector]) -> Iterator[Measure]:
     return hand_measures(moving, turning, LIMITS)
 
 
-MOTIONS: Final = MappingProxyType({
-    Generator.JOINT_POSITION: JointMotion, Generator.JOINT_VELOCITY: JointMotion,
-    Generator.CARTESIAN_POSE: CartesianMotion, Generator.CARTESIAN_VELOCITY: CartesianMotion,
-    Generator.NONE: Motion,
-})  # fmt: skip
+_KINDS = (JointMotion, JointMotion, CartesianMotion, CartesianMotion, Motion)
+MOTIONS: Final = dict(enumerate(_KINDS, Generator.JOINT_POSITION))  # by what the program commands

@@ -178,15 +178,13 @@ def _course(trajectory: Trajectory, parts: list[Motion], laws: list[Array]) -> _
     """Join the motions, with the dwells between them."""
     corners = np.hstack((trajectory.positions, trajectory.orientations))
     last = len(trajectory.times) - 1
-    rows, poses, row = list[NDArray[np.intp]](), list[Array](), 0
+    pieces, row = list[tuple[NDArray[np.intp], Array]](), 0
     for part, law in zip(parts, laws, strict=True):
         dwell = _dwell(trajectory, row, int(part.rows[0]))
-        rows += [dwell, part.passed(law[:-1])]
-        poses += [corners[dwell], part.poses(law[:-1])]
+        pieces += [(dwell, corners[dwell]), (part.passed(law[:-1]), part.poses(law[:-1]))]
         row = int(part.rows[-1])
-    for dwell in (_dwell(trajectory, row, last), np.array([last])):
-        rows.append(dwell)
-        poses.append(corners[dwell])
+    pieces += [(at, corners[at]) for at in (_dwell(trajectory, row, last), np.array([last]))]
+    rows, poses = zip(*pieces, strict=True)
     stops = np.cumsum([0, *map(len, rows[:-1])]).tolist()
     return _Course(np.vstack(poses), np.concatenate(rows), stops)
 
