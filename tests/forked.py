@@ -66,6 +66,12 @@ def script(code: str, *arguments: str, **environment: str) -> subprocess.Complet
     return _forked(_script, [code, *arguments], None, 60.0, environment)
 
 
+def run_pytest(folder: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run pytest in a folder."""
+    code = "import os, sys, pytest; os.chdir(sys.argv[1]); sys.exit(pytest.main(sys.argv[2:]))"
+    return script(code, *map(str, (folder, "-p", "no:cacheprovider", *arguments)))
+
+
 @contextmanager
 def workers() -> Iterator[None]:
     """Have this process fork the workers of sweeps and suites; to start one takes a second."""

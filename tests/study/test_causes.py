@@ -2,13 +2,12 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from html import unescape
 
 import mujoco
 import pytest
 
+from forked import command
 from panda_cosim.study.compare.causes import changed, elements, named
 from panda_cosim.task.scenario import load_scenario
 
@@ -89,31 +88,24 @@ def test_another_engine_alone_is_the_cause_of_another_compiled_model():
 
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory):
-    """A suite of a user's model and a shipped scenario, with references; both then changed."""
+    """The command for a user's model and a shipped scenario with references; the first changed."""
     folder = tmp_path_factory.mktemp("suite")
     (folder / "ball").mkdir()
     (folder / "ball" / "ball.xml").write_text(BALL)
     (folder / "ball" / "scenario.toml").write_text(SCENARIO)
     shutil.copytree(load_scenario("push").folder, folder / "push")
-    regress(folder, "ball", "--update", "--yes")
+    regress = ("regress", "--scenarios", folder)
+    command(*regress, "ball", "--update", "--yes", code=0)
     (folder / "ball" / "ball.xml").write_text(BALL.replace('mass="0.1"', 'mass="0.11"'))
-    return folder
-
-
-def regress(folder, *arguments):
-    """Run the command; returns what it prints."""
-    command = [sys.executable, "-m", "panda_cosim", "regress", "--scenarios", folder, *arguments]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=300)
-    assert done.returncode in {0, 1}, done.stderr
-    return done.stdout
+    return regress
 
 
 def test_every_door_names_the_cause_first(suite, tmp_path):
     said = "changed: ball: body ball mass 0.1 -> 0.11 kg"
-    (red,) = json.loads(regress(suite, "ball", "--json"))["scenarios"]
+    told = command(*suite, "ball", "--json", "--report", tmp_path, code=1)
+    (red,) = json.loads(told.stdout)["scenarios"]
     assert red["verdict"] == "differs"
     assert red["reason"].startswith(said)
-    regress(suite, "ball", "--report", tmp_path)
     xml, page = ((tmp_path / name).read_text() for name in ("junit.xml", "report.html"))
     assert f'message="{said}' in unescape(xml)
     page = unescape(page)
@@ -122,7 +114,7 @@ def test_every_door_names_the_cause_first(suite, tmp_path):
 
 
 def test_a_run_that_matches_with_other_parameters_says_so(suite):
-    lines = regress(suite, "push", "--set", "plant.block_friction=0.9", "--json")
-    (green,) = json.loads(lines)["scenarios"]
+    told = command(*suite, "push", "--set", "plant.block_friction=0.9", "--json", code=0)
+    (green,) = json.loads(told.stdout)["scenarios"]
     assert green["verdict"] == "same"
     assert green["cause"] == "changed: plant.block_friction 1 -> 0.9; results match"

@@ -3,16 +3,12 @@
 import json
 import re
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
-from bounded import ran
 from fault_support import write_files
-from forked import command
+from forked import command, run_pytest
 from panda_cosim.fmus.atomic import TEMPORARY
 
 HAND = '[[success.signal]]\nsignal = "plant.hand_xpos[3]"\nreduce = "min"\n'
@@ -34,15 +30,6 @@ def mine(tmp_path_factory):
     for name, settings in SCENARIOS.items():
         write_files(folder / name, settings, "0,home,0,0,0,0.08", "0.15,home,0,0.005,0,0.06")
     return folder
-
-
-def run_pytest(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return ran(
-        [sys.executable, "-m", "pytest", *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        cwd=cwd,
-        code=None,
-    )
 
 
 MISSED = r"tracking_rms \S+ mm, allowed 1e-06 mm"
@@ -94,11 +81,9 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(mine, tmp
     assert "2 of 2 scenarios match their references" in same.stdout
 
 
-PYTEST = ("-v", "-p", "no:cacheprovider", "--panda-scenarios")
-
-
-def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine, tmp_path):
-    tests = run_pytest(*PYTEST, mine, "-n", "1", cwd=tmp_path)
+@pytest.mark.parametrize("more", [(), pytest.param(("-n", "1"), marks=pytest.mark.long)])
+def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine, tmp_path, more):
+    tests = run_pytest(tmp_path, "-v", "--panda-scenarios", mine, *more)
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "4 failed, 2 passed" in tests.stdout
     assert re.search(rf"\n  missed  {MISSED}, margin -\d\S* x\n", tests.stdout)

@@ -5,7 +5,6 @@ import os
 import pty
 import re
 import shutil
-import subprocess
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -13,7 +12,7 @@ import pytest
 
 from fault_support import write_files
 from forked import command as cli
-from forked import script
+from forked import run_pytest, script
 from panda_cosim import InputError, shipped_scenarios
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
@@ -232,13 +231,6 @@ def test_a_suite_judges_the_sweeps_in_it(swept, tmp_path):
     ):
         refused = cli(*regress, *more, code=code)
         assert words in " ".join((refused.stdout + refused.stderr).split())
-
-
-PYTEST = "import os, sys, pytest; os.chdir(sys.argv[1]); sys.exit(pytest.main(sys.argv[2:]))"
-
-
-def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return script(PYTEST, str(folder), "-p", "no:cacheprovider", *arguments)
 
 
 def test_pytest_collects_a_folder_of_scenarios(approved, tmp_path):

@@ -87,6 +87,7 @@ def base(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(base, tmp_path):
     pytest.importorskip("cryptography")
     out = tmp_path / "out"

@@ -92,8 +92,7 @@ def held(arm, swung, folder, fits):
 
 
 def test_intervals_hold_the_values_of_a_noisy_run(arm, swung, tmp_path):
-    counts = held(arm, swung, tmp_path, 5)
-    assert min(counts.values()) >= 4  # of fixed seeds
+    assert held(arm, swung, tmp_path, 2) == dict.fromkeys(TRUE, 2)  # of fixed seeds
 
 
 @pytest.mark.long

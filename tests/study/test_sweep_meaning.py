@@ -183,23 +183,27 @@ def test_margins_that_follow_a_power_of_the_step_have_its_order_and_limit(
     assert found.limit == pytest.approx(limit, abs=1e-6)
 
 
-def test_the_study_of_steps_finds_order_and_limit_of_a_held_force(tmp_path):
-    said = ran(["sh", EXAMPLES / "step_size.sh", tmp_path / "new"], timeout=300).stdout
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory):
+    """The folder of the example's study of steps, and what it says."""
+    folder = tmp_path_factory.mktemp("steps") / "new"
+    return folder, ran(["sh", EXAMPLES / "step_size.sh", folder], timeout=300).stdout
+
+
+def test_the_study_of_steps_finds_order_and_limit_of_a_held_force(studied):
+    folder, said = studied
     (line,) = (line.split() for line in said.splitlines() if line.startswith("place "))
-    name, finest, order, limit = line[0], *map(float, line[1:])
-    store = Store(tmp_path / "new" / "study")
-    assert name == "place"
+    finest, order, limit = map(float, line[1:])
+    store = Store(folder / "study")
     assert finest == pytest.approx(store.row(3)["margin.place"], rel=1e-5)
     assert order == pytest.approx(1.0, abs=0.05)
     assert limit == pytest.approx(-math.cos(2.0), abs=1e-4)  # [m] left of the middle
 
 
-def test_steps_of_an_fmu_and_what_else_a_system_states_can_vary(tmp_path):
-    ran(["sh", EXAMPLES / "step_size.sh", tmp_path / "new"], timeout=300)
-    spring, vary = tmp_path / "new" / "spring", ("steps.spring=1,2", "tolerance=0,0.1")
-    done = command("sweep", spring, *(f"--vary={each}" for each in vary), "--out", tmp_path / "out")
+def test_steps_of_an_fmu_and_what_else_a_system_states_can_vary(studied, tmp_path):
+    vary = [f"--vary={each}" for each in ("steps.spring=1,2", "tolerance=0,0.1")]
+    done = command("sweep", studied[0] / "spring", *vary, "--out", tmp_path / "out", code=0)
     rows = rows_of(tmp_path / "out")
-    assert done.returncode == 0
     assert "steps.spring" not in done.stderr
     assert [row["steps.spring"] for row in rows] == [1.0, 1.0, 2.0, 2.0]
     assert rows[0]["margin.place"] != rows[2]["margin.place"]

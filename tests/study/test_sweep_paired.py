@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panda_cosim.cli.commands.sweep import compare
@@ -25,6 +25,7 @@ def paired(outcomes):
     return Paired((), (), pairs, (0, 0))
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=40))
 def test_mcnemar_is_the_binomial_sum_and_rates_are_counted(outcomes):
     lost = sum(a and not b for a, b in outcomes)
@@ -42,11 +43,11 @@ def test_mcnemar_is_the_binomial_sum_and_rates_are_counted(outcomes):
 def test_intervals_are_those_of_resampled_pairs_and_hold_the_truth_as_often_as_they_say():
     rng = np.random.default_rng(5)
     held = 0
-    for _ in range(200):
+    for _ in range(100):
         values = rng.normal(0.3, 1.0, 60)
         found = Difference.of(values)
         held += found.low <= 0.3 <= found.high
-    assert 180 <= held <= 199  # of 200, at 95 %; percentiles are a little narrow
+    assert 88 <= held <= 99  # of 100, at 95 %; percentiles are a little narrow
     own = np.quantile(rng.choice(values, (20_000, 60)).mean(axis=1), (0.025, 0.975))
     assert (found.low, found.high) == pytest.approx(tuple(own), abs=0.02)
     assert Difference.of([0.25] * 9) == Difference(0.25, 0.25, 0.25)
