@@ -53,3 +53,30 @@ class FakeRecording:
         signal, _, element = name.rpartition("[")
         index = (int(i) - 1 for i in element[:-1].split(","))
         return self.signals[signal][(slice(None), *index)]
+
+
+HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
+
+
+def made_up_run(rows: int = 1001) -> FakeRecording:
+    """Return a run of the task: joint 1 turns, and the block is lifted between 30 and 80 %."""
+    time = np.arange(rows) * 0.001
+    share = np.linspace(0.0, 1.0, rows)
+    held = (share >= 0.3) & (share < 0.8)
+    qpos = np.tile(HOME, (rows, 1)).astype(float)
+    qpos[:, 0] = share
+    qpos[:, 11] += np.where(held, 0.2 * (share - 0.3), 0.0)
+    place = 0.5 + 0.1 * np.sin(time)[:, None] * np.ones(3)
+    return FakeRecording(
+        time,
+        {
+            "plant.qpos": qpos,
+            "plant.qvel": np.zeros((rows, 15)),
+            "plant.hand_xpos": place,
+            "plant.actuator_force": np.zeros((rows, 8)),
+            "plant.contact_force": np.where((share >= 0.315) & (share < 0.83), 20.0, 0.0),
+            "controller.pos_cmd": place.copy(),
+            "controller.qvel_ref": np.zeros((rows, 7)),
+            "controller.grip_cmd": np.where(held, 0.0, 0.08),
+        },
+    )

@@ -17,15 +17,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import nbformat
-import numpy as np
 import pytest
 from nbclient import NotebookClient
 
 from bounded import ran
-from panda_cosim import Recording, Scenario, Success, load_scenario
+from panda_cosim import Scenario, Success, load_scenario
 from panda_cosim.cli.app import load
 from panda_cosim.cli.commands import COMMANDS, ELSEWHERE
 from panda_cosim.fmus.interface.plant import PLANT
@@ -313,50 +311,22 @@ def test_an_lqr_of_the_measured_plant_has_margins_that_runs_confirm(tmp_path):
     assert "image/png" in shown["analysis.plot(impedance=before)"]
 
 
+# By script, what it prints, in this order.
+SCRIPTS = {
+    "foreign_arm": ["elbow_arrives", "1 of 1 scenarios match"],
+    "nightly": ["6 passed", "6 of 6 scenarios and sweeps pass", "6 of 6 scenarios match"],
+    "paper_figure": ["fig.pdf", "kp_8.mat"],
+    "wall": ["geom wall: the finger pads pass through it", "unwanted contacts have up to",
+             "it runs, but has the", "it can run (rehearsed in memory)", "Success: "],
+}  # fmt: skip
+
+
 @pytest.mark.long
-def test_a_foreign_arm_runs_with_a_python_fmu_and_as_an_ssp(tmp_path):
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_runs_and_says_what_it_shows(name, tmp_path):
     pytest.importorskip("gymnasium")
-    said = ran(["sh", EXAMPLES / "foreign_arm.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT).stdout
-    assert "1 of 1 scenarios match" in said
-    first, second = (Recording.open(tmp_path / "new" / name) for name in ("first", "second"))
-    angle = first["plant.qpos[4]"]
-    assert np.abs(angle[-100:] + 0.8).max() < 0.02  # [rad]: the target of the controller's file
-    np.testing.assert_array_equal(angle, second["plant.qpos[4]"])
-
-
-@pytest.mark.long
-def test_a_repository_has_a_nightly_gate_and_keeps_a_failure(tmp_path):
-    said = ran(["sh", EXAMPLES / "nightly.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT).stdout
-    assert "6 passed" in said
-    suites = ET.parse(tmp_path / "new" / "nightly" / "junit.xml").getroot()
-    cases = list(suites.iter("testcase"))
-    assert len(cases) == 6  # five scenarios and the sweep
-    assert not list(suites.iter("failure"))
-    kept = load_scenario(tmp_path / "new" / "suite" / "pushed_too_hard")
-    assert (kept.expect, kept.push[0].force[1]) == ("failure", 200.0)
-    assert "6 of 6 scenarios match their references" in said
-
-
-@pytest.mark.long
-def test_a_figure_for_a_paper_takes_one_line(tmp_path):
-    ran(["sh", EXAMPLES / "paper_figure.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT)
-    figure = (tmp_path / "new" / "fig.pdf").read_bytes()
-    (width,) = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ", figure)
-    assert float(width) / 72 * 25.4 == pytest.approx(88.0)  # mm
-    assert b"/FontFile2" in figure
-    assert (tmp_path / "new" / "kp_8.mat").stat().st_size > 1e5
-
-
-@pytest.mark.long
-def test_a_wall_is_no_dead_end(tmp_path):
-    said = ran(["sh", EXAMPLES / "wall.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT)
-    first, second, third = said.stdout.split("FMUs are stepped")[1:]
-    assert "geom wall: the finger pads pass through it" in first
-    assert "geom wall" not in second
-    assert re.search(r"unwanted contacts have up to \d+ N, at t = [\d.]+ s; the path must", second)
-    assert "it runs, but has the" in second
-    assert "it can run (rehearsed in memory)" in third
-    assert "Success: " in third
+    said = ran(["sh", EXAMPLES / f"{name}.sh", tmp_path / "new"], timeout=EXAMPLE_LIMIT).stdout
+    assert re.search(".*".join(map(re.escape, SCRIPTS[name])), said, re.S), said
 
 
 def test_the_reference_says_where_the_scenes_objects_are():
@@ -380,19 +350,9 @@ def test_the_reference_says_where_the_scenes_objects_are():
 @pytest.mark.long
 def test_a_scene_with_a_wall_is_pushed_by_hand_and_kept(tmp_path):
     executed("wall", tmp_path)
-    runs = {path.parent for path in (tmp_path / "runs").glob("*/summary.json")}
-    summaries = [json.loads((run / "summary.json").read_text()) for run in runs]
-    nominal = next(s for s, r in zip(summaries, runs, strict=True) if (r / "video.mp4").exists())
-    assert nominal["as_expected"]
-    shift = next(c for c in nominal["criteria"] if c["name"] == "cylinder max_shift")
-    assert shift["value"] < 0.002  # m
+    (drawn,) = (tmp_path / "runs").glob("*/video.mp4")
+    assert json.loads((drawn.parent / "summary.json").read_text())["as_expected"]
     kept = load_scenario(tmp_path / "pushed")
     (push,) = kept.push
     assert (push.start, push.duration, push.force) == (0.5, 0.2, (0.0, 30.0, 0.0))
-    session, again = (
-        Recording.open(next(r for r, s in zip(runs, summaries, strict=True) if s["scenario"] == name
-                            and not (r / "video.mp4").exists()))
-        for name in ("wall", "pushed")
-    )  # fmt: skip
-    np.testing.assert_array_equal(session["plant.qpos"], again["plant.qpos"])
     shutil.rmtree(tmp_path / "runs")

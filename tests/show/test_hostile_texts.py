@@ -179,12 +179,9 @@ def test_texts_in_a_page_stay_text(page, tmp_path, kind):
     if kind == "sweep":
         copied = page.value("document.querySelector('#worst [data-copy]').dataset.copy")
         assert copied.isprintable()  # pasted into a shell, it does not run at once
-
-
-@pytest.mark.parametrize("kind", PAGES)
-def test_a_script_that_got_into_a_page_would_not_run(page, tmp_path, kind):
-    path, text = tmp_path / "page.html", PAGES[kind][0](tmp_path / "x", "x").decode()
-    path.write_text(re.sub("(<body[^>]*>)", rf"\1{STOLEN}", text), encoding="utf-8")
+    # Nor does a script run that got in all the same.
+    pierced = re.sub("(<body[^>]*>)", rf"\1{STOLEN}", path.read_text(encoding="utf-8"))
+    path.write_text(pierced, encoding="utf-8")
     page.open(path)
     assert page.value("document.querySelectorAll('img').length") == 1
     assert page.value("window.stolen") is None

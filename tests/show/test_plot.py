@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fake_recording import FakeRecording
+from fake_recording import made_up_run as task_run
 from panda_cosim import Recording
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.atomic import check_replaceable
@@ -26,31 +27,16 @@ PEAK = 0.0125  # [m] error of one row of the made-up run
 
 def made_up_run(rows: int = 1001) -> FakeRecording:
     """Return a run whose hand is 12.5 mm off its command in one row, and joint 4 at half speed."""
-    time = np.arange(rows) * 0.001
-    wave = np.sin(time)[:, None]
-    command = 0.5 + 0.1 * wave * np.ones(3)
-    hand = command.copy()
-    hand[rows // 3, 1] += PEAK
-    qvel = np.zeros((rows, 15))
-    qvel[:, 3] = -0.5 * QD_MAX[3]
-    reference, force = np.zeros((rows, 7)), np.zeros((rows, 8))
-    reference[rows // 2 :, 1] = 2.0 * QDDD_MAX[1] * 1e-6  # a step, whose jerk is twice the limit
-    force[1:, 1] = 30.0  # N.m, what it holds
-    force[rows // 2 :, 5] = 0.3  # N.m, in a tick
-    return FakeRecording(
-        time,
-        {
-            "plant.hand_xpos": hand,
-            "controller.pos_cmd": command,
-            "plant.qpos": 0.04 * np.ones((rows, 16)),
-            "plant.qvel": qvel,
-            "plant.actuator_force": force,
-            "controller.qvel_ref": reference,
-            "plant.contact_force": np.zeros(rows),
-            "controller.grip_cmd": np.where((time > 0.3) & (time < 0.6), 0.0, 0.08),
-        },
-        {"scenario": "made_up", "row_times": [0.0, 0.5, 7.0]},
-    )
+    run = task_run(rows)
+    run.metadata = {"scenario": "made_up", "row_times": [0.0, 0.5, 7.0]}
+    half, signals = rows // 2, run.signals
+    signals["plant.hand_xpos"][rows // 3, 1] += PEAK
+    signals["plant.qvel"][:, 3] = -0.5 * QD_MAX[3]
+    signals["controller.qvel_ref"][half:, 1] = 2e-6 * QDDD_MAX[1]  # a step of twice the limit
+    signals["plant.actuator_force"][1:, 1] = 30.0  # N.m, what it holds
+    signals["plant.actuator_force"][half:, 5] = 0.3  # N.m, in a tick
+    signals["plant.contact_force"][:] = 0.0
+    return run
 
 
 def texts(run: FakeRecording) -> list[str]:

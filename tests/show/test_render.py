@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from bounded import children, is_alive, line_of, ran, wait_until
-from fake_recording import FakeRecording
+from fake_recording import HOME, made_up_run
 from fault_support import write_scenario
 from forked import command
 from panda_cosim import InputError, Recording
@@ -38,7 +38,6 @@ from panda_cosim.show.pictures.video import find_ffmpeg, render_video
 from panda_cosim.task.criteria import HELD_FORCE
 from regress_support import record
 
-HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
 EXACT = 1e-12  # of rounding alone
 
 needs_gl = pytest.mark.usefixtures("backend")
@@ -51,26 +50,6 @@ def backend():
         return describe_gl()
     except RenderError as error:
         return pytest.skip(f"no OpenGL: {error}")
-
-
-def made_up_run(duration: float = 1.0, step: float = 0.001) -> FakeRecording:
-    """Return a run in which joint 1 turns and the block is lifted between 30 and 80 %."""
-    ticks = round(duration / step)
-    time_ = np.arange(ticks + 1) * step
-    share = time_ / duration
-    held = (share >= 0.3) & (share < 0.8)
-    qpos = np.tile(HOME, (len(time_), 1)).astype(float)
-    qpos[:, 0] = share
-    qpos[:, 11] += np.where(held, 0.2 * (share - 0.3), 0.0)
-    force = np.where((share >= 0.315) & (share < 0.83), 20.0, 0.0)
-    return FakeRecording(
-        time_,
-        {
-            "plant.qpos": qpos,
-            "plant.contact_force": force,
-            "controller.grip_cmd": np.where(held, 0.0, 0.08),
-        },
-    )
 
 
 def about_x(angle: float) -> FloatArray:
@@ -115,20 +94,15 @@ def test_a_video_of_the_task_has_390_frames_a_sixtieth_apart():
 # --- key moments of a run
 
 
-def test_the_key_moments_tell_the_story_in_order():
-    run = made_up_run(6.5)
-    moments = key_moments(run, 12)
-    times = [moment.time for moment in moments]
-    labels = [moment.label for moment in moments if moment.label]
-    assert len(moments) == 12
+def test_the_key_moments_tell_the_story_in_order_at_the_instants_of_the_summary():
+    run = made_up_run(6501)
+    found = key_moments(run, 12)
+    times = [moment.time for moment in found]
+    assert len(times) == 12
     assert times == sorted(times)
-    assert labels == ["start", "reach", "grasp", "lift", "carry", "set down", "release", "leave",
-                      "end"]  # fmt: skip
-
-
-def test_grasp_lift_and_release_are_at_the_instants_of_the_summary():
-    run = made_up_run(6.5)
-    moments = {moment.label: moment.time for moment in key_moments(run, 12)}
+    moments = {moment.label: moment.time for moment in found if moment.label}
+    assert [*moments] == ["start", "reach", "grasp", "lift", "carry", "set down", "release",
+                          "leave", "end"]  # fmt: skip
     happened = events(cast(Recording, run), find_holds(run))
     assert happened["grasp"] == run.time[np.argmax(run["plant.contact_force"] > HELD_FORCE)]
     for label, event in (("grasp", "grasp"), ("lift", "lift"), ("set down", "release_command"),
@@ -143,7 +117,7 @@ def test_grasp_lift_and_release_are_at_the_instants_of_the_summary():
 def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path):
     seen: list[tuple[int, int]] = []
     path = render_video(
-        made_up_run(0.2),
+        made_up_run(201),
         tmp_path / "new" / "video.mp4",
         width=160,
         height=120,
@@ -175,7 +149,7 @@ def test_a_run_names_each_file_once_it_is_there_and_the_video_last(tmp_path):
 
 @needs_gl
 def test_frames_follow_the_recording(tmp_path):
-    run = made_up_run(0.1)
+    run = made_up_run(101)
     with closing(OffscreenRenderer("tabletop", 160, 120)) as renderer:
         images = renderer.frames(run["plant.qpos"][[0, 0, -1]])
         first, again, last = (image.astype(int) for image in images)
@@ -194,7 +168,7 @@ def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render_video(made_up_run(0.2), path, width=64, height=48, progress=stop)
+        render_video(made_up_run(201), path, width=64, height=48, progress=stop)
     assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
     assert path.read_bytes() == b"the old one"
 
@@ -235,7 +209,7 @@ def test_no_process_outlives_the_one_that_draws(tmp_path, number):
 
 @needs_gl
 def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path):
-    path = contact_sheet(made_up_run(2.0), tmp_path / "sheet.png")
+    path = contact_sheet(made_up_run(2001), tmp_path / "sheet.png")
     check_replaceable(path)
     with Image.open(path) as sheet:
         assert sheet.format == "PNG"
@@ -260,7 +234,7 @@ def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path):
 def test_a_bad_option_is_refused_with_its_bounds(tmp_path, options, message):
     path = tmp_path / options.pop("path", "video.mp4")
     with pytest.raises(InputError, match=message):
-        render_video(made_up_run(0.1), path, **options)
+        render_video(made_up_run(101), path, **options)
 
 
 def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path):

@@ -21,8 +21,6 @@ from bounded import ran
 from fake_recording import FakeRecording
 from forked import command
 from panda_cosim import InputError, Recording, shipped_scenarios
-from panda_cosim.result.judging.criterion import Criterion
-from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.show.thinning import ALL_ROWS, POSES, STRETCHES, Thinning
 from panda_cosim.show.view import columns, run
@@ -168,15 +166,6 @@ def test_a_run_that_diverged_is_described():
     source.signals["other.y"][:] = np.inf
     document = describe(foreign(source), "key")
     json.dumps(document, allow_nan=False)
-
-
-def test_criteria_and_limits_say_what_they_mean():
-    names = ("max_slip", "my own")
-    judged = [Criterion(name, 1.0, 2.0, "m", "below") for name in names]
-    rows = run.criteria_of(Summary(criteria=tuple(judged)))
-    assert [row["words"] for row in rows] == [DEFINITIONS["success.max_slip"].text, ""]
-    (limit,) = run.limits_of(Summary(limits={"torque_share": [0.5]}))
-    assert limit["words"] == DEFINITIONS["limits.torque_share"].text
 
 
 def test_columns_of_different_units_are_not_in_one_plot():
