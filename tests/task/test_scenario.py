@@ -34,7 +34,7 @@ BAD_SCENARIOS = {
     "duration of 400 digits": ("duration = " + "9" * 400, "an integer of 1329 bits"),
     "duration no whole tick": ("duration = 1.0005\n", "must be a whole number of ticks of 0.001"),
     "scene unknown": (GOOD + 'scene = "tabeltop"\n', "did you mean 'tabletop'?"),
-    "align number": (GOOD + "align = 1\n", "align: value 1; must be true or false"),
+    "align number": (GOOD + "align = 1\n", "key align: must be true or false"),
     "purpose of two lines": ('duration = 1.0\npurpose = "a\\nb"\n', "must be one line of at most"),
     "plant no section": (GOOD + "plant = 3\n", "key plant: must be a section [plant]"),
     "parameter dotted": (GOOD + "[plant]\nblock.mass = 1\n", "[plant] block: is a section"),

@@ -132,16 +132,6 @@ class Line(_Field):
         return value
 
 
-class Switch(_Field):
-    """True or false; no other value counts as a boolean."""
-
-    def __call__(self, value: object) -> bool:
-        """Return the switch."""
-        if isinstance(value, bool):
-            return value
-        raise ValueError(f"value {excerpt(value)}; must be true or false")
-
-
 class Value(_Field):
     """A parameter's value; name and bounds are checked against the FMU later."""
 
@@ -236,18 +226,13 @@ def _describe(error: ValidationError, cls: type) -> str:
         return f"{_section(loc[:-1])}key {loc[-1]} is missing"
     cause = problem.get("ctx", {}).get("error")
     is_section = _class_at(cls, loc) is not None or not loc
-    if cause is None:  # something else where a section is needed
-        form = _form(loc, is_list=problem["type"] == "tuple_type", is_section=is_section)
+    if cause is None:  # something of another type
+        path = ".".join(part for part in loc if isinstance(part, str))
+        lists = f"sections [[{path}]]" if is_section else 'a list of texts, ["...", ...]'
+        forms = {"bool_type": "true or false", "tuple_type": lists}
+        form = forms.get(problem["type"], f"a section [{path}]")
         return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
     return f"{_section(loc)}{cause}" if is_section else _joined(_place(loc), cause)
-
-
-def _form(loc: Loc, *, is_list: bool, is_section: bool) -> str:
-    """Return how what a location needs is written."""
-    path = ".".join(part for part in loc if isinstance(part, str))
-    if not is_list:
-        return f"a section [{path}]"
-    return f"sections [[{path}]]" if is_section else 'a list of texts, ["...", ...]'
 
 
 def _joined(place: str, cause: ValueError) -> str:

@@ -8,7 +8,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal, Self, cast, get_args
 
-from pydantic import BeforeValidator, PlainSerializer, PlainValidator, SkipValidation
+from pydantic import BeforeValidator, PlainSerializer, PlainValidator, SkipValidation, Strict
 
 from ..assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ..assets.franka import DEFAULT_ROBOT, ROBOTS
@@ -24,7 +24,6 @@ from .fields import (
     Choice,
     Line,
     Quantity,
-    Switch,
     Value,
     Vector,
     Whole,
@@ -192,7 +191,7 @@ class Scenario:
     timing: Annotated[str, Choice(("table", "feasible", "optimal"))] = "table"
     timing_share: Annotated[float, Quantity(0.1, 1.0, "1")] = 0.9
     route: Annotated[str, Choice(("", "auto"))] = ""
-    align: Annotated[bool, Switch()] = True
+    align: Annotated[bool, Strict()] = True
     plant: Parameters = field(default_factory=dict)
     controller: Parameters = field(default_factory=dict)
     mismatch: Mismatch = field(default_factory=Mismatch)

@@ -60,12 +60,12 @@ def _blamed(scenario: Scenario, values: Values, text: str) -> str:
 
 def _with_all(scenario: Scenario, values: Values) -> Scenario:
     """Change all values at once, so that no order of the keys is seen."""
-    places = _Places(scenario, {*scenario.fmus, *(key[5:] for key in values if _is_part(key))})
-    if "gains" in values and not places.has_our_controller:
+    fmus = {*scenario.fmus, *(key[5:] for key in values if _is_part(key))}
+    if "gains" in values and "controller" in fmus:
         raise InputError("gains: acts only on the project's own controller; must be left out here")
     # The scene and robot of the scenario outrank those of its plant.
     keys = sorted(values, key=lambda key: key not in _OF_SCENE)
-    changes = {places.steps(key): _given(key, values[key]) for key in keys}
+    changes = {_steps(scenario, fmus, key): _given(key, values[key]) for key in keys}
     if "inputs.file" in values:
         file = (scenario.folder or Path()) / str(values["inputs.file"])
         changes["input_table",] = InputTable.read(file)
@@ -105,56 +105,50 @@ def _from_here(key: str, given: object) -> str:
     return f"{os.path.realpath(file)}:{name}" if has_class else os.path.realpath(text)
 
 
-class _Places:
-    """Where the keys of a scenario lead, with the names of its own FMUs."""
+def _steps(scenario: Scenario, fmus: Collection[str], key: str) -> Steps:
+    """Return the way to a key's place; `fmus` are names of the scenario's own."""
+    section, _, name = key.partition(".")
+    if name and section in _BY_NAME[:3]:
+        return section, name
+    if key in _OF_SCENE and not scenario.is_system and "plant" not in fmus:
+        return (name,)
+    if key in _top(scenario) or key.startswith(_SECTIONS):
+        return _inner(scenario, key)
+    if not name:
+        raise _no_such(scenario, key)
+    ours = () if scenario.is_system else ("plant", "controller", "sensors")
+    instances = dict.fromkeys((*ours, *sorted(fmus)))
+    if section not in instances and not scenario.system:  # else they are in its file
+        valid = f"{', '.join(instances)}{did_you_mean(section, instances)}"
+        raise InputError(f"{key}: no instance {section!r}; valid: {valid}")
+    return (section, name) if section in _BY_NAME else ("parameters", section, name)
 
-    def __init__(self, scenario: Scenario, fmus: Collection[str]) -> None:
-        # Its texts, numbers and switches.
-        names = (name for name in field_names(scenario) if name not in _FIXED)
-        self._top = [n for n in names if isinstance(getattr(scenario, n), str | bool | float)]
-        ours = () if scenario.is_system else ("plant", "controller", "sensors")
-        self._instances = tuple(dict.fromkeys((*ours, *sorted(fmus))))
-        self._is_known = not scenario.system  # else they are in its file
-        self._has_our_plant = bool(ours) and "plant" not in fmus
-        self.has_our_controller = "controller" not in fmus
 
-    def steps(self, key: str) -> Steps:
-        """Return the way to a key's place."""
-        section, dot, name = key.partition(".")
-        if dot and section in _BY_NAME[:3]:
-            return section, name
-        if key in _OF_SCENE and self._has_our_plant:
-            return (name,)
-        if key in self._top or key.startswith(_SECTIONS):
-            return self._inner(key)
-        if not name:
-            raise self._no_such(key)
-        self._check_instance(key, section)
-        return (section, name) if section in _BY_NAME else ("parameters", section, name)
+def _top(scenario: Scenario) -> list[str]:
+    """Return its texts, numbers and switches."""
+    names = (name for name in field_names(scenario) if name not in _FIXED)
+    return [name for name in names if isinstance(getattr(scenario, name), str | bool | float)]
 
-    def _check_instance(self, key: str, section: str) -> None:
-        if self._is_known and section not in self._instances:
-            valid = f"{', '.join(self._instances)}{did_you_mean(section, self._instances)}"
-            raise InputError(f"{key}: no instance {section!r}; valid: {valid}")
 
-    def _inner(self, key: str) -> Steps:
-        """Return the way into a section, a list or the table."""
-        if not _WAY.fullmatch(key):
-            raise self._no_such(key)
-        parts = key.split(".")
-        if parts[0] == "table":
-            parts = [_COLUMNS.get(part, part) for part in parts]
-        return tuple(name or int(index) - 1 for index, name in _STEP.findall(".".join(parts)))
+def _inner(scenario: Scenario, key: str) -> Steps:
+    """Return the way into a section, a list or the table."""
+    if not _WAY.fullmatch(key):
+        raise _no_such(scenario, key)
+    parts = key.split(".")
+    if parts[0] == "table":
+        parts = [_COLUMNS.get(part, part) for part in parts]
+    return tuple(name or int(index) - 1 for index, name in _STEP.findall(".".join(parts)))
 
-    def _no_such(self, key: str) -> InputError:
-        bare = key.partition("[")[0]
-        owners = [f"{fmu}.{key}" for fmu, interface in INTERFACES.items()
-                  if any(v.name == bare for v in interface.of("parameter"))]  # fmt: skip
-        valid = (*self._top, "mismatch.preset", "table.rows[1].x", "push[1].force[1]",
-                 "success.max_slip", "inputs.plant.torque", "fmus.controller",
-                 "plant.block_mass")  # fmt: skip
-        hint = f"; did you mean {owners[0]!r}?" if owners else did_you_mean(key, valid)
-        return InputError(f"{key}: no such key; valid: {', '.join(valid)}{hint}")
+
+def _no_such(scenario: Scenario, key: str) -> InputError:
+    bare = key.partition("[")[0]
+    owners = [f"{fmu}.{key}" for fmu, interface in INTERFACES.items()
+              if any(v.name == bare for v in interface.of("parameter"))]  # fmt: skip
+    valid = (*_top(scenario), "mismatch.preset", "table.rows[1].x", "push[1].force[1]",
+             "success.max_slip", "inputs.plant.torque", "fmus.controller",
+             "plant.block_mass")  # fmt: skip
+    hint = f"; did you mean {owners[0]!r}?" if owners else did_you_mean(key, valid)
+    return InputError(f"{key}: no such key; valid: {', '.join(valid)}{hint}")
 
 
 def _put(opened: Any, steps: Steps, value: Any, name: str = "") -> None:

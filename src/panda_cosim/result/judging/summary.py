@@ -11,11 +11,12 @@ value that could not be measured is null.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
+
+from pydantic_core import to_jsonable_python
 
 from ...fmus.errors import InputError, excerpt, one_line, refuse
 from ...task.files import read_integer
@@ -191,9 +192,8 @@ class Summary:
         """Return plain values, as JSON holds them."""
         judged = {name: getattr(self, name) for name in ("success", "as_expected", "margin")}
         head = {"format": FORMAT, "verdict": self.verdict.word, **judged}
-        whole = asdict(self)
-        whole.pop("end")
-        return dict(json_values({**head, **whole}))
+        content = {**head, **vars(self)}
+        return dict(to_jsonable_python(content, exclude={"end"}, inf_nan_mode="null"))
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -202,12 +202,3 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, Any]]:
             yield from _numbers(f"{name}[{number}]", item)
     elif value is None or isinstance(value, int | float):
         yield name, value
-
-
-def json_values(value: Any) -> Any:
-    """Replace numbers that are not finite by null, as JSON cannot hold them."""
-    if isinstance(value, dict):
-        return {key: json_values(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_values(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

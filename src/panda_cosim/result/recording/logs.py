@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from ...assets.fields import Array
 from ...fmus.errors import InputError, located, one_line, refuse
@@ -147,18 +148,17 @@ def messages(path: Path) -> Iterator[tuple[str, float, Any]]:
                 encoding = channel.message_encoding
                 decode = json.loads if encoding == "json" else ros.decoder_for(encoding, schema)
                 if decode:
-                    yield channel.topic, NS * message.log_time, _plain(decode(message.data))
+                    said = decode(message.data)
+                    content = to_jsonable_python(said, bytes_mode="hex", fallback=_parts)
+                    yield channel.topic, NS * message.log_time, content
         except Exception as error:  # its reader raises many types for damaged files
             raise InputError(f"{path}: is no whole MCAP file: {one_line(error)}") from error
 
 
-def _plain(value: Any) -> Any:
-    """Return a message of ROS as tables and lists."""
-    if names := getattr(value, "__slots__", None):
-        return {name: _plain(getattr(value, name)) for name in names}
-    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return [_plain(each) for each in value]
-    return value
+def _parts(value: Any) -> Any:
+    """Return the parts of a message of ROS."""
+    names = getattr(value, "__slots__", None)
+    return {name: getattr(value, name) for name in names} if names else [*value]
 
 
 def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from ...assets.checks import CHECKS
 from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ...result.judging.advice import refusals
 from ...result.judging.definitions import DEFINITIONS
-from ...result.judging.summary import Summary, json_values
+from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.limits import METRICS
 from ..pictures.motion import key_moments
@@ -33,7 +33,7 @@ def criteria_of(summary: Summary) -> list[Json]:
     """Return the success criteria with measured values, in their units."""
     return [
         {
-            **json_values(asdict(each)),
+            **to_jsonable_python(each, inf_nan_mode="null"),
             "least": each.direction == "above",
             "words": meaning(f"success.{each.name}"),
         }
@@ -56,9 +56,9 @@ def limits_of(summary: Summary) -> list[Json]:
         if check.interface in (real.get("interface"), "arm")
     ]
     return [
-        {"name": name, "words": meaning(f"{group}.{key}"), "shares": json_values(used[key])}
+        {"name": name, "words": meaning(f"{group}.{key}"), "shares": shares}
         for group, key, name, used in rows
-        if isinstance(used.get(key), list)
+        if isinstance(shares := to_jsonable_python(used.get(key), inf_nan_mode="null"), list)
     ]
 
 
