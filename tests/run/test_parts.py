@@ -10,13 +10,11 @@ import mujoco
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from fmu_support import in_process
 from forked import command
 from odd_fmu import odd_ssp
 from panda_cosim import InputError, load_scenario, shipped_scenarios
-from panda_cosim.cli.app import app
 from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.sources.law import read_law
 from panda_cosim.run.start import resolve, start_values
@@ -261,9 +259,7 @@ def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path, fmi):
     assert value == pytest.approx(3.0 * 0.049 + 0.05, rel=1e-12)  # y = k u + t [N]
     assert done["summary"]["success"]
     assert not job(folder, tmp_path / "missed")["summary"]["success"]  # with k = 1
-    told = CliRunner().invoke(app, ["info", str(folder / "toy.fmu"), "--json"])
-    assert told.exit_code == 0, told.output
-    assert '"k"' in told.output
+    assert '"k"' in command("info", folder / "toy.fmu", "--json", code=0).stdout
     keys = "success.tracking_rms = 1.0\nsuccess.max_limit_share = 1.0\n"
     (folder / "scenario.toml").write_text(keys + TOYS)
     wrong = [each.text for each in check_folder(folder) if each.level == "wrong"]
@@ -284,38 +280,35 @@ def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(tmp_path):
     outputs = [f"y{i}" for i in INDICES]
     odd_ssp(ssp, {"toy": toy_fmu(tmp_path / "toy.fmu", 3)}, {"toy": outputs})
     (folder / "scenario.toml").write_text(SSP)
-    runner, run = CliRunner(), tmp_path / "run"
+    run, quiet = tmp_path / "run", ("--no-video", "--out")
 
-    def says(*arguments: str, code: int = 0) -> str:
-        done = runner.invoke(app, list(arguments))
-        assert done.exit_code == code, done.output
-        return done.output
+    def says(*arguments: object, code: int = 0) -> str:
+        done = command(*arguments, code=code)
+        return done.stdout + done.stderr
 
-    assert says("check", str(folder)).count("it can run") == 1
-    assert "y[1..2,1..3]" in says("info", str(ssp))
-    says("run", str(folder), "--no-video", "--plot", "--out", str(run))
-    says("run", str(folder), "--no-video", "--set", "toy.k=3", "--out", str(tmp_path / "k"))
+    assert says("check", folder).count("it can run") == 1
+    assert "y[1..2,1..3]" in says("info", ssp)
+    says("run", folder, "--plot", *quiet, run)
     assert (run / "plot.png").stat().st_size > 10_000
-    says("export", str(run), str(tmp_path / "t.csv"))
+    says("export", run, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text().splitlines()[-1].startswith("0.05,0.05,")
-    assert "holds no model" in says("render", str(run), code=2)
-    assert {p.name for p in run.iterdir()} == {
+    assert "holds no model" in says("render", run, code=2)
+    assert {path.name for path in run.iterdir()} == {
         "recording.parquet", "summary.json", "scenario", "plot.png",
     }  # fmt: skip
-    says("view", str(run))  # its curves alone
-    says("regress", str(folder), "--update", "--yes")
-    says("regress", str(folder))
+    says("view", run)  # its curves alone
+    says("regress", folder, "--update", "--yes")
+    says("regress", folder)
     (folder / "scenario.toml").write_text(SSP + "[parameters.toy]\nflip = true\n")
-    says("regress", str(folder), code=1)
+    says("regress", folder, code=1)
     # A scenario judges another system; a system alone is judged by nothing.
-    missed = ["run", str(folder), "--system", str(ssp), "--duration", "0.02", "--no-video"]
-    says(*missed, "--out", str(tmp_path / "short"), code=3)
-    says("run", "--system", str(ssp), "--duration", "0.02", "--no-video", "--set", "toy.k=2",
-         "--out", str(tmp_path / "alone"))  # fmt: skip
+    other = ("--system", ssp, "--duration", "0.02")
+    says("run", folder, *other, *quiet, tmp_path / "short", code=3)
+    says("run", *other, "--set", "toy.k=2", *quiet, tmp_path / "alone")
     made = json.loads((tmp_path / "alone" / "summary.json").read_text())
     assert made["criteria"] == []
     assert made["timing"]["simulated_s"] == pytest.approx(0.02)
-    says("run", str(tmp_path / "alone" / "scenario"), "--no-video", "--out", str(tmp_path / "x"))
+    says("run", tmp_path / "alone" / "scenario", *quiet, tmp_path / "x")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,16 @@ import pytest
 from bounded import line_of, running
 from fmu_support import in_process
 from forked import command
-from panda_cosim import InputError, Options, Recording, Session, load_scenario, replay, run_scenario
+from panda_cosim import (
+    InputError,
+    Options,
+    Recording,
+    Session,
+    load_scenario,
+    replay,
+    run_scenario,
+    shipped_scenarios,
+)
 from panda_cosim.fmus.interface.plant import FORCES
 from panda_cosim.run.journal import Journal
 from parts_jobs import session_of_other_parts
@@ -132,6 +141,23 @@ def test_a_session_of_pushes_start_values_and_waypoints_is_a_scenario(tmp_path):
     for name in ("plant.push_force", "plant.block_force", "plant.link4_force"):
         forces = Recording.open(tmp_path / "session")[name]
         assert (run.recording[name][:-1] == forces[:-1]).all()
+
+
+SSV = """<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+version="1.0" name="p"><ssv:Parameters><ssv:Parameter name="plant.block_mass"><ssv:Real value="{}"/>
+</ssv:Parameter></ssv:Parameters></ssv:ParameterSet>"""
+
+
+def test_a_parameter_set_of_ssp_gives_what_no_key_does(tmp_path):
+    good, bad = tmp_path / "good.ssv", tmp_path / "bad.ssv"
+    good.write_text(SSV.format(0.3))
+    bad.write_text(SSV.format(99))
+    for values, mass in (({}, 0.3), ({"plant.block_mass": 0.2}, 0.2)):
+        session = Session("push", tmp_path / "run", values=values, ssv=good)
+        assert session.scenario.plant["block_mass"] == mass
+    assert "0 of 1 scenarios match" in command("regress", "push", "--ssv", good, code=1).stdout
+    wrong = "plant.block_mass: value 99"
+    assert wrong in command("check", shipped_scenarios()["push"], "--ssv", bad, code=2).stdout
 
 
 ACTIONS: dict[str, Callable[[Session], None]] = {

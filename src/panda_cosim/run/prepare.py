@@ -89,12 +89,10 @@ class Prepared:
         assembly = self.assembly
         values = assembly.changed(self.values, self.scenario.sections)
         for (instance, name), driven in assembly.driven.items():
-            values[instance] = values.get(instance, {}) | {
-                name: driven.at_start(assembly.start_time)
-            }
+            values[instance][name] = driven.at_start(assembly.start_time)
         patience = PATIENCE if self.scenario.client or not self.options.waits else 0.0
         for instance, (address, _) in self.listening.items():
-            values[instance] = values.get(instance, {}) | {"address": address}
+            values[instance]["address"] = address
             if "connection_timeout" not in self.scenario.sections.get(instance, {}):
                 values[instance]["connection_timeout"] = patience
         return values

@@ -46,6 +46,7 @@ from .output import Output
 from .prepare import prepare
 from .start import start_pose
 from .stopping import stopping_on_signals
+from .system.assembly import with_parameter_set
 
 _DIGITS: Final = 9  # of a time in a scenario [s]; a tick is 1e-3
 
@@ -90,6 +91,7 @@ class Session(Execution):
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it; pacing and time limits are up to the caller.
         values: Values to change, by key.
+        ssv: Parameter set of SSP, by FMU.VARIABLE, in any units; `values` go before it.
 
     Attributes:
         scenario: As it is run.
@@ -110,9 +112,11 @@ class Session(Execution):
         options: Options | None = None,
         *,
         values: Values | None = None,
+        ssv: Path | str | None = None,
     ) -> None:
-        scenario = load_scenario(scenario).changed(values or {})
-        options = options or Options()
+        options, loaded = options or Options(), load_scenario(scenario)
+        file = None if ssv is None else Path(ssv)
+        scenario = with_parameter_set(loaded, file, values or {}, options.kind)
         if options.realtime or options.time_limit is not None:
             raise InputError("realtime, time_limit: do not apply to a session; its caller steps it")
         super().__init__(prepare(scenario, options, interactive=True), out, journals=True)

@@ -41,7 +41,6 @@ from ...study.compare.wording import multiple
 from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores
 from ...task.scenario import Scenario
-from ...task.values import Values
 from ..console import Item, progress, show, show_file, show_result, table, warn
 from ..forms import argument, flag, option
 from ..options import (
@@ -50,6 +49,7 @@ from ..options import (
     KIND,
     OVERWRITE,
     SETTINGS,
+    SSV,
     announce_python,
     end,
     values_of,
@@ -65,6 +65,7 @@ def command(  # noqa: PLR0913 - one for each option
     report: Path | None = option("--report DIR"),
     update: bool = flag("--update"),
     assignments: list[str] | None = SETTINGS,
+    ssv: Path | None = SSV,
     exact: bool = flag("--exact"),
     folder: Path | None = option("--scenarios DIR"),
     sweeps: bool = option("--sweeps/--no-sweeps", True),
@@ -123,7 +124,7 @@ def command(  # noqa: PLR0913 - one for each option
     """
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
-    runs = list(with_values(variants(given, engines), values))
+    runs = list(with_values(variants(given, engines), values, ssv))
     suite = Suite(runs, exact, jobs or cores(), kind)
     files = [report / name for name in (REPORT_FILE, JUNIT_FILE)] if report else []
     check_replaceable(*files, overwrite=overwrite)
@@ -131,7 +132,7 @@ def command(  # noqa: PLR0913 - one for each option
         return _qualify(suite, qualify, min_score, files, json=json)
     # A reference, for instance, is made of a scenario alone.
     is_whole = sweeps and not any((update, engines, kind != "auto"))
-    swept = _swept(given, values, folder) if is_whole else []
+    swept = _swept(given, values or ssv, folder) if is_whole else []
     if report:
         check_kept_runs(report / "runs", (each.name for each in (*runs, *swept)))
     announce_python(kind)
@@ -202,14 +203,16 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
 
 
 def _swept(
-    scenarios: Iterable[Scenario | Unusable], values: Values, folder: Path | None
+    scenarios: Iterable[Scenario | Unusable], changed: object, folder: Path | None
 ) -> list[SuiteSweep]:
     """Return the sweeps of the scenarios, and name those in the folder that are of none."""
     for text in stray_sweeps(folder) if folder is not None else ():
         warn(text)
     swept = find_sweeps(scenarios)
-    if swept and values:
-        raise InputError(f"--set: cannot be combined with {swept[0].file}; add --no-sweeps")
+    if swept and changed:
+        raise InputError(
+            f"--set or --ssv: cannot be combined with {swept[0].file}; add --no-sweeps"
+        )
     return swept
 
 

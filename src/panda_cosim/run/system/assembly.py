@@ -203,13 +203,17 @@ def assemble(
 
 
 def with_parameter_set(
-    scenario: Scenario, file: Path, values: Values, kind: Kind = "auto", *, run_code: bool = True
-) -> Scenario:
-    """Return a scenario with the values of an SSV file, before which those by key go."""
+    scenario: Scenario, ssv: Path | None, values: Values, kind: Kind = "auto", *,
+    run_code: bool = True,
+) -> Scenario:  # fmt: skip
+    """Return a scenario with values by key, which go before those of an .ssv file, if any."""
+    changed = scenario.changed(values)
+    if ssv is None:
+        return changed
     from ...fmus.master.ssp_parameters import read_parameters  # noqa: PLC0415 - rarely needed
 
-    found = read_parameters(file, assemble(scenario, kind, run_code=run_code).interfaces)
-    return scenario.changed(found).changed(values)
+    found = read_parameters(ssv, assemble(changed, kind, run_code=run_code).interfaces)
+    return changed.changed(found).changed(values)
 
 
 def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool) -> Assembly:
@@ -229,7 +233,7 @@ def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool)
         connector.connect_sensors(_measurements(scenario))
     connector.connect_rest_by_name()
     if not scenario.is_system:
-        connector.require("plant", "ctrl")
+        connector.require_ctrl()
     connections = [_scaled(each, scenario.input_scale) for each in connector.connections]
     order = scenario.order or stepping_order(interfaces, connections)
     notes = [] if from_outside else connector.notes
@@ -305,18 +309,19 @@ def _unfed(
 def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> list[Name]:
     """The pushes, in a session those on all bodies, and the commands that the controller takes."""
     bodies = FORCES if from_outside else scenario.pushed
-    names = [("plant", FORCES[body]) for body in bodies]
-    names += [("controller", command) for command in scenario.commands]
+    inputs = [("plant", FORCES[body]) for body in bodies]
+    inputs += [("controller", command) for command in scenario.commands]
     external: list[Name] = []
-    for instance, name in names:
+    for instance, name in inputs:
         variable = connector.parts[instance].interface.end(name, "input")
         if variable is None and name in map(FORCES.get, scenario.pushed):
             raise InputError(f"[[push]]: {instance} has no input {name}")
         if variable is not None and not connector.is_fed(instance, name):
             ours = INTERFACES[instance].variable(name)
             connector.check(f"the scenario's {name}", ours, f"{instance}.{name}", variable)
-            external += [(instance, n) for n in variable.names()]
-            connector.mark_fed(instance, variable)
+            names = [(instance, n) for n in variable.names()]
+            connector.drive(names)
+            external += names
     return external
 
 

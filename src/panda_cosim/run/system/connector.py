@@ -65,12 +65,8 @@ class Connector:
         """Whether an input, or an element of it, is fed."""
         return any(i == instance and n.partition("[")[0] == name for i, n in self._fed)
 
-    def mark_fed(self, instance: str, variable: Variable) -> None:
-        """Mark an input as external."""
-        self._fed |= {(instance, name) for name in variable.names()}
-
     def drive(self, names: Collection[Name]) -> None:
-        """Mark inputs as driven by the scenario; what is connected cannot be."""
+        """Mark inputs as given by the scenario; what is connected cannot be."""
         check_unfed(names, self._fed)
         self._fed.update(names)
 
@@ -101,7 +97,7 @@ class Connector:
         for i in range(1, 8):
             self.connect(f"plant.torque[{i}]", f"controller.ctrl[{i}]")
         self.connect("plant.ctrl[8]", "controller.ctrl[8]")
-        self.mark_fed("plant", self.parts["plant"].interface.variable("ctrl"))
+        self._fed |= {("plant", f"ctrl[{i}]") for i in range(1, 8)}
 
     def connect_sensors(self, names: Sequence[str]) -> None:
         """Connect measurements to the controller's inputs of some names that are not fed yet."""
@@ -109,10 +105,8 @@ class Connector:
         for name in names:
             if name in inputs and not self.is_fed("controller", name):
                 measured = self.parts["sensors"].interface.variable(measurement_of(name))
-                whole, ends = inputs[name], [(name, measured.name)]
-                if measured.size < whole.size:  # the rest, such as fingers, is not measured
-                    ends = list(zip(whole.names(), measured.names(), strict=False))
-                for fed, giving in ends:
+                # The rest, such as fingers, is not measured.
+                for fed, giving in zip(inputs[name].names(), measured.names(), strict=False):
                     self.connect(f"controller.{fed}", f"sensors.{giving}")
 
     def connect_rest_by_name(self) -> None:
@@ -188,16 +182,15 @@ class Connector:
         part = self.parts.get(end.partition(".")[0])
         return part.interface.units or OUR_UNITS if part else {}
 
-    def require(self, instance: str, name: str) -> None:
-        """Refuse an input that is not connected; the message lists the candidates."""
-        _, variable = end_of("", f"{instance}.{name}", self.parts, "input")
-        if not self.is_fed(instance, name):
-            outputs = [f"{p.name}.{v.name} {_shape_and_unit(v)}" for p in self.parts.values()
-                       if p.name != instance for v in p.interface.of("output")]  # fmt: skip
+    def require_ctrl(self) -> None:
+        """Refuse a plant whose ctrl is not connected; the message lists the candidates."""
+        _, ctrl = end_of("", "plant.ctrl", self.parts, "input")
+        if not self.is_fed("plant", "ctrl"):
+            outputs = [f"{part.name}.{v.name} {_shape_and_unit(v)}" for part in self.parts.values()
+                       if part.name != "plant" for v in part.interface.of("output")]  # fmt: skip
             raise InputError(
-                f"{instance}.{name} {_shape_and_unit(variable)}: nothing feeds it; must be an "
-                f"output {name} of another FMU, or connected in [connect]; outputs: "
-                f"{', '.join(outputs) or 'none'}"
+                f"plant.ctrl {_shape_and_unit(ctrl)}: nothing feeds it; must be an output ctrl of "
+                f"another FMU, or connected in [connect]; outputs: {', '.join(outputs) or 'none'}"
             )
 
     def _connect(

@@ -76,7 +76,7 @@ def driven_inputs(
         place = f"[inputs] {instance}"
         for name, value in expand(place, interfaces[instance], values, "input").items():
             driven[instance, name] = DrivenInput(by_name[instance][name], [value], np.zeros(1))
-    table = scenario.input_table
+    table, times = scenario.input_table, np.array(scenario.input_table.times)
     for key, cells in table.columns.items():
         instance, name = split("[inputs] ", key, interfaces)
         scalar, *others = targets(instance, interfaces[instance], by_name[instance], name, "input")
@@ -88,6 +88,5 @@ def driven_inputs(
             scalar.checked(f"{place} {row}", read_value(f"{place} {row}:", scalar.variable, cell))
             for row, cell in enumerate(cells, 1)
         ]
-        times = np.array(table.times)
         driven[instance, scalar.name] = DrivenInput(scalar, values_over_time, times)
     return driven

@@ -67,11 +67,6 @@ class Part:
         is_file = self.file is not None and self.file.suffix == ".fmu"
         return self.interface.is_model and not is_file
 
-    @property
-    def place(self) -> str:
-        """Its name in messages."""
-        return f"{self.name} ({self.file or self.interface.model})"
-
 
 def part_path(scenario: Scenario, given: str) -> tuple[Path, str]:
     """Return the file that a scenario names, and the class in it, if it names one."""
@@ -90,7 +85,7 @@ def read_parts(
         if not _NAME.fullmatch(name):
             raise InputError(f"[fmus] {excerpt(name)}: must be a name of letters, digits and _")
     ours: tuple[str, ...] = () if scenario.is_system else OURS
-    if scenario.mismatch.has_sensors and ours:
+    if scenario.mismatch.has_sensors:
         ours = ("sensors", *ours)
     # What only reads downloads no engine; the installed one gives the same interfaces.
     here = scenario if run_code or has_engine(scenario.mujoco) else replace(scenario, mujoco="")
@@ -272,7 +267,8 @@ def end_of(
     if variable is None:
         names = [v.name for v in part.interface.variables if v.causality == causality]
         raise InputError(
-            f"{place}{excerpt(text)}: {part.place} has no {causality} of this name; valid: "
-            f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
+            f"{place}{excerpt(text)}: {instance} ({part.file or part.interface.model}) has no "
+            f"{causality} of this name; valid: {', '.join(names) or 'none'}"
+            f"{did_you_mean(name, names)}"
         )
     return instance, variable

@@ -79,9 +79,7 @@ def check_folder(
         return _diagnostics("wrong", [_no_folder(folder)])
     try:
         read = system_scenario if folder.suffix == SYSTEM else Scenario.read
-        scenario = read(folder).changed(values or {})
-        if ssv is not None:
-            scenario = with_parameter_set(scenario, ssv, values or {}, run_code=False)
+        scenario = with_parameter_set(read(folder), ssv, values or {}, run_code=False)
         scenario = replace(scenario, preflight=robot or scenario.preflight)
         prepared = prepare(scenario, run_code=False)
         is_foreign = prepared.scenario.has_own_parts

@@ -20,7 +20,7 @@ from ...result.recording import Recording
 from ...run.execution import run_scenario
 from ...run.options import Options
 from ...run.start import check_criteria, check_tolerances, start_values
-from ...run.system.assembly import assemble
+from ...run.system.assembly import assemble, with_parameter_set
 from ...task.client import MissingPackageError
 from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
@@ -234,15 +234,15 @@ class Suite:
 
 
 def with_values(
-    scenarios: Iterable[Scenario | Unusable], values: Values
+    scenarios: Iterable[Scenario | Unusable], values: Values, ssv: Path | None = None
 ) -> Iterator[Scenario | Unusable]:
-    """Yield the scenarios with values changed by key; refuses values that cannot be used."""
+    """Yield the scenarios with values changed by key, or by a parameter set of SSP; checks them."""
     for scenario in scenarios:
         if isinstance(scenario, Unusable):
             yield scenario
             continue
         with located(scenario.name):
-            changed = scenario.changed(values)
+            changed = with_parameter_set(scenario, ssv, values)
             start_values(changed)
         yield changed
 

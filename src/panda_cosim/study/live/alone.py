@@ -42,7 +42,7 @@ MODEL: Final = "scene.mjb"  # the plant's, which the page compiles
 def refuse_outside(prepared: Prepared) -> None:
     """Refuse what a page cannot simulate, by its name."""
     scenario, assembly = prepared.scenario, prepared.assembly
-    rules: dict[str, object] = {f"{p.place} {_foreign(p)}": _foreign(p) for p in assembly.parts}
+    rules: dict[str, object] = {f"{p.name} {_foreign(p)}": _foreign(p) for p in assembly.parts}
     rules |= {
         "a system without a trajectory": scenario.is_system,
         f"coupling = {scenario.coupling!r}": scenario.coupling not in SWITCHED,
