@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-TICKS = 800  # of a motion
+TICKS = 500  # of a motion
 WAVE = 0.5 * (1.0 - np.cos(2.0 * np.pi * np.arange(TICKS) / (TICKS - 1)))  # there and back
-SHARES = np.linspace(0.0, 1.0, TICKS)
+SHARES = np.linspace(0.0, 1.0, 800)
 RAMP = SHARES**3 * (10.0 - 15.0 * SHARES + 6.0 * SHARES**2)  # there, with no acceleration at an end
-JOINTS = 0.1 * np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0])  # [rad] that a motion goes
+JOINTS = 0.05 * np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0])  # [rad] that a motion goes
 UPWARDS = 0.04  # [m]
 MOVING = 0.02  # [rad] in a tick, far above all limits
 THRESHOLD = 100.0  # [N, N.m] above what a motion needs
@@ -71,7 +71,7 @@ def joint(address: str, controller: str = "JointImpedance", pause: float = 0.0) 
 
 def paused(address: str) -> Any:
     """Stop for a while in the middle, as under a debugger."""
-    return joint(address, pause=1.5)
+    return joint(address, pause=0.3)
 
 
 def compliant(address: str) -> Any:
@@ -114,9 +114,10 @@ def pose(address: str) -> Any:
         return franka.CartesianVelocities([0.0, 0.0, -UPWARDS * speed, 0.0, 0.0, 0.0])
 
     mode = franka.ControllerMode.CartesianImpedance
-    follow(robot.start_cartesian_pose_control(mode), lift)
+    follow(robot.start_cartesian_pose_control(mode), lift, len(RAMP))
     places.append(robot.read_once().O_T_EE[14])
-    follow(robot.start_cartesian_velocity_control(franka.ControllerMode.JointImpedance), lower)
+    control = robot.start_cartesian_velocity_control(franka.ControllerMode.JointImpedance)
+    follow(control, lower, len(RAMP))
     return [*places, robot.read_once().O_T_EE[14]]
 
 
@@ -140,19 +141,19 @@ def torque(address: str) -> Any:
 # What is wrong in a motion's commands: how they are sent, of which joint or axis, by how much in
 # each tick, and how many there are.
 REFUSED: dict[str, tuple[str, int, Callable[[int], float], int]] = {
-    "jump": ("JointPositions", 0, lambda tick: MOVING * (tick == 100), 3000),
-    "kink": ("JointPositions", 0, lambda tick: 1e-4 * (tick == 100), 3000),
+    "jump": ("JointPositions", 0, lambda tick: MOVING * (tick == 30), 3000),
+    "kink": ("JointPositions", 0, lambda tick: 1e-4 * (tick == 30), 3000),
     "start": ("JointPositions", 0, lambda tick: 0.01, 3000),
     "speed": ("JointVelocities", 0, lambda tick: 4.0 * tick * 1e-3, 3000),
-    "end of range": ("JointVelocities", 3, lambda tick: -2.0 * min(tick, 500) * 1e-3, 3000),
-    "end": ("JointVelocities", 0, lambda tick: 4.0 * tick * 1e-3, 200),
-    "torque": ("Torques", 0, lambda tick: 5.0 * (tick == 100), 3000),
+    "end of range": ("JointVelocities", 3, lambda tick: -4.0 * min(tick, 500) * 1e-3, 3000),
+    "end": ("JointVelocities", 0, lambda tick: 4.0 * tick * 1e-3, 50),
+    "torque": ("Torques", 0, lambda tick: 5.0 * (tick == 30), 3000),
     "spin": ("Torques", 6, lambda tick: min(0.5 * tick, 5.0), 3000),
     "more than a motor has": ("Torques", 6, lambda tick: 0.9 * tick, 3000),
-    "jump of a pose": ("CartesianPose", 14, lambda tick: 1e-3 * (tick == 100), 3000),
+    "jump of a pose": ("CartesianPose", 14, lambda tick: 1e-3 * (tick == 30), 3000),
     "start of poses": ("CartesianPose", 14, lambda tick: 0.01, 3000),
     "turn": ("CartesianVelocities", 5, lambda tick: 8.0 * tick * 1e-3, 3000),
-    "end of a turn": ("CartesianVelocities", 5, lambda tick: 8.0 * tick * 1e-3, 100),
+    "end of a turn": ("CartesianVelocities", 5, lambda tick: 8.0 * tick * 1e-3, 50),
 }
 
 
@@ -219,12 +220,11 @@ def lossy(address: str) -> Any:
     franka, robot = connected(address)
 
     def command(first: Any, tick: int) -> Any:
-        way = 0.2 * WAVE[tick % (TICKS - 1)] * JOINTS
-        return franka.JointPositions((np.array(first.q_d) + way).tolist())
+        return franka.JointPositions((np.array(first.q_d) + 0.2 * WAVE[tick] * JOINTS).tolist())
 
     control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
     try:
-        return follow(control, command, 2 * TICKS)
+        return follow(control, command)
     except franka.ControlException as error:
         return str(error)
 
@@ -238,7 +238,7 @@ def stopped(address: str) -> Any:
     try:
         for tick in range(100_000):
             control.writeOnce(franka.JointPositions(first.q_d))
-            if tick == 100:
+            if tick == 50:
                 thread.start()
             control.readOnce()
     except franka.ControlException as error:
@@ -283,7 +283,7 @@ def dies(address: str) -> Any:
     """Die in the middle of a motion."""
     franka, robot = connected(address)
     control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
-    for _ in range(100):
+    for _ in range(50):
         first, _ = control.readOnce()
         control.writeOnce(franka.JointPositions(first.q_d))
     print("null", flush=True)
@@ -352,7 +352,7 @@ def with_franky(address: str) -> Any:
     )
 
     robot = Robot(address, realtime_config=RealtimeConfig.Ignore)
-    robot.relative_dynamics_factor = 0.05
+    robot.relative_dynamics_factor = 0.1
     robot.set_collision_behavior(THRESHOLD, THRESHOLD)
     robot.move(JointMotion([0.1, 0.1, 0.0, -1.6, 0.0, 1.7, -0.7]))
     told = [list(robot.state.q), robot.state.O_T_EE.translation.tolist()]

@@ -92,15 +92,11 @@ def test_joints_follow_positions_tick_by_tick() -> None:
 
 
 @needs_clients
-@pytest.mark.parametrize("again", ["joint", "paused"])
-def test_a_repeat_and_a_pause_give_the_same_bits(again: str) -> None:
-    np.testing.assert_array_equal(couple(again).rows, after("joint").rows)
-
-
-@needs_clients
-def test_a_program_of_which_the_kernel_tells_nothing_gets_the_same_bits(monkeypatch, tmp_path):
-    monkeypatch.setattr(line, "PACKETS", tmp_path / "none")
-    np.testing.assert_array_equal(couple("joint").rows, after("joint").rows)
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_repeat_and_a_pause_give_the_same_bits(is_told, monkeypatch, tmp_path):
+    if not is_told:  # the kernel tells nothing of packets, as of another machine's
+        monkeypatch.setattr(line, "PACKETS", tmp_path / "none")
+    np.testing.assert_array_equal(couple("paused").rows, after("joint").rows)
 
 
 @needs_clients
@@ -165,8 +161,7 @@ REFLEXES = {
 @needs_clients
 @pytest.mark.parametrize("what", REFLEXES)
 def test_what_the_robot_would_refuse_ends_the_motion_until_the_client_recovers(what: str) -> None:
-    made = couple("refused", what)
-    assert made.told, made.errors
+    made = after("refused", what)
     refusal, rejection = made.told["told"]
     listed = ", ".join(f'"{name}"' for name in REFLEXES[what])
     assert f"[{listed}]" in refusal.replace("tau_J", "tau_j")  # libfranka has both spellings
@@ -229,7 +224,7 @@ def test_the_elbow_moves_within_its_limits_and_leaves_the_hand_where_it_is(angle
 
 @needs_clients
 def test_the_velocity_is_refused_at_the_limit() -> None:
-    made = couple("refused", "speed")
+    made = after("refused", "speed")
     refused = int(np.flatnonzero(made.output("errors"))[0])
     commanded = made.output("dq_c")[refused, 0]
     assert commanded >= ROBOTS["fr3"].velocity[0] > commanded - 4.0e-3
@@ -238,11 +233,11 @@ def test_the_velocity_is_refused_at_the_limit() -> None:
 @needs_clients
 def test_a_collision_is_found_by_the_client_s_thresholds() -> None:
     def push(inputs: Any, tick: int) -> None:
-        inputs["push_force"][2] = -40.0 * (300 <= tick < 400)
+        inputs["push_force"][2] = -40.0 * (100 <= tick < 200)
 
     soft, hard = (couple("touched", threshold, act=push) for threshold in ("20", "100"))
     assert "cartesian_reflex" in soft.told["told"][0]
-    assert 300 < int(np.flatnonzero(soft.output("errors"))[0]) < 320
+    assert 100 < int(np.flatnonzero(soft.output("errors"))[0]) < 120
     assert hard.warnings == []
 
 
@@ -250,7 +245,7 @@ def test_a_collision_is_found_by_the_client_s_thresholds() -> None:
 def test_lost_commands_keep_the_acceleration_and_twenty_in_a_row_end_the_motion() -> None:
     some = couple("lossy", dropout=0.2, seed=3.0)
     assert some.warnings == []
-    assert 0.6 < some.output("success_rate")[TICKS] < 0.95
+    assert 0.6 < some.output("success_rate")[TICKS - 10] < 0.95
     all_lost = couple("lossy", dropout=1.0)
     assert "communication_constraints_violation" in all_lost.told
     refused = int(np.flatnonzero(all_lost.output("errors"))[0])
