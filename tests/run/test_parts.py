@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +181,13 @@ def test_a_bad_law_is_one_line(folder, old, new, message):
     path = folder / "my_law.py"
     path.write_text(path.read_text().replace(old, new, 1))
     assert re.search(message, refused(lambda: assemble(load_scenario(folder))))
+
+
+def test_a_file_stands_for_our_fmu_of_its_name_alone(tmp_path):
+    """The controller that a sweep has built is none for the scenario of a program."""
+    scenario = replace(load_scenario("franky_pick"), client=None)
+    parts = assemble(scenario, files={"controller": tmp_path, "plant": tmp_path}).parts
+    assert {part.name: part.built for part in parts} == {"controller": None, "plant": tmp_path}
 
 
 def test_a_law_that_fails_ends_the_run_with_its_place(folder, tmp_path):

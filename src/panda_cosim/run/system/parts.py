@@ -96,7 +96,7 @@ def read_parts(
         text = scenario.fmus.get(name, name)
         if text in WORDS:
             target = Target(kind, mujoco=here.mujoco)
-            interface, built = OWN[text].interface, files.get(name)
+            interface, built = OWN[text].interface, files.get(text)
             parts[name] = Part(name, None, interface, text, target=target, built=built)
         elif law := _law(here, name, text):
             laws[name] = law
