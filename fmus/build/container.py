@@ -20,7 +20,6 @@ from .ssp import WrittenSystem
 
 DESCRIPTION: Final = "modelDescription.xml"
 CONTAINER_FILE: Final = "Panda.fmu"
-SEQUENTIAL: Final = {"gauss-seidel": True, "jacobi": False}  # whether FMUs are stepped in turn
 
 
 def write_container(path: Path, system: WrittenSystem, fmi: int) -> Path:
@@ -29,7 +28,7 @@ def write_container(path: Path, system: WrittenSystem, fmi: int) -> Path:
     with needing("fmu-manipulation-toolbox", "container", "--container"):
         from fmu_manipulation_toolbox.container import FMUContainer  # noqa: PLC0415 - an extra
         from fmu_manipulation_toolbox.container.errors import FMUContainerError  # noqa: PLC0415
-    if system.coupling not in SEQUENTIAL or any(c.steps > 1 for c in system.components.values()):
+    if system.coupling == "iterated" or any(c.steps > 1 for c in system.components.values()):
         raise InputError('--container: coupling "iterated" or [steps]; must be built without')
     logging.getLogger("fmu_manipulation_toolbox").setLevel(logging.CRITICAL)
     with TemporaryDirectory() as name:
@@ -38,8 +37,8 @@ def write_container(path: Path, system: WrittenSystem, fmi: int) -> Path:
         try:
             _fill(container, system, folder)
             container.start_time, container.stop_time = 0.0, system.stop_time
-            is_sequential = SEQUENTIAL[system.coupling]
-            container.make_fmu(CONTAINER_FILE, system.step_size, sequential=is_sequential)
+            in_turn = system.coupling == "gauss-seidel"
+            container.make_fmu(CONTAINER_FILE, system.step_size, sequential=in_turn)
         except FMUContainerError as error:
             raise InputError(f"--container: {error.reason}") from error
         path.write_bytes(_signed(folder / CONTAINER_FILE))

@@ -11,6 +11,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from inspect import cleandoc
 from itertools import islice
@@ -21,7 +22,6 @@ from ..errors import InputError, shown
 from ..interface.units import DISPLAY_UNITS, NOMINALS, OUR_UNITS
 from ..interface.variables import Interface, Numbers, Scalar, Value, Variable
 from .engines import DEPENDENCIES
-from .identity import mujoco_package
 from .libraries import NEED_MUJOCO, licences, own_licences
 
 if TYPE_CHECKING:
@@ -67,9 +67,9 @@ def described(interface: Interface, layout: Layout) -> list[Described]:
             scalars = list(islice(elements, array.size))
             each = [(array, scalars)] if has_arrays else [(s.alone(), [s]) for s in scalars]
             rows += [_row(whole, *one, is_flat=layout.flat) for one in each]
-    counts = Counter(row.variable.name for row in rows)
-    for name in (name for name, count in counts.items() if count > 1):
-        raise InputError(f"{interface.model}: two variables would have the name {name!r}")
+    for name, count in Counter(row.variable.name for row in rows).most_common(1):
+        if count > 1:
+            raise InputError(f"{interface.model}: two variables would have the name {name!r}")
     return rows
 
 
@@ -95,18 +95,17 @@ def members(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
 
 def _model_description(fmu: NativeFmu, fmi: int, rows: Sequence[Described]) -> bytes:
     variables = [row.variable for row in rows]
-    used = {v.unit for v in variables if v.unit} | ({"s"} if fmi == 3 else set())
+    used = {v.unit for v in variables} - {""} | ({"s"} if fmi == 3 else set())
     return render(
         f"fmi{fmi}.xml.j2",
         fmu=fmu,
-        restorable=str(fmu.is_restorable).lower(),
         about={"author": fmu.interface.author or None} if fmu.law else ABOUT,  # who uses us, or we
         version=version("panda-cosim"),
         date=DATE,
         log_categories=LOG_CATEGORIES,
         # Of a slave, which may have any names.
         naming="structured" if all(_STRUCTURED.fullmatch(v.name) for v in variables) else "flat",
-        units={name: OUR_UNITS[name].base_units() for name in sorted(map(str, used))},
+        units={name: OUR_UNITS[name] for name in sorted(map(str, used))},
         display_units=DISPLAY_UNITS,
         rows=rows,
     )
@@ -130,9 +129,10 @@ def _type(variable: Variable) -> dict[str, object]:
 
 def _widest(bounds: Numbers | None, choose: Callable[[Iterable[float]], float]) -> float | None:
     """Return the widest of some bounds; None: there is none."""
-    each = bounds if isinstance(bounds, tuple) else (bounds,)
-    finite = [float(bound) for bound in each if bound is not None and math.isfinite(bound)]
-    return choose(finite) if len(finite) == len(each) else None
+    if bounds is None:
+        return None
+    widest = choose(bounds) if isinstance(bounds, tuple) else bounds
+    return float(widest) if math.isfinite(widest) else None
 
 
 def literal(scalar: Scalar, value: Value) -> str:
@@ -142,25 +142,20 @@ def literal(scalar: Scalar, value: Value) -> str:
 
 
 def _documents(fmu: NativeFmu, layout: Layout) -> dict[str, bytes]:
-    opens_mujoco = fmu.backend in NEED_MUJOCO
-    glibc = "2.27" if opens_mujoco else "2.17"
-    systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."
-    packed = fmu.backend == "pythonfmu"
-    needs, folder = (*fmu.needs, *([] if packed else [systems])), "documentation/licenses"
+    needs, folder = fmu.needs, "documentation/licenses"
+    if fmu.backend != "pythonfmu":
+        glibc = "2.27" if fmu.backend in NEED_MUJOCO else "2.17"
+        needs += (f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer.",)
+    packages = {package: version(package) for package in fmu.holds}
     files = {
         "documentation/index.html": documentation(fmu, layout, needs),
         DEPENDENCIES: "\n".join((*needs, "")).encode(),
-        **{f"{folder}/{name}": text for name, text in own_licences().items()},
-        f"{folder}/third_party.txt": render(
-            "third_party.txt.j2",
-            in_python=packed or fmu.backend == "python",
-            mujoco=version(mujoco_package()) if opens_mujoco else "",
-            pythonfmu=version("pythonfmu") if packed else "",
-        ),
+        f"{folder}/third_party.txt": render("third_party.txt.j2", fmu=fmu, packages=packages),
     }
-    for package in [mujoco_package()] * opens_mujoco + ["pythonfmu"] * packed:
-        texts = licences(package).items()
-        files |= {f"{folder}/{package}-{name}.txt": text for name, text in texts}
+    texts = own_licences()
+    for package in packages:
+        texts |= {f"{package}-{name}.txt": text for name, text in licences(package).items()}
+    files |= {f"{folder}/{name}": text for name, text in texts.items()}
     if fmu.model in PICTURES:
         place = "model.png" if layout.fmi == 2 else "terminalsAndIcons/icon.png"
         files[place] = Path(__file__).with_name(PICTURES[fmu.model]).read_bytes()
@@ -215,6 +210,5 @@ def render(name: str, **context: Any) -> bytes:
     return environment.get_template(name).render(**context).encode()
 
 
-def _escaped(value: object) -> object:
-    """Escape characters that XML cannot hold, such as those in names of an MJCF file."""
-    return shown(value, limit=None)
+# Escapes characters that XML cannot hold, such as those in names of an MJCF file.
+_escaped: Final = partial(shown, limit=None)

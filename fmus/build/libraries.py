@@ -65,7 +65,7 @@ def compile_library(backend: str | Path, platform: str | None = None) -> bytes:
 def _files(backend: str | Path, platform: str) -> list[str]:
     """C files of a library."""
     layer = FMI_LAYER if backend != STEPPER else []
-    files = [*layer, *(BACKENDS[backend] if isinstance(backend, str) else [str(backend)])]
+    files = [*layer, *BACKENDS.get(str(backend), [str(backend)])]
     return [IN_A_PAGE.get(file, file) for file in files] if platform == PAGE else files
 
 
@@ -83,18 +83,15 @@ def compiler(platform: str) -> tuple[str, ...]:
 @cache
 def includes() -> tuple[Path, ...]:
     """Folders of the FMI standard's headers, which FMPy brings, and of MuJoCo's."""
-    places = {"fmpy": "c-code", "mujoco": "include"}
-    return tuple(
-        Path(str(distribution(package).locate_file(f"{package}/{place}")))
-        for package, place in places.items()
-    )
+    places = {"fmpy": "fmpy/c-code", "mujoco": "mujoco/include"}
+    found = (distribution(package).locate_file(place) for package, place in places.items())
+    return tuple(Path(str(path)) for path in found)
 
 
 @cache
 def library_name(backend: str, platform: str) -> str:
     """File name of a compiled library, with a hash of what it is compiled from."""
-    files = {*BACKENDS[backend], *(path.name for path in SOURCES.glob("*.h"))}
-    files |= set(FMI_LAYER) if backend != STEPPER else set()
+    files = {*_files(backend, platform), *(path.name for path in SOURCES.glob("*.h"))}
     sources = {name: (SOURCES / name).read_bytes() for name in files}
     compiled = repr((FLAGS, PLATFORMS[platform]))
     content = digest(sources, compiled, mujoco_version() if backend in NEED_MUJOCO else "")
@@ -104,7 +101,7 @@ def library_name(backend: str, platform: str) -> str:
 def library(backend: str, platform: str) -> Path:
     """A library that came with the package, or that is compiled and kept in the cache."""
     name = library_name(backend, platform)
-    if (PREBUILT / name).is_file():
+    if is_prebuilt(backend, platform):
         return PREBUILT / name
     return cached(cache_folder() / "libraries" / name, lambda: compile_library(backend, platform))
 

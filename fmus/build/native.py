@@ -16,7 +16,7 @@ from ...assets import STEP_SIZE
 from ..interface.variables import Interface, Numbers, Variable
 from .description import NOTHING, STOP_TIME, Layout
 from .description import members as description_of
-from .identity import code_digest, digest
+from .identity import code_digest, digest, mujoco_package
 from .libraries import NEED_MUJOCO, library, mujoco_library
 from .platforms import PLATFORMS
 
@@ -52,6 +52,11 @@ class NativeFmu:
     def model(self) -> str:
         """Model name and identifier."""
         return self.interface.model
+
+    @property
+    def holds(self) -> tuple[str, ...]:
+        """Packages of which it holds a library."""
+        return (mujoco_package(),) if self.backend in NEED_MUJOCO else ()
 
     @cached_property
     def digest(self) -> str:

@@ -10,8 +10,6 @@ from typing import Final
 
 from ..errors import CosimError
 
-_FILE: Final = Path(__file__).with_suffix(".toml")
-
 PAGE: Final = "wasm32"  # no platform of FMUs, but where pages simulate
 
 
@@ -32,7 +30,7 @@ class Platform:
 
 def targets() -> dict[str, Platform]:
     """Return all that libraries are compiled for: platforms, and pages."""
-    rows = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+    rows = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
     return {name: Platform(**row) for name, row in rows.items()}
 
 
@@ -42,7 +40,6 @@ PLATFORMS: Final = {name: platform for name, platform in targets().items() if na
 def this_platform() -> str:
     """Key in `PLATFORMS` of this machine."""
     here = [host.system(), host.machine()]
-    for name, platform in PLATFORMS.items():
-        if platform.host == here:
-            return name
+    if names := [name for name, each in PLATFORMS.items() if each.host == here]:
+        return names[0]
     raise CosimError(f"cannot build FMUs for {' '.join(here)}; known: {', '.join(PLATFORMS)}")

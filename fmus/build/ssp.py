@@ -8,6 +8,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -28,6 +29,7 @@ STRUCTURE_FILE: Final = "SystemStructure.ssd"
 # anywhere in the first file, so it holds them in an annotation, which the others pass over.
 CONNECTORS_FILE: Final = "SystemConnectors.ssd"
 Name = tuple[str, str]  # component and scalar variable
+Linked = tuple[dict[str, str | None], tuple[float, float] | None]  # attributes, transformation
 
 
 @dataclass(frozen=True)
@@ -107,16 +109,13 @@ def parameter_set(name: str, component: Component) -> bytes:
 
 
 def _render(template: str, components: Collection[Component], **context: Any) -> bytes:
-    units: dict[str, dict[str, float | None]] = {}
-    for name, unit in sorted((name, unit) for c in components for name, unit in c.units.items()):
-        factor = None if unit.factor == 1.0 else unit.factor
-        units[name] = {**unit.base_units(), "factor": factor, "offset": unit.offset or None}
+    units = {name: unit for each in components for name, unit in each.units.items()}
     return render(
         template,
         prefixes=PREFIXES,
         about=ABOUT,
         version="2.0" if any(each.fmi == 3 for each in components) else "1.0",
-        units=units,
+        units=dict(sorted(units.items())),
         **context,
     )
 
@@ -126,40 +125,43 @@ def _connectors(system: WrittenSystem, name: str) -> list[Variable]:
     # Others get no connector, since FMPy feeds an unconnected one from the connector before it.
     component = system.components[name]
     used = {end for c in system.connections for end in (c.source, c.target)}
-    rows: dict[str, Variable] = {}
-    for key, scalar in component.variables.items():
-        variable = scalar.variable
-        is_given = variable.causality == "parameter" and key in component.start_values
-        if variable.causality == "output" or is_given or (name, key) in used:
-            rows[variable.name] = variable
+    given = {("parameter", key) for key in component.start_values}
+    rows = {
+        scalar.variable.name: scalar.variable
+        for key, scalar in component.variables.items()
+        if scalar.variable.causality == "output"
+        or (scalar.variable.causality, key) in given
+        or (name, key) in used
+    }
     return [*rows.values()]
 
 
-def _connections(system: WrittenSystem) -> Iterator[tuple[dict[str, Any], tuple[float, float]]]:
+def _connections(system: WrittenSystem) -> Iterator[Linked]:
     """Yield attributes and transformation; an array whose elements are fed in order is one."""
-
-    def common(connection: Connection) -> tuple[Any, ...]:
-        ends = (connection.source, connection.target)
-        names = [text for end in ends for text in (end[0], system.scalar(end).variable.name)]
-        linear = (connection.factor, connection.offset)
-        is_plain = linear == PLAIN and not connection.converts_types
-        return (*names, connection.converts_units, None if is_plain else linear)
-
-    for key, group in groupby(system.connections, common):
-        (source, output, target, input_, converts_units, linear) = key
+    for (attributes, linear), group in groupby(system.connections, partial(_of_arrays, system)):
         pairs = [(system.scalar(c.source), system.scalar(c.target)) for c in group]
-        one, other = pairs[0][0].variable, pairs[0][1].variable
+        one, other = (scalar.variable for scalar in pairs[0])
         in_order = [(i, i) for i in range(one.size)] == [(a.element, b.element) for a, b in pairs]
-        is_whole = one.shape == other.shape and in_order
-        for a, b in pairs[:1] if is_whole else pairs:
-            attributes = {
-                "startElement": source, "startConnector": output,
-                "startIndices": None if is_whole else _indices(a),
-                "endElement": target, "endConnector": input_,
-                "endIndices": None if is_whole else _indices(b),
-                "suppressUnitConversion": None if converts_units else "true",
-            }  # fmt: skip
+        if in_order and one.shape == other.shape:
             yield attributes, linear
+            continue
+        for a, b in pairs:
+            yield attributes | {"startIndices": _indices(a), "endIndices": _indices(b)}, linear
+
+
+def _of_arrays(system: WrittenSystem, connection: Connection) -> Linked:
+    """Return a connection's attributes and transformation, without indices of elements."""
+    source, target = connection.source, connection.target
+    attributes = {
+        "startElement": source[0], "startConnector": system.scalar(source).variable.name,
+        "startIndices": None,
+        "endElement": target[0], "endConnector": system.scalar(target).variable.name,
+        "endIndices": None,
+        "suppressUnitConversion": None if connection.converts_units else "true",
+    }  # fmt: skip
+    linear = (connection.factor, connection.offset)
+    is_plain = linear == PLAIN and not connection.converts_types
+    return attributes, None if is_plain else linear
 
 
 def _indices(scalar: Scalar) -> str | None:
@@ -170,9 +172,10 @@ def _indices(scalar: Scalar) -> str | None:
 
 def _parameters(component: Component) -> Iterator[tuple[Variable, str, str]]:
     """Yield variable, type and values; enumerations as numbers, which more importers support."""
+    given = component.start_values
     for scalars in by_array(component.variables.values()).values():
-        if any(scalar.name in component.start_values for scalar in scalars):
-            variable, given = scalars[0].variable, component.start_values
+        if not given.keys().isdisjoint(scalar.name for scalar in scalars):
+            variable = scalars[0].variable
             values = [literal(s, given.get(s.name, s.start_value())) for s in scalars]
             kind = "Integer" if variable.kind == "Enumeration" else variable.fmi_type
             yield variable, kind, " ".join(values)

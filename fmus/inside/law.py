@@ -54,7 +54,7 @@ class LawSlave:
         self._law = LAW()
         self._ticks, self._start_time = 0, start_time
         self.tune()
-        if hasattr(self._law, "start"):
+        if callable(getattr(self._law, "start", None)):
             self._law.start()
         self._ctrl[...] = np.reshape(self._start, self._ctrl.shape)
 

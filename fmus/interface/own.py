@@ -1,7 +1,14 @@
 """Variables of the project's own FMUs, from the TOML file of each beside this module.
 
-The files say what each variable is. Shapes come from the layouts of plant and controller; defaults,
-ranges and units of parameters from the classes that they set.
+The files say what each variable is: `[input]`, `[output]` and `[parameter]` have a row for each.
+Shapes come from the layouts of plant and controller; defaults, ranges and units of parameters from
+the classes that they set. The keys of a row are
+
+    text        the description, one line; a parameter's row may be the text alone
+    unit        of a signal; "1" unless it is said
+    parts       arrays of one unit each: name, rows, unit, text
+    source      where a native FMU finds it, see `fmus/README.md`
+    on_request  recorded only where a connection or a criterion needs it
 """
 
 from __future__ import annotations
@@ -9,9 +16,9 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import Field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, TypedDict, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -20,30 +27,12 @@ from .variables import Kind, Numbers, Variability, Variable
 Values = tuple[Numbers | None, Numbers | None, Numbers | None]  # start, minimum, maximum
 
 
-class Row(TypedDict, total=False):
-    """What a file says of a variable."""
-
-    text: str  # its description, one line
-    unit: str  # of a signal; "1" unless it is said
-    parts: list[tuple[str, int, str, str]]  # arrays of one unit each: name, rows, unit, text
-    source: str  # where a native FMU finds it, see `fmus/README.md`
-    on_request: bool  # recorded only where a connection or a criterion needs it
+Row = Mapping[str, Any]  # what a file says of a variable
 
 
-class Table(TypedDict, total=False):
-    """What a file says of an FMU."""
-
-    description: str
-    input: dict[str, Row]
-    output: dict[str, Row]
-    signal: dict[str, str]  # of the sensors, texts of what they measure
-    parameter: dict[str, Row | str]  # a text alone where there is no more to say
-
-
-def read_table(fmu: str) -> Table:
+def read_table(fmu: str) -> dict[str, Any]:
     """Read the file of an FMU."""
-    path = Path(__file__).with_name(f"{fmu}.toml")
-    return cast(Table, tomllib.loads(path.read_text(encoding="utf-8")))
+    return tomllib.loads(Path(__file__).with_name(f"{fmu}.toml").read_text(encoding="utf-8"))
 
 
 def signals(
@@ -68,14 +57,12 @@ def parameters(
     """Yield the parameters that set the fields of a class; those not `fixed` can be tuned."""
     for entry in fields(parameters_class):
         row = rows[entry.name]
-        variability: Variability = "fixed" if entry.name in fixed else "tunable"
-        variable = _parameter(entry.name, entry.default, entry.metadata, variability)
+        variable = _parameter(entry, "fixed" if entry.name in fixed else "tunable")
         yield _described(variable, {"text": row} if isinstance(row, str) else row)
 
 
-def _parameter(
-    name: str, start: Any, about: Mapping[str, Any], variability: Variability
-) -> Variable:
+def _parameter(entry: Field[Any], variability: Variability) -> Variable:
+    name, start, about = entry.name, cast(Any, entry.default), entry.metadata
     if "choices" in about:
         named: Kind = "Enumeration" if about["choices"] else "String"
         kind: Kind = "Boolean" if isinstance(start, bool) else named

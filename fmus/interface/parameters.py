@@ -20,10 +20,9 @@ def expand(
     """Turn parameters, or inputs, that a user sets into start values by scalar variable."""
     # One number for `kp` sets all seven gains, a sequence sets each of them, and `kp[3]`, wherever
     # it stands, the third: whole vectors come first.
-    scalars = {s.name: s for s in interface.scalars()}
-    values: dict[str, Value] = {}
-    for name in sorted(by_name, key=lambda n: n in scalars and scalars[n].variable.name != n):
-        own = targets(instance, interface, scalars, name, causality)
+    wholes, values = {v.name for v in interface.variables}, dict[str, Value]()
+    for name in sorted(by_name, key=lambda name: name not in wholes):
+        own = targets(instance, interface, name, causality)
         parts = _parts(f"{instance}.{name}", by_name[name], len(own))
         for scalar, part in zip(own, parts, strict=True):
             values[scalar.name] = scalar.checked(f"{instance}.{scalar.name}", part)
@@ -40,34 +39,21 @@ def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]
     }
 
 
-def targets(
-    instance: str,
-    interface: Interface,
-    scalars: Mapping[str, Scalar],
-    name: str,
-    causality: Causality,
-) -> list[Scalar]:
+def targets(instance: str, interface: Interface, name: str, causality: Causality) -> list[Scalar]:
     """Scalars that a name stands for: an element, or all of a vector."""
-    one = scalars.get(name) or interface.element(name)
-    named = [one] if one else [s for s in scalars.values() if s.variable.name == name]
-    if not named or not _is(named[0].variable, causality):
-        own = named[0].variable.causality if named else ""
-        raise _no_such(f"{instance}.{name}", interface, name, causality, own)
-    return named
-
-
-def _no_such(
-    place: str, interface: Interface, name: str, causality: Causality, own: str
-) -> InputError:
-    """Return the error of a name that stands for nothing, or for what is of another causality."""
+    one = interface.named.get(name)
+    scalars = [one] if one else [s for s in interface.scalars() if s.variable.name == name]
+    if scalars and _is(scalars[0].variable, causality):
+        return scalars
     candidates = [v for v in interface.variables if _is(v, causality)]
-    valid = ", ".join([v.name for v in candidates][:40]) or "none"
-    if own:
+    hint = f"valid: {', '.join([v.name for v in candidates][:40]) or 'none'}"
+    what = f"no such {causality} of {interface.model}"
+    if scalars:
+        own = scalars[0].variable.causality
         what = f"of causality {own} in {interface.model}, not {causality}"
-        return InputError(f"{place}: {what}; valid: {valid}")
-    near = nearest(name, [n for v in candidates for n in (v.name, *v.names())])
-    hint = f"did you mean {near!r}?" if near else f"valid: {valid}"
-    return InputError(f"{place}: no such {causality} of {interface.model}; {hint}")
+    elif near := nearest(name, [n for v in candidates for n in (v.name, *v.names())]):
+        hint = f"did you mean {near!r}?"
+    raise InputError(f"{instance}.{name}: {what}; {hint}")
 
 
 def _is(variable: Variable, causality: Causality) -> bool:
@@ -81,7 +67,7 @@ def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
     value = _plain(value)
     if isinstance(value, (bool, str, int, float)):
         return [value] * count
-    if not isinstance(value, Sequence) or isinstance(value, bytes):
+    if not isinstance(value, (list, tuple)):
         refuse(place, value, f"must be {valid}")
     if len(value) != count:
         raise InputError(f"{place}: a list of {len(value)}; must be {valid}")
@@ -93,7 +79,7 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def literal(text: str, place: str = "value") -> ParameterValue:
+def literal(text: str) -> ParameterValue:
     """Read a value of `--set`: true, false, numbers or text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
@@ -102,9 +88,6 @@ def literal(text: str, place: str = "value") -> ParameterValue:
         numbers = [_number(part) for part in parts]
     except ValueError:
         return text.strip("\"'")
-    if not text.isascii() or "_" in text:
-        plain = ",".join(f"{number:.17g}" for number in numbers)
-        refuse(place, text, f"must be in the digits 0 to 9, as {plain}")
     return numbers[0] if len(numbers) == 1 else numbers
 
 

@@ -46,10 +46,8 @@ def is_lossless(source: Variable, target: Variable) -> bool:
         return one in INTEGERS or (one == other and _numbered_alike(source, target))
     if one == other:
         return True
-    if one == "Float32":
-        return other == "Float64"
-    if one == "Float64" or not {one, other} <= _WHOLE.keys():
-        return False
+    if one.startswith("Float") or not {one, other} <= _WHOLE.keys():
+        return (one, other) == ("Float32", "Float64")
     (bits, signed), (room, can_be_negative) = _WHOLE[one], _WHOLE[other]
     return room - can_be_negative >= bits - signed and can_be_negative >= signed
 

@@ -24,9 +24,11 @@ class Unit:
     factor: float = 1.0
     offset: float = 0.0
 
-    def base_units(self) -> dict[str, int]:
-        """Exponents by base unit, without those that are 0."""
-        return {base: e for base, e in zip(BASES, self.exponents, strict=True) if e}
+    def attributes(self) -> dict[str, float | None]:
+        """FMI's and SSP's attributes of a unit; None where it is as usual."""
+        exponents = {base: e or None for base, e in zip(BASES, self.exponents, strict=True)}
+        factor = None if self.factor == 1.0 else self.factor
+        return {**exponents, "factor": factor, "offset": self.offset or None}
 
 
 OUR_UNITS: Final[Units] = {

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby, product
 from typing import Any, Final, Literal
 
-from ..errors import refuse
+from ..errors import InputError, refuse
 from .units import Units
 
 Causality = Literal["input", "output", "parameter", "local"]
@@ -76,36 +77,35 @@ class Scalar:
 
     def _checked_number(self, place: str, value: object) -> float:
         low, high = self._bounds()
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            refuse(place, value, f"must be {self._range()}")
-        if not (abs(value) <= sys.float_info.max and low <= value <= high):
-            refuse(place, value, f"must be {self._range()}")
-        is_whole = self.variable.kind == "Integer" or self.variable.fmi_type in INTEGERS
-        part = 1.0 if is_whole else self.variable.multiple_of
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        number: Any = value if is_number else math.inf
+        if not (abs(number) <= sys.float_info.max and low <= number <= high):
+            refuse(place, value, f"must be {self._range(low, high)}")
+        part = 1.0 if self.variable.whole else self.variable.multiple_of
         if isinstance(value, int) and part == 1.0:
             return value
-        if part is not None and abs(value - round(value / part) * part) > MULTIPLE_TOLERANCE * part:
+        if part and abs(number - round(number / part) * part) > MULTIPLE_TOLERANCE * part:
             refuse(place, value, f"must be a whole multiple of {part:g}{self._unit}")
-        return int(value) if is_whole else float(value)
+        return int(number) if self.variable.whole else float(number)
 
     def _bounds(self) -> tuple[float, float]:
         low = -math.inf if self.minimum is None else self.minimum
         high = math.inf if self.maximum is None else self.maximum
-        if self.variable.fmi_type in INTEGERS:
-            bits, signed = INTEGERS[self.variable.fmi_type]
+        if self.variable.whole:
+            bits, signed = self.variable.whole
             low = max(low, -(2 ** (bits - 1)) if signed else 0)
             high = min(high, 2 ** (bits - signed) - 1)
         return low, high
 
-    def _range(self) -> str:
-        low, high = self._bounds()
-        if self.variable.fmi_type in INTEGERS:
+    def _range(self, low: float, high: float) -> str:
+        if self.variable.whole:
             return f"a whole number from {int(low)} to {int(high)}"
-        if math.isfinite(low) and math.isfinite(high):
-            return f"a number from {low:g} to {high:g}{self._unit}"
-        if math.isfinite(low):
-            return f"a number of at least {low:g}{self._unit}"
-        return f"a number up to {high:g}{self._unit}" if math.isfinite(high) else "a finite number"
+        words = {
+            (True, True): f"a number from {low:g} to {high:g}{self._unit}",
+            (True, False): f"a number of at least {low:g}{self._unit}",
+            (False, True): f"a number up to {high:g}{self._unit}",
+        }
+        return words.get((math.isfinite(low), math.isfinite(high)), "a finite number")
 
     @property
     def _unit(self) -> str:
@@ -121,11 +121,9 @@ class Scalar:
                 return str(value)
             case "Boolean":
                 return bool(value)
-            case "Enumeration" if isinstance(value, str):
-                return self.variable.number_of(value)
-            case "Integer" | "Enumeration":
-                return int(value)
-        return int(value) if self.variable.fmi_type in INTEGERS else float(value)
+            case "Enumeration":
+                return self.variable.number_of(value) if isinstance(value, str) else int(value)
+        return int(value) if self.variable.whole else float(value)
 
     @property
     def description(self) -> str:
@@ -191,6 +189,11 @@ class Variable:
         return words.get(self.causality)
 
     @property
+    def whole(self) -> tuple[int, bool] | None:
+        """Bits of a whole number, and whether one is the sign's; None: it is another type."""
+        return INTEGERS.get(self.fmi_type or self.kind)
+
+    @property
     def size(self) -> int:
         """Number of scalars."""
         return math.prod(self.shape)
@@ -211,7 +214,7 @@ class Variable:
 
     def arrays(self) -> Iterator[Variable]:
         """Yield the arrays of one unit each that FMI 3.0 has instead; of several units, none."""
-        first, width = 0, self.size // self._rows
+        first, width = 0, math.prod(self.shape[1:])
         columns = (self.unit, self.start, self.minimum, self.maximum)
         for name, rows, description in self._all_parts():
             elements = slice(first * width, (first + rows) * width)
@@ -227,16 +230,11 @@ class Variable:
             )  # fmt: skip
             first += rows
 
-    @property
-    def _rows(self) -> int:
-        return self.shape[0] if self.shape else 1
-
     def _all_parts(self) -> Iterator[Part]:
         """Yield `parts`; then, named by their indices, arrays of what these leave over."""
         yield from self.parts
-        first = sum(rows for _, rows, _ in self.parts)
-        width = self.size // self._rows
-        by_row = [self.units[i * width : (i + 1) * width] for i in range(first, self._rows)]
+        first, width = sum(rows for _, rows, _ in self.parts), math.prod(self.shape[1:])
+        by_row = [self.units[i : i + width] for i in range(first * width, self.size, width)]
         for _, group in groupby(by_row):
             rows = len(list(group))
             indices = f"_{first + 1}" + f"_to_{first + rows}" * (rows > 1)
@@ -283,6 +281,15 @@ class Interface:
             scalars += variable.scalars(len(scalars))
         return tuple(scalars)
 
+    def check(self) -> None:
+        """Refuse two variables of one name, and start values that are out of bounds."""
+        for name, count in Counter(variable.name for variable in self.variables).most_common(1):
+            if count > 1:
+                raise InputError(f"two variables have the name {name!r}")
+        for scalar in self._scalars:
+            if scalar.start is not None:
+                scalar.checked(f"{scalar.name}: start", scalar.start)
+
     @property
     def time_name(self) -> str:
         """Name of FMI 3.0's independent variable: `time`, unless another is called that."""
@@ -301,15 +308,10 @@ class Interface:
 
     def end(self, name: str, causality: str) -> Variable | None:
         """Return a variable, or an element of one as a scalar variable; None: there is none."""
-        whole = self._by_causality.get(causality, {}).get(name)
-        scalar = None if whole else self.element(name)
-        if scalar is None or scalar.variable.causality != causality:
+        whole, scalar = self._by_causality.get(causality, {}).get(name), self.named.get(name)
+        if whole or scalar is None or scalar.variable.causality != causality:
             return whole
         return scalar.alone()
-
-    def element(self, name: str) -> Scalar | None:
-        """Return an element of an array, or what an address names."""
-        return self._elements.get(name)
 
     @cached_property
     def _by_name(self) -> dict[str, Variable]:
@@ -323,10 +325,10 @@ class Interface:
         return groups
 
     @cached_property
-    def _elements(self) -> dict[str, Scalar]:
-        # By their addresses, too, such as `lift.pos`; these may be of variables without a shape.
+    def named(self) -> dict[str, Scalar]:
+        """All scalar variables by their names, and by addresses such as `lift.pos`."""
         addressed = {address(s.description): s for s in self._scalars if s.variable.details}
-        return addressed | {s.name: s for s in self._scalars if s.variable.shape}
+        return addressed | {s.name: s for s in self._scalars}
 
 
 def _checked_boolean(place: str, value: object) -> bool:
@@ -366,11 +368,3 @@ def _cut(values: Any, elements: slice) -> Any:
     """Values of some elements; one alone if all of them are equal."""
     parts = values[elements] if isinstance(values, tuple) else (values,)
     return parts[0] if all(part == parts[0] for part in parts) else parts
-
-
-def output(
-    name: str, shape: tuple[int, ...], unit: Unit, description: str,
-    variability: Variability = "continuous", **more: Any,
-) -> Variable:  # fmt: skip
-    """Return an output that changes at every step."""
-    return Variable(name, shape, unit, "output", variability, description, **more)

@@ -21,6 +21,7 @@ from __future__ import annotations
 import ast
 import json
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -28,16 +29,14 @@ from typing import Any, Final
 from ...assets import STEP_SIZE
 from ..build.libraries import SOURCES
 from ..build.native import NativeFmu
-from ..errors import InputError
-from ..interface.variables import Interface, Numbers, Variable, output
+from ..errors import InputError, located
+from ..interface.variables import Interface, Numbers, Variable
 from .python_fmu import class_of, code_of, is_slave, python_fmu
 
 SLAVE: Final = SOURCES.with_name("inside") / "law.py"
 SLAVE_FILE: Final = "law_slave.py"  # its name in the FMU
 LAYOUT: Final = "layout.json"
 PERIOD_MAX: Final = 1.0  # [s]
-_TAKEN: Final = {"ctrl": "its output", "start": "a method", "update": "a method",
-                 "time": "the time"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -56,15 +55,8 @@ def read_law(path: Path, name: str) -> LawFile | None:
     node = class_of(path, name)
     if is_slave(node):  # its variables are known only once it runs
         return None
-    takes = _takes(path, node)
-    parameters = dict(_parameters(node))
-    taken = _TAKEN | dict.fromkeys(takes, "one of its signals")
-    for parameter in parameters.keys() & taken.keys():
-        raise InputError(
-            f"{path}: class {name}: {parameter} = ...: is the name of {taken[parameter]}; must be "
-            "another name"
-        )
-    return LawFile(path, name, ast.get_docstring(node) or name, takes, parameters)
+    text, parameters = ast.get_docstring(node) or name, dict(_parameters(node))
+    return LawFile(path, name, text, _takes(path, node), parameters)
 
 
 def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
@@ -85,27 +77,25 @@ def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
 
 def _parameters(node: ast.ClassDef) -> Iterator[tuple[str, bool | Numbers]]:
     for statement in node.body:
-        if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
-            continue
-        target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
-        literal = _literal(statement.value)
-        if literal is not None and isinstance(target, ast.Name) and not target.id.startswith("_"):
-            yield target.id, literal
+        match statement:
+            case (
+                ast.Assign(targets=[ast.Name(name), *_], value=ast.expr() as value)
+                | ast.AnnAssign(target=ast.Name(name), value=ast.expr() as value)
+            ) if name[0] != "_" and (literal := _literal(value)) is not None:
+                yield name, literal
 
 
 def _literal(node: ast.expr) -> bool | Numbers | None:
     """The value, if it is a number, a boolean or several numbers."""
-    try:
+    value: Any = None
+    with suppress(ValueError, TypeError):
         value = ast.literal_eval(node)
-    except (ValueError, TypeError):
-        return None
+    parts = value if isinstance(value, (tuple, list)) else [value]
     if isinstance(value, bool):
         return value
-    if isinstance(value, (int, float)):
-        return float(value)
-    if isinstance(value, (tuple, list)) and value and all(type(v) in (int, float) for v in value):
-        return tuple(map(float, value))
-    return None
+    if not parts or not {*map(type, parts)} <= {int, float}:
+        return None
+    return tuple(map(float, parts)) if parts is value else float(value)
 
 
 def law_interface(
@@ -114,13 +104,12 @@ def law_interface(
     """The variables of a law's FMU: shapes and units are those of the signals."""
     variables = (
         *(_input(law, name, signals(name)) for name in law.takes),
-        output("ctrl", ctrl.shape, ctrl.unit, ctrl.description, "discrete"),
+        Variable("ctrl", ctrl.shape, ctrl.unit, "output", "discrete", ctrl.description),
         *(_parameter(name, value) for name, value in law.parameters.items()),
     )
     interface = Interface(law.name, law.text.splitlines()[0], variables)
-    for scalar in interface.scalars():
-        if scalar.variable.causality == "parameter":
-            scalar.checked(f"{law.path}: {scalar.name}", scalar.start)
+    with located(law.path):
+        interface.check()
     return interface
 
 

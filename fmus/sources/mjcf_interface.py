@@ -7,8 +7,7 @@ import math
 import re
 import shlex
 import tomllib
-from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -39,6 +38,7 @@ Keys = Mapping[str, Any]  # of a variable, or of the file
 Rows = dict[str, Keys]  # of each variable, by name; each has a `source` at least
 # Interfaces that a model with the same objects can take over, by name.
 EXTENDED: Final = {PLANT.model: PLANT}
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 # Objects of PandaPlant whose values its vectors begin with, by kind.
 FIRST: Final = {
     "joint": (*ARM_JOINTS, "finger_joint1", "finger_joint2", "obj_freejoint"),
@@ -92,12 +92,8 @@ def variable_name(source: str) -> str:
 def default_description(model: Any, name: str) -> Description:
     """Describe a model's controls, positions, velocities, forces and sensors."""
     description = Description(name, f"MuJoCo model {name}")
-    fields = [("inputs", "ctrl", model.nu), ("outputs", "qpos", model.nq),
-              ("outputs", "qvel", model.nv), ("outputs", "act", model.na),
-              ("outputs", "qfrc_bias", model.nv), ("outputs", "actuator_force", model.nu),
-              ("parameters", "gravity", 3), ("parameters", "keyframe", model.nkey)]  # fmt: skip
-    for section, source, size in fields:
-        if size:
+    for section, source, size in _TABLES["default"]:
+        if getattr(model, size):
             description.add(section, source)
     for i in range(model.nsensor):
         description.add("outputs", f"sensor {shlex.quote(model.sensor(i).name or f'#{i + 1}')}")
@@ -107,41 +103,39 @@ def default_description(model: Any, name: str) -> Description:
 def suggestions(model: Any) -> dict[str, list[str]]:
     """Further sources for a description, by section."""
     sources = Sources(model)
-    names = {kind: [shlex.quote(n) for n in sources.names(kind)] for kind in ("body", "site")}
-    bodies = [name for name in names["body"] if name != "world"]
     return {
-        "inputs": [f"body {b} force" for b in bodies],
-        "outputs": [
-            *(f"body {b} {what}" for b in bodies for what in ("xpos", "xquat", "jacobian")),
-            *(f"site {s} {what}" for s in names["site"] for what in ("xpos", "xmat")),
-        ],
-        "parameters": ["qpos", "qvel", *(f"body {b} mass" for b in bodies)],
-    }
+        section: whole + [
+            f"{kind} {shlex.quote(name)} {what}"
+            for kind, properties in by_kind.items()
+            for name in sources.names(kind)
+            if name != "world"
+            for what in properties
+        ]
+        for section, (whole, by_kind) in _TABLES["suggested"].items()
+    }  # fmt: skip
 
 
 def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str:
     """Format a description as TOML, with suggestions as commented lines."""
     whole = deepcopy(description)
-    for section in SECTIONS:
-        for source in extra[section]:
-            whole.add(section, source)
     lines = [
         "# One line per variable; `source` names it in the model. unit, description, start, min",
         "# and max are optional; parameters with `tunable = true` may change between steps.",
-        *(
-            f"{key} = {json.dumps(getattr(description, key))}"
-            for key in HEAD
-            if key not in SECTIONS
-        ),
+        *_pairs({key: getattr(description, key) for key in HEAD if key not in SECTIONS}),
     ]
     for section, rows in whole.sections.items():
+        for source in extra[section]:
+            whole.add(section, source)
         lines += ["", f"[{section}]"]
         for name, keys in rows.items():
             mark = "" if name in description.sections[section] else "# "
-            # JSON's strings, numbers and lists are valid TOML.
-            pairs = ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
-            lines.append(f"{mark}{name} = {{ {pairs} }}")
-    return "\n".join(lines) + "\n"
+            lines.append(f"{mark}{name} = {{ {', '.join(_pairs(keys))} }}")
+    return "\n".join([*lines, ""])
+
+
+def _pairs(values: Keys) -> list[str]:
+    # JSON's strings, numbers and lists are valid TOML.
+    return [f"{key} = {json.dumps(value)}" for key, value in values.items()]
 
 
 def read_description(path: Path) -> Description:
@@ -181,27 +175,30 @@ def interface(description: Description, model: Any) -> Interface:
         raise InputError(f"name {description.name!r}: must be of letters, digits and _")
     sources = Sources(model, description.keyframe)
     base = EXTENDED.get(description.extends)
-    if base is not None:
-        description = _with_poses(description, sources)
-    variables = [
+    if base is None:
+        variables = _own(description, sources)
+        terminals = {"robot": tuple(v.name for v in variables if v.causality != "parameter")}
+    else:
+        variables = _extended(base, _own(_with_poses(description, sources), sources), sources)
+        terminals = {**base.terminals}
+    named = tuple(_with_parts(variable, variables) for variable in variables)
+    made = Interface(description.name, description.description, (*named, COUNTED), terminals,
+                     is_model=True, author=description.author)  # fmt: skip
+    made.check()
+    return made
+
+
+def _own(description: Description, sources: Sources) -> list[Variable]:
+    return [
         _variable(f"{section}.{name}", name, keys, sources.find(causality, keys["source"]))
         for section, causality in SECTIONS.items()
         for name, keys in description.sections[section].items()
     ]
-    for name, count in Counter(variable.name for variable in variables).most_common(1):
-        if count > 1:
-            raise InputError(f"{name}: two variables have this name")
-    terminals = {"robot": tuple(v.name for v in variables if v.causality != "parameter")}
-    if base is not None:
-        variables, terminals = _extended(base, variables, sources), {**base.terminals}
-    taken = [variable.name for variable in variables]
-    named = (_with_parts(variable, taken) for variable in variables)
-    return Interface(description.name, description.description, (*named, COUNTED), terminals,
-                     is_model=True, author=description.author)  # fmt: skip
 
 
-def _with_parts(variable: Variable, taken: Collection[str]) -> Variable:
+def _with_parts(variable: Variable, all_of_them: Sequence[Variable]) -> Variable:
     """Name a variable's parts otherwise than all variables."""
+    taken = [each.name for each in all_of_them]
     parts = tuple((unique(taken, part), n, text) for part, n, text in variable.parts)
     return replace(variable, parts=parts)
 
@@ -242,13 +239,12 @@ def _variable(place: str, name: str, keys: Keys, row: Variable) -> Variable:
     unit = keys.get("unit")
     if unit and unit not in OUR_UNITS:
         refuse(f"{place}: unit", unit, f"must be one of {', '.join(OUR_UNITS)}", OUR_UNITS)
-    variability = _variability(place, keys, row)
     start = _numbers(place, "start", keys, row.size, row.start)
-    variable = replace(
+    return replace(
         row,
         name=name,
         unit=row.unit if unit is None else unit,
-        variability=variability,
+        variability=_variability(place, keys, row),
         description=keys.get("description", row.description),
         details=() if "description" in keys else row.details,
         parts=tuple((f"{name}_{part}", n, row.description) for part, n, _ in row.parts),
@@ -257,10 +253,6 @@ def _variable(place: str, name: str, keys: Keys, row: Variable) -> Variable:
         maximum=_numbers(place, "max", keys, row.size, row.maximum),
         source=keys["source"],
     )
-    for scalar in variable.scalars(0):
-        if scalar.start is not None:
-            scalar.checked(f"{place}: start", scalar.start)
-    return variable
 
 
 def _variability(place: str, keys: Keys, row: Variable) -> Variability:

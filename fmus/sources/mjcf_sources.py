@@ -11,6 +11,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain, count, groupby, product
@@ -42,9 +43,6 @@ OPTIONS: Final = ("gravity", "wind", "magnetic", "density", "viscosity")
 RAW: Final[Mapping[Causality, Sequence[str]]] = {
     "input": ("data",), "output": ("data", "held", "model"), "parameter": ("model", "added"),
 }  # fmt: skip
-# Properties of objects that MuJoCo's Python does not name so.
-SPECIAL: Final = ("force", "torque", "mocap_pos", "mocap_quat", "active", "jacobian", "mass",
-                  "added_mass", "free_xy", "free_yaw", "gain", "bias")  # fmt: skip
 # Sources whose further words name objects, or say how a block starts.
 LISTING: Final = ("mass_matrix", "jacobian", "free_xy", "free_yaw", *CONTACTS, *SCALED)
 
@@ -120,28 +118,24 @@ class Sources:
         return find and find(self, words)
 
     def _is_valid(self, causality: Causality, words: Sequence[str]) -> bool:
-        try:
+        with suppress(InputError):
             return self._found(causality, words) is not None
-        except InputError:
-            return False
+        return False
 
     def _hint(self, causality: Causality, words: Sequence[str]) -> str:
         """What is valid instead of a source that does not exist."""
         for other in RAW:
             if self._is_valid(other, words):
                 return f"must be an {causality}; it is an {other}"
-        match words:
-            case [kind, name, *rest] if kind in OBJECTS:
-                views = [
-                    getattr(holder, kind)(self.find_id(kind, name))
-                    for holder in (self.model, self.data)
-                    if hasattr(holder, kind)
-                ]
-                known = {*SPECIAL, *(attribute for view in views for attribute in dir(view))}
-                valid = [n for n in sorted(known) if self._is_valid(causality, [kind, name, n])]
-                near = did_you_mean(" ".join(rest[:1]), valid)
-                return f"valid: {causality} {kind} NAME {' | '.join(valid) or '...'}{near}"
-        return f"no such {causality} of a MuJoCo model; {_LISTED}"
+        if len(words) < 2 or words[0] not in OBJECTS:
+            return f"no such {causality} of a MuJoCo model; {_LISTED}"
+        kind, name, *rest = words
+        holders = [each for each in (self.model, self.data) if hasattr(each, kind)]
+        views = [getattr(each, kind)(self.find_id(kind, name)) for each in holders]
+        known = {what for _, _, what in _RULES if what}.union(*map(dir, views))
+        valid = [n for n in sorted(known) if self._is_valid(causality, [kind, name, n])]
+        near = did_you_mean(" ".join(rest[:1]), valid)
+        return f"valid: {causality} {kind} NAME {' | '.join(valid) or '...'}{near}"
 
     # Elements of fields.
 

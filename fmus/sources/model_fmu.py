@@ -24,7 +24,7 @@ from ..build.identity import digest
 from ..build.native import NativeFmu
 from ..errors import InputError, one_line, refuse
 from ..interface.variables import Interface, Variable
-from ..processes import run
+from ..processes import last_line, run
 from .mjcf_interface import (
     SECTIONS,
     Description,
@@ -113,9 +113,9 @@ def _refuse_plugins(path: Path) -> None:
     """Refuse a model with plugins: their libraries know the MuJoCo of this Python alone."""
     names = {"of unknown names"}
     if path.suffix.lower() != MODEL_SUFFIX:
-        spec = mujoco.MjSpec.from_file(str(path))
-        parts = (*spec.actuators, *spec.sensors, *spec.bodies, *spec.geoms, *spec.meshes)
-        names = {p.plugin_name for p in (*spec.plugins, *(part.plugin for part in parts))} - {""}
+        spec = _spec(path)
+        spec.compile()
+        names = set(re.findall(' plugin="(.*?)"', spec.to_xml()))
     raise InputError(
         f"{path}: uses plugins, {', '.join(sorted(names))}, which FMUs cannot hold; must be "
         "a model of MuJoCo's own elements"
@@ -201,11 +201,10 @@ def load(path: Path, warn: Warn | None = None, robot: str = DEFAULT_ROBOT) -> An
             if path.suffix.lower() == MODEL_SUFFIX:
                 model = load_binary(path.read_bytes(), str(path))
             else:  # files beside the model go first: MuJoCo would take those that it is given
-                ours = _assets_for(path)
-                model = mujoco.MjModel.from_xml_path(str(path), ours)
+                model = mujoco.MjModel.from_xml_path(str(path), _assets_for(path))
                 if robot != DEFAULT_ROBOT:
-                    model = _spec(path, robot).compile()
-                _fill_keyframes(model, path, ours)
+                    model = _with_arm(path, robot).compile()
+                _fill_keyframes(model, path)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo cannot load it: {one_line(error)}") from error
     if warn is not None:
@@ -218,9 +217,13 @@ def _assets_for(path: Path) -> dict[str, bytes]:
     return {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
 
 
-def _spec(path: Path, robot: str) -> Any:
+def _spec(path: Path) -> Any:
     ours = _assets_for(path)
-    spec = mujoco.MjSpec.from_file(str(path), include=ours, assets=ours)
+    return mujoco.MjSpec.from_file(str(path), include=ours, assets=ours)
+
+
+def _with_arm(path: Path, robot: str) -> Any:
+    spec = _spec(path)
     change_arm(spec, robot, asset_files())
     return spec
 
@@ -228,7 +231,7 @@ def _spec(path: Path, robot: str) -> Any:
 def mjcf_of(path: Path, robot: str) -> str:
     """Return a model that `load` loads, in one file, for another version of MuJoCo."""
     try:
-        spec = _spec(path, robot)
+        spec = _with_arm(path, robot)
         spec.compile()
         text = written_spec(spec, load(path, robot=robot))
         mujoco.MjModel.from_xml_string(text)
@@ -254,23 +257,25 @@ def load_binary(content: bytes, place: str) -> Any:
         must = f"{mujoco.__version__} reads only what it compiled itself; must be the MJCF"
         raise InputError(f"{place}: compiled by MuJoCo {version}, and {must}")
 
-    def tried() -> bytes:
-        with temporary_folder(cache_folder()) as folder:
-            (folder / MODEL).write_bytes(content)
-            done = run([sys.executable, "-P", "-c", _TRY, MODEL], folder)
-        said = done.stderr.strip().rpartition("\n")[2].partition(": ")[2]  # by an exception
-        if done.returncode:
-            why = said if done.returncode > 0 else f"it ends with signal {-done.returncode}"
-            raise InputError(f"{place}: MuJoCo cannot load it: {one_line(why)}")
-        return b""
-
-    cached(cache_folder() / "models" / digest(content, mujoco.__version__)[:24], tried)
+    mark = cache_folder() / "models" / digest(content, mujoco.__version__)[:24]
+    cached(mark, partial(_try, content, place))
     return mujoco.MjModel.from_binary_path(MODEL, {MODEL: content})
 
 
-def _fill_keyframes(model: Any, path: Path, files: Mapping[str, bytes]) -> None:
+def _try(content: bytes, place: str) -> bytes:
+    with temporary_folder(cache_folder()) as folder:
+        (folder / MODEL).write_bytes(content)
+        done = run([sys.executable, "-P", "-c", _TRY, MODEL], folder)
+    if done.returncode:
+        said = last_line(done.stderr).partition(": ")[2]  # by an exception
+        why = said if done.returncode > 0 else f"it ends with signal {-done.returncode}"
+        raise InputError(f"{place}: MuJoCo cannot load it: {one_line(why)}")
+    return b""
+
+
+def _fill_keyframes(model: Any, path: Path) -> None:
     """Fill keyframes that are shorter than qpos with qpos0; before 3.15, MuJoCo takes zeros."""
     if model.nkey and mujoco.mj_version() < 3_015_000 and path.suffix.lower() == ".xml":
-        spec = mujoco.MjSpec.from_file(str(path), include=files, assets=files)
+        spec = _spec(path)  # its keys are gone with it
         for key, row in zip(spec.keys, model.key_qpos, strict=False):  # <size nkey> may add some
             row[len(key.qpos) :] = model.qpos0[len(key.qpos) :]

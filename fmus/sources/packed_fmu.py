@@ -24,6 +24,7 @@ class PackedFmu(NativeFmu):
     """An FMU that PythonFMU's builder packs, with its wrapper, and with our description."""
 
     script: str = ""  # the resource that defines the slave's class
+    holds = (PYTHONFMU,)
 
     def build(self, layout: Layout, platforms: Sequence[str]) -> bytes:
         """Make the .fmu file; its wrapper is for the platforms that PythonFMU has."""

@@ -14,8 +14,10 @@ import sys
 import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
+from itertools import accumulate
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
@@ -129,11 +131,8 @@ def python_library() -> Path | None:
 # The files that go in.
 
 
-def code_of(path: Path, root: Path, *, is_packed: bool = True) -> dict[str, bytes]:
-    """A module, those below a folder that it imports, and files that they name, by path.
-
-    What is packed into an FMU must not import them late.
-    """
+def code_of(path: Path, root: Path) -> dict[str, bytes]:
+    """A module, those below a folder that it imports, and files that they name, by path."""
     code: dict[str, bytes] = {}
     first = path.relative_to(root).as_posix()
     waiting = [first]
@@ -141,12 +140,9 @@ def code_of(path: Path, root: Path, *, is_packed: bool = True) -> dict[str, byte
         name = waiting.pop()
         if name not in code and (name == first or (root / name).is_file()):
             tree = parse_file(root / name)
-            if is_packed:
-                _refuse_late_imports(root, name, tree)
-            imports = _imports(name, tree)
             code[name] = (root / name).read_bytes()
             code |= _data(root, tree)
-            for module in imports:
+            for module in _imports(name, tree):
                 stem = module.replace(".", "/")
                 waiting += [f"{stem}.py", f"{stem}/__init__.py"]
     return code
@@ -162,30 +158,16 @@ def _data(root: Path, tree: ast.Module) -> Iterator[tuple[str, bytes]]:
                 yield name, (root / name).read_bytes()
 
 
-def _refuse_late_imports(root: Path, path: str, tree: ast.Module) -> None:
-    """Refuse imports of modules beside a file in its functions: the FMU's loader is gone then."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            for module in filter(None, _imports("", node)):
-                stem = root / module.replace(".", "/")
-                if stem.with_suffix(".py").is_file() or (stem / "__init__.py").is_file():
-                    raise InputError(
-                        f"{root / path}, line {node.lineno}: {node.name} imports {module}; must "
-                        "import it at the top of the file, since an FMU finds its modules only "
-                        "while it is loaded"
-                    )
-
-
-def _imports(path: str, tree: ast.AST) -> Iterator[str]:
+def _imports(path: str, tree: ast.Module) -> Iterator[str]:
     """Yield the names that a module imports and that may be modules beside it."""
     folders = path.split("/")[:-1]
-    yield from (".".join(folders[: i + 1]) for i in range(len(folders)))  # its packages
+    yield from accumulate(folders, "{}.{}".format)  # its packages
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             package = folders[: len(folders) - node.level + 1] if node.level else []
-            module = ".".join([*package, *([node.module] if node.module else [])])
+            module = ".".join(filter(None, [*package, node.module]))
             yield module  # a name that is imported from a package may be a module, too
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
@@ -228,13 +210,10 @@ module, name, folder = sys.argv[1:]
 sys.path.insert(0, folder)
 slave_class = getattr(importlib.import_module(module), name)
 slave = slave_class(instance_name="fmu", resources=folder, visible=False)
-def word(value, otherwise):
-    return value.name if value is not None else otherwise
-def start(v):
-    return v.getter() if v.getter is not None else getattr(v, "start", None)
 rows = [
-    [v.name, type(v).__name__, word(v.causality, "local"), word(v.variability, ""),
-     v.description or "", start(v)]
+    [v.name, type(v).__name__, getattr(v.causality, "name", "local"),
+     getattr(v.variability, "name", ""), v.description or "",
+     v.getter() if v.getter else getattr(v, "start", None)]
     for v in slave.vars.values()
 ]
 print("\\nSLAVE " + json.dumps([slave.description or "", slave_class.__doc__ or "", rows]))
@@ -284,10 +263,10 @@ def _variable(path: Path, row: list[Any]) -> Variable:
     if causality not in _CAUSALITIES:
         must = f"must be one of {', '.join(_CAUSALITIES)}"
         refuse(f"{path}: variable {name}: causality", causality, must)
-    fixed = "fixed" if causality == "parameter" else ""
-    known: Any = variability or fixed or ("continuous" if kind == "Real" else "discrete")
-    value = None
-    if causality in ("input", "parameter") or known == "constant":
-        convert: type[Value] = {"Boolean": bool, "String": str}.get(kind, float)
-        value = convert(0 if start is None else start)
-    return Variable(name, (), "", causality, known, one_line(text), value, kind=kind)
+    usual = {"parameter": "fixed"}.get(causality, "continuous" if kind == "Real" else "discrete")
+    known: Any = variability or usual
+    variable = Variable(name, (), "", causality, known, one_line(text), kind=kind)
+    if causality not in ("input", "parameter") and variability != "constant":
+        return variable
+    convert: type[Value] = {"Boolean": bool, "String": str}.get(kind, float)
+    return replace(variable, start=convert(0 if start is None else start))

@@ -23,7 +23,7 @@ from panda_cosim.cli.app import app
 from panda_cosim.fmus.build import identity
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.master.fmu_file import Fmu, library_of
-from panda_cosim.fmus.sources.mjcf_sources import CONTACTS, HELD, OBJECTS, SPECIAL, Sources
+from panda_cosim.fmus.sources.mjcf_sources import CONTACTS, HELD, OBJECTS, Sources
 from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, load, model_fmu
 from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.plant.mujoco_warnings import taken_warnings
@@ -107,7 +107,8 @@ def test_suggestions_of_the_interface_are_valid(box, tmp_path):
 
 
 WORDS = st.lists(st.sampled_from([
-    *OBJECTS, *CONTACTS, *SPECIAL, *HELD, "#1", "box", "turn", "data", "xpos", "qpos", "ctrl", "0",
+    *OBJECTS, *CONTACTS, *HELD, "force", "active", "jacobian", "mass", "free_xy", "gain", "#1",
+    "box", "turn", "data", "xpos", "qpos", "ctrl", "0",
 ]), min_size=1, max_size=5)  # fmt: skip
 
 

@@ -38,22 +38,12 @@ class Angles:
         move = np.linalg.pinv(jac[:3]) @ (pos_cmd - hand_xpos)
         return np.hstack((qpos + 0.1 * move, 255 * grip_cmd / 0.08))
 '''
-LATE = '''
-import numpy as np
-
-class Late:
-    """Imports a module beside it too late."""
-    def update(self, time, qpos, qfrc_bias):
-        from clipped import clipped
-        return np.hstack((clipped(qfrc_bias), 0.0))
-'''
 MOTORS = ("--set", "scene=motors")
 
 
 @pytest.fixture
 def laws(tmp_path):
     (tmp_path / "laws.py").write_text(LAWS)
-    (tmp_path / "late.py").write_text(LATE)
     (tmp_path / "clipped.py").write_text(
         "import numpy as np\ndef clipped(torque): return np.clip(torque, -80, 80)\n"
     )
@@ -98,14 +88,6 @@ def test_a_law_that_does_not_fit_the_scene_is_refused_with_one_that_does(laws, l
     assert code == 1
     assert fits in text
     assert not (laws / "analysis").exists()
-
-
-def test_a_module_that_is_imported_in_a_method_is_named(laws):
-    for name in ("run", "check"):
-        code, text = said(name, laws / "hold", "--controller", f"{laws / 'late.py'}:Late", *MOTORS)
-        assert code == 2, text
-        assert "late.py, line 6: update imports clipped; must import it at the top" in text
-    assert not (laws / "runs").exists()
 
 
 @pytest.mark.parametrize(

@@ -172,9 +172,9 @@ def test_bad_input_is_one_line(folder, old, new, message):
     [
         ("hand_xpos, hand", "hand_pos, hand", "takes 'hand_pos', which does not exist"),
         ("def update(self, time, ", "def update(self, ", r"must have a method update\(self, time"),
-        ("gain = 10.0", "period = 0.0005", "period: value 0.0005; must be"),
-        ("gain = 10.0", "gain = 1e400", "gain: value inf; must be a finite number"),
-        ("gain = 10.0", "qpos = 1.0", "qpos = ...: is the name of one of its signals; must be"),
+        ("gain = 10.0", "period = 0.0005", "period: start: value 0.0005; must be"),
+        ("gain = 10.0", "gain = 1e400", "gain: start: value inf; must be a finite number"),
+        ("gain = 10.0", "qpos = 1.0", "two variables have the name .qpos."),
     ],
 )
 def test_a_bad_law_is_one_line(folder, old, new, message):

@@ -127,7 +127,7 @@ def values_of(
         if not (key and equals and value):
             valid = "such as plant.block_pos[1]=0.45 or duration=3"
             raise InputError(f"--set {text!r}: must be KEY=VALUE, {valid}")
-        values[key] = literal(value, f"--set {text!r}")
+        values[key] = literal(value)
     others = {"fmus.controller": controller, "fmus.plant": plant, **options}
     return values | {key: value for key, value in others.items() if value is not None}
 

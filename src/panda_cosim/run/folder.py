@@ -132,7 +132,7 @@ def _client_files(scenario: Scenario) -> dict[str, bytes]:
         if path.suffix == ".py":
             from ..fmus.sources.python_fmu import code_of  # noqa: PLC0415 - few have a client
 
-            code = code_of(own / path, (own / path).parent, is_packed=False)
+            code = code_of(own / path, (own / path).parent)
         files |= {str(path.parent / name): content for name, content in code.items()}
     return files
 

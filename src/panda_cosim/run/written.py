@@ -14,7 +14,7 @@ from ..fmus.build.ssp import Component, WrittenSystem
 from ..fmus.errors import InputError
 from ..fmus.interface.tables import TABLE_FILE, TRAJECTORY, Connection
 from ..fmus.interface.types import type_of
-from ..fmus.interface.variables import Interface, Variable, output
+from ..fmus.interface.variables import Interface, Variable
 from ..fmus.master.fmu_file import read_fmu
 from ..fmus.master.wiring import Array
 from ..fmus.sources.targets import Target, build_fmu, build_trajectory
@@ -150,4 +150,6 @@ class Player:
                     f"[inputs] {scalar.name}: is of type {kind}; must be a Real, or a value that "
                     "does not change over time"
                 )
-            yield output(name, (), scalar.unit, scalar.variable.description)
+            yield Variable(
+                name, (), scalar.unit, "output", "continuous", scalar.variable.description
+            )

@@ -71,15 +71,15 @@ def driven_inputs(
             instance, name = split("[inputs] ", key, interfaces)
             by_fmu.setdefault(instance, {})[name] = value
     driven: dict[Name, DrivenInput] = {}
-    by_name = {i: {s.name: s for s in each.scalars()} for i, each in interfaces.items()}
     for instance, values in by_fmu.items():
         place = f"[inputs] {instance}"
         for name, value in expand(place, interfaces[instance], values, "input").items():
-            driven[instance, name] = DrivenInput(by_name[instance][name], [value], np.zeros(1))
+            scalar = interfaces[instance].named[name]
+            driven[instance, name] = DrivenInput(scalar, [value], np.zeros(1))
     table, times = scenario.input_table, np.array(scenario.input_table.times)
     for key, cells in table.columns.items():
         instance, name = split("[inputs] ", key, interfaces)
-        scalar, *others = targets(instance, interfaces[instance], by_name[instance], name, "input")
+        scalar, *others = targets(instance, interfaces[instance], name, "input")
         if others or (instance, scalar.name) in driven:
             what = "has several elements" if others else "is in [inputs], too"
             raise InputError(f"{table.place}: {key}: {what}; must be one element, given once")
