@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.fmus.build.native import NativeFmu
-from panda_cosim.fmus.interface.variables import Interface, Variable, output
+from panda_cosim.fmus.interface.variables import Interface, Variable
 from panda_cosim.fmus.master.wiring import BLOCK_ROWS
 from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.run.execution import Execution
@@ -138,7 +138,9 @@ def set_up(folder: Path, variables: int) -> float:
     folder.mkdir()
     numbers = range(1, variables // 2 + 1)
     inputs = [Variable(f"u{i}", (), "", "input", "continuous", "An input", 0.0) for i in numbers]
-    outputs = [output(f"y{i}", (), "", "An output", start=0.0) for i in numbers]
+    outputs = [
+        Variable(f"y{i}", (), "", "output", "continuous", "An output", start=0.0) for i in numbers
+    ]
     for name in "ab":
         interface = Interface(f"Big{name.upper()}", "Many variables", (*inputs, *outputs))
         fmu = Target().make(NativeFmu(interface, "player", "Holds 0."))

@@ -16,7 +16,7 @@ memory itself, and has
     share_values(values, texts)  memoryview of doubles, dict of texts, both by value reference
     start(start_time)            make the model from the parameters, write the outputs of the start
     initialized(), terminate()   initialization has ended, no step follows; both may be missing
-    tune()                       apply changed tunable parameters
+    tune()                       apply changed tunable parameters; may be missing
     advance(count)               take internal steps, write the outputs
     get_state() -> bytes         the state besides the values
     set_state(state)             restore it; the values are restored before
@@ -32,7 +32,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -83,10 +83,6 @@ class PackageError(Exception):
     """A package is missing or too old; the message says what to do."""
 
 
-class LoadedError(PackageError):
-    """A package is too old and already loaded, so that no other version can be used."""
-
-
 def _version(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in text.split(".")[:3] if part.isdigit())
 
@@ -108,10 +104,8 @@ def check_need(name: str, minimum: str) -> None:
         raise PackageError(f"the package {name} cannot be imported: {reason}") from error
     if minimum != "*" and _version(found) < _version(minimum):
         where = getattr(sys.modules[name], "__file__", "")
-        text = f"{name} {found} ({where}) is too old, {minimum} is needed"
-        if was_loaded:
-            raise LoadedError(f"{text}; this process had loaded it already: install a newer one")
-        raise PackageError(text)
+        already = "; this process had loaded it already" if was_loaded else ""
+        raise PackageError(f"{name} {found} ({where}) is too old, {minimum} is needed{already}")
 
 
 @contextmanager
@@ -120,23 +114,30 @@ def packages(options: dict[str, list[str]]) -> Iterator[None]:
     # Afterwards a host's search path is restored; a Python that the FMU started keeps the folders.
     needs = [need.split() for need in options.get("need", [])]
     before = list(sys.path)
-    chosen = [folder for folder in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if folder]
+    chosen = list(filter(None, os.environ.get(PATHS_VARIABLE, "").split(os.pathsep)))
     extra = chosen or recorded_folders(options, [name for name, _ in needs])
     folders = [folder for folder in extra if folder not in before]
     sys.path[:] = [*folders, *before] if PYTHON_IS_OURS or chosen else [*before, *folders]
-    opengl = os.environ.get("MUJOCO_GL")
-    if PYTHON_IS_OURS:  # in a host other than Python, MuJoCo's import would start the host again
-        os.environ["MUJOCO_GL"] = "disable"
     try:
-        for name, minimum in needs:
-            check_need(name, minimum)
+        with without_opengl() if PYTHON_IS_OURS else nullcontext():
+            for name, minimum in needs:
+                check_need(name, minimum)
+            yield
+    finally:
+        if not PYTHON_IS_OURS:
+            sys.path[:] = [folder for folder in sys.path if folder not in folders]
+
+
+@contextmanager
+def without_opengl() -> Iterator[None]:
+    """Keep MuJoCo's import from starting a process, which would be the host once more."""
+    opengl = {n: value for n, value in os.environ.items() if n == "MUJOCO_GL"}
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
         yield
     finally:
-        if PYTHON_IS_OURS:
-            os.environ.pop("MUJOCO_GL", None)
-            os.environ.update({} if opengl is None else {"MUJOCO_GL": opengl})
-        else:
-            sys.path[:] = [folder for folder in sys.path if folder not in folders]
+        del os.environ["MUJOCO_GL"]
+        os.environ.update(opengl)
 
 
 # ---- the FMU's own code
@@ -189,28 +190,14 @@ def import_class(options: dict[str, list[str]]) -> Any:
     return getattr(sys.modules[whole], name)
 
 
-# ---- the two kinds of slaves
-
-
-class SharedMemory:
-    """A slave that works directly in the values' memory."""
-
-    def __init__(self, make: Callable[[], Any], texts: dict[int, str]) -> None:
-        self.slave = make()
-        self.messages: list[Message] = self.slave.messages
-        self.slave.share_values(VALUES, texts)
-        for name in ("start", "tune", "get_state", "set_state"):
-            setattr(self, name, getattr(self.slave, name))
-        for name in ("initialized", "terminate"):
-            setattr(self, name, getattr(self.slave, name, lambda: None))
-
-    def advance(self, count: int, _time: float, _size: float) -> None:
-        """Take internal steps."""
-        self.slave.advance(count)
+# ---- the slave
 
 
 class PythonFmu:
-    """A slave whose variables are set and read by reference, as in PythonFMU's library."""
+    """A slave whose variables are set and read by reference, as in PythonFMU's library.
+
+    It has methods as one that works in the values' memory.
+    """
 
     def __init__(
         self, make: Callable[[], Any], texts: dict[int, str], table: list[ScalarVariable]
@@ -233,14 +220,8 @@ class PythonFmu:
         self.slave.exit_initialization_mode()
         self.outputs()
 
-    def initialized(self) -> None:
-        """Do nothing: the slave has been told."""
-
-    def tune(self) -> None:
-        """Do nothing: parameters are set before the next step."""
-
-    def advance(self, _count: int, time: float, size: float) -> None:
-        """Take one communication step."""
+    def do_step(self, time: float, size: float) -> None:
+        """Take one communication step; parameters are set before it."""
         self._put()
         try:
             if not self.slave.do_step(time, size):
@@ -303,8 +284,8 @@ def _by_kind(variables: Iterator[ScalarVariable]) -> dict[str, list[int]]:
     return kinds
 
 
-def make_slave() -> SharedMemory | PythonFmu:
-    """Import the class and instantiate it."""
+def make_slave() -> Any:
+    """Import the class and instantiate it; in the values' memory if it can work there."""
     options, table = read_table()
     texts.update((v.reference, "") for v in table if v.kind == "string")
     # Of the whole process, since imports change state that is shared by all threads.
@@ -315,9 +296,11 @@ def make_slave() -> SharedMemory | PythonFmu:
         def make() -> Any:
             return slave_class(instance_name="fmu", resources=RESOURCES, visible=False)
 
-        if hasattr(slave_class, "share_values"):
-            return SharedMemory(make, texts)
-        return PythonFmu(make, texts, table)
+        if not hasattr(slave_class, "share_values"):
+            return PythonFmu(make, texts, table)
+        made = make()
+        made.share_values(VALUES, texts)
+        return made
 
 
 # ---- what the library calls
@@ -331,9 +314,9 @@ def explain(error: BaseException) -> str:
 
 
 def call(method: str, *arguments: Any) -> list[Message] | None:
-    """Call a method of the slave, and return its messages since the last call."""
+    """Call a method of the slave, if it has it, and return its messages since the last call."""
     try:
-        getattr(slave, method)(*arguments)
+        getattr(slave, method, lambda: None)(*arguments)
     except BaseException as error:  # no exception may reach the C library
         slave.messages.append((ERROR, explain(error)))
     if not slave.messages:
@@ -343,10 +326,16 @@ def call(method: str, *arguments: Any) -> list[Message] | None:
     return taken
 
 
-start, initialized, tune, step, set_state, terminate = (
-    partial(call, method)
-    for method in ("start", "initialized", "tune", "advance", "set_state", "terminate")
+start, initialized, tune, set_state, terminate = (
+    partial(call, method) for method in ("start", "initialized", "tune", "set_state", "terminate")
 )
+
+
+def step(count: int, time: float, size: float) -> list[Message] | None:
+    """Take internal steps, or a communication step of PythonFMU's."""
+    if isinstance(slave, PythonFmu):
+        return call("do_step", time, size)
+    return call("advance", count)
 
 
 def take_texts(given: list[str]) -> None:
@@ -376,10 +365,8 @@ try:
     slave = make_slave()
 except BaseException as error:
     where = f"Python {sys.version.split()[0]} ({sys.prefix})"
-    text = f"the FMU's code cannot start in {where}: {explain(error)}."
-    if not isinstance(error, LoadedError):
-        text += f" If its packages are in another folder, set {PATHS_VARIABLE} to the folder that"
-        text += " holds them."
+    text = f"the FMU's code cannot start in {where}: {explain(error)}. If its packages are in "
+    text += f"another folder, set {PATHS_VARIABLE} to the folder that holds them before it starts."
     messages.append((ERROR, text))
 # A step in shared memory writes them.
-outputs = None if isinstance(slave, SharedMemory) else partial(call, "outputs")
+outputs = partial(call, "outputs") if isinstance(slave, PythonFmu) else None
