@@ -298,13 +298,6 @@ class BodyCriterion:
         words = {bound: "position" if bound == "tolerance" else bound for bound in self.bounds}
         return {bound: f"{self.body} {word}{at}" for bound, word in words.items()}
 
-    @property
-    def signals(self) -> tuple[str, ...]:
-        """Recorded signals that hold its pose: position and quaternion, or qpos of the block."""
-        if self.body == BLOCK:
-            return ("plant.qpos",)
-        return (f"plant.{self.body}_xpos", f"plant.{self.body}_xquat")
-
 
 @checked
 class Success:

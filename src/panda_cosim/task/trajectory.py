@@ -109,27 +109,23 @@ class Trajectory:
             align: Turn offset and orientation of rows of frame `target` about z with the block,
                 by at most 45 deg.
         """
-        rows = table.rows
-        offsets = np.array([row.position for row in rows])
-        orientations = np.array([row.orientation or start.hand_orientation for row in rows])
-        orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
-        if align:
-            turned = np.array([row.frame == "target" for row in rows])
-            _turn(offsets, orientations, turned, start.grasp_yaw)
         origins = {
             "world": (0.0, 0.0, 0.0),
             "home": start.hand_position,
             "target": start.target_position,
         }
-        return cls(
-            times=np.array([row.time for row in rows]),
-            positions=np.array([origins[row.frame] for row in rows]) + offsets,
-            orientations=orientations,
-            grips=np.array([row.opening for row in rows]),
-            interpolation=interpolation,
-            postures=np.array([row.posture for row in rows]) if table.has_posture else None,
-            untils=tuple(row.until for row in rows),
-        )
+        columns = (
+            (row.time, origins[row.frame], row.position, row.orientation or start.hand_orientation,
+             row.opening, row.frame == "target")
+            for row in table.rows
+        )  # fmt: skip
+        times, places, offsets, turns, grips, turned = map(np.array, zip(*columns, strict=True))
+        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+        if align:
+            _turn(offsets, turns, turned, start.grasp_yaw)
+        postures = np.array([row.posture for row in table.rows]) if table.has_posture else None
+        untils = tuple(row.until for row in table.rows)
+        return cls(times, places + offsets, turns, grips, interpolation, postures, untils)
 
     def sample(self, times: ArrayLike) -> Array:
         """Return the commands at the given times.

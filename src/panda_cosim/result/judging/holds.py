@@ -56,12 +56,11 @@ class Hold:
 
 def find_holds(recording: Recording) -> list[Hold]:
     """Return the holds of a run in order; none without contact force and position of the block."""
-    columns = frozenset(recording.columns)
-    if not {FORCE, *BLOCK} <= columns:
+    if any(name not in recording for name in (FORCE, *BLOCK)):
         return []
     spans = _spans(recording.time, recording[FORCE])
     block = [recording[name] for name in BLOCK]
-    opening = recording[OPENING] if OPENING in columns else None
+    opening = recording[OPENING] if OPENING in recording.columns else None
     return [_hold(block, opening, *span) for span in spans]
 
 
@@ -134,7 +133,7 @@ def instant(time: Array, row: int | None) -> float | None:
 
 def first_collision(recording: Recording) -> int | None:
     """Return the row at which a joint first collides; None: none does, or it is not recorded."""
-    if CONTACT[0] not in recording.columns:
+    if CONTACT[0] not in recording:
         return None
     collided = np.max([recording[name] for name in CONTACT], axis=0) == COLLISION
     return int(np.argmax(collided)) if collided.any() else None

@@ -15,11 +15,11 @@ from ...assets.limits import RobotLimits
 from ...fmus.errors import refuse
 from ...task.limits import LIMITS, LIMITS_OF, METRICS, robot_of
 from ..recording import Recording, by_rows
+from .holds import HAND
 from .summary import Metrics
 
 Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
 
-HAND: Final = "plant.hand_xpos"
 FORCE: Final = "plant.actuator_force"  # of the servos [N.m, N]
 REFERENCE: Final = "controller.qvel_ref"
 SATURATED: Final = 1.0 - 1e-9  # share of its torque from which a servo has none left

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -228,7 +229,7 @@ def _windows(recording: Recording, reference: str) -> Iterator[tuple[Array, dict
 
 def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metrics:
     """Return the section of summary.json."""
-    late = [min(each.first.values(), key=_time_of) for each in lost if each.first]
+    late = [min(each.first.values(), key=itemgetter("time_s")) for each in lost if each.first]
     findings = _findings(judge)
     refused = [each for each in findings if each["necessary"]]
     counts = {name: _count(name, refused, judge.shares) for name in INTERFACES}
@@ -250,7 +251,7 @@ def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metr
 def _findings(judge: _Judge) -> list[Metrics]:
     """Return what is refused or recommended against, in the order of time."""
     found = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
-    return sorted(found, key=_time_of)
+    return sorted(found, key=itemgetter("time_s"))
 
 
 def _count(interface: str, refused: Iterable[Metrics], measured: Container[str]) -> int | None:
@@ -258,10 +259,6 @@ def _count(interface: str, refused: Iterable[Metrics], measured: Container[str])
     if any(key not in measured for key, check in CHECKS.items() if check.interface == interface):
         return None
     return [each["interface"] for each in refused].count(interface)
-
-
-def _time_of(refusal: Metrics) -> float:
-    return float(refusal["time_s"])
 
 
 def _reference(recording: Recording) -> str:

@@ -226,12 +226,12 @@ def judge_bodies(
 
 def _measure_body(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:
     """Return the value of each bound; raise `ValueError` without a finite pose."""
-    for name in criterion.signals:
-        if name not in recording:
-            raise ValueError(f"{name} is not recorded")
-    sizes = zip(criterion.signals, (3, 4), strict=False)
-    names = [f"{name}[{i}]" for name, size in sizes for i in range(1, size + 1)]
+    at, turn = (f"plant.{criterion.body}_{what}" for what in ("xpos", "xquat"))
+    names = [*(f"{at}[{i}]" for i in range(1, 4)), *(f"{turn}[{i}]" for i in range(1, 5))]
     pose = POSE if criterion.body == BLOCK else names  # position, quaternion (w, x, y, z)
+    for name in pose:
+        if name not in recording:
+            raise ValueError(f"{name.partition('[')[0]} is not recorded")
     first, last = np.column_stack([recording[name][[0, row]] for name in pose])
     start, end, (_, x, y, _) = first[:3], last[:3], last[3:].tolist()
     if not (np.isfinite(end).all() and math.isfinite(x * y)):

@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import field
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -83,7 +84,7 @@ def open_log(path: Path, names: Path | None, run: Recording) -> Recording:
     with located(names or path):
         own = given.columns(run)
     found = read_columns(path, {given.time, *own.values()})
-    for name in (given.time, *(each for listed in given.names.values() for each in listed)):
+    for name in (given.time, *chain(*given.names.values())):
         if name not in found:
             must = "must be one of its columns of numbers; --map names others"
             refuse(f"{path}: column", name, must, found)
