@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
-from ..fmus.errors import did_you_mean, excerpt, located, refuse
+from ..fmus.errors import excerpt, located, refuse
 from .fields import Choice, Line, Quantity, Vector, checked, field_names
 from .table import POSITION
 
@@ -82,11 +82,9 @@ def split_instant(text: str) -> tuple[str, float]:
     """Split `release + 0.5` into the event and its offset [s]."""
     match = _INSTANT.fullmatch(text)
     if match is None or match["event"] not in EVENTS:
-        hint = did_you_mean(match["event"] if match else text, EVENTS)
-        raise ValueError(
-            f"value {excerpt(text)}; must be seconds or one of {', '.join(EVENTS)}, with an offset "
-            f'such as "release + 0.5" if needed{hint}'
-        )
+        valid = ", ".join(EVENTS)
+        must = f'must be seconds or one of {valid}, perhaps with an offset: "release + 0.5"'
+        refuse("", text, must, EVENTS, ValueError)
     return match["event"], float((match["sign"] or "") + (match["offset"] or "0"))
 
 

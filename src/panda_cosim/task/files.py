@@ -41,11 +41,10 @@ def safe_name(name: str) -> str:
     return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
 
 
-def model_file(recording: object) -> Path | None:
+def model_file(recording: Any) -> Path | None:
     """Return the model of a recording's foreign plant, kept in its run's folder, if it has one."""
-    path = getattr(recording, "path", None)
-    model = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
-    return model if model is not None and model.is_file() else None
+    model = Path(recording.path).parent / "scenario" / MODEL_FILE
+    return model if model.is_file() else None
 
 
 def scenario_files(folder: Path) -> list[Path]:

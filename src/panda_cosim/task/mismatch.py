@@ -148,9 +148,7 @@ class Mismatch:
 
     def start_values(self) -> dict[str, dict[str, Any]]:
         """Start values by FMU and parameter."""
-        values = self.values
-        plant = {n: v for n, v in values.items() if n not in SENSOR_KEYS}
-        if not self.has_sensors:
-            return {"plant": plant}
-        sensors = {n: v for n, v in values.items() if n in SENSOR_KEYS}
-        return {"plant": plant, "sensors": {"seed": float(self.seed), **sensors}}
+        parts: dict[str, dict[str, Any]] = {"plant": {}, "sensors": {"seed": float(self.seed)}}
+        for name, value in self.values.items():
+            parts["sensors" if name in SENSOR_KEYS else "plant"][name] = value
+        return parts if self.has_sensors else {"plant": parts["plant"]}

@@ -77,8 +77,7 @@ class Tolerances:
     def section(self) -> dict[str, float | None]:
         """What a scenario's file has: what differs from the defaults."""
         own = {name: getattr(self, name) for name in _OWN}
-        given = {name: each for name, each in own.items() if each != getattr(Tolerances, name)}
-        return {**given, **self.values}
+        return {n: v for n, v in own.items() if v != getattr(Tolerances, n)} | {**self.values}
 
     def check_names(self, columns: Iterable[str]) -> None:
         """Refuse a tolerance of what is not among the columns of numbers that are recorded."""

@@ -59,21 +59,20 @@ def _touches(recording: Recording) -> Iterator[Touch]:
 
     model = _model(recording)
     kinds, data = kinds_of(model), mujoco.MjData(model)
-    signals = ("time", SIGNAL, "plant.qpos")
-    for number, (time, force, qpos) in enumerate(recording.in_blocks(*signals, before=1)):
-        if model.nq != qpos.shape[1]:
-            return
-        done = min(number, 1)  # a row of the block before
-        for row in (done + np.flatnonzero(force[done:] > 0.0)).tolist():
-            data.qpos[:] = qpos[max(row - 1, 0)]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            at, strength = float(time[row]), float(force[row])
-            geoms = data.contact.geom.tolist()
-            for pair, kind in zip(geoms, contacts_of(kinds, data), strict=True):
-                if kind & UNWANTED:
-                    first, second = sorted(_name(model, geom) for geom in pair)
-                    yield Touch((first, second), at, at, strength)
+    force = recording[SIGNAL]
+    rows = np.flatnonzero(force > 0.0)
+    before = recording["plant.qpos"][np.maximum(rows - 1, 0)]
+    if model.nq != before.shape[1]:
+        return
+    for time, strength, qpos in zip(recording.time[rows], force[rows], before, strict=True):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        geoms = data.contact.geom.tolist()
+        for pair, kind in zip(geoms, contacts_of(kinds, data), strict=True):
+            if kind & UNWANTED:
+                first, second = sorted(_name(model, geom) for geom in pair)
+                yield Touch((first, second), float(time), float(time), float(strength))
 
 
 def _model(recording: Recording) -> Any:
