@@ -17,16 +17,7 @@ import pytest
 from bounded import PATIENCE, is_alive, ran, running, wait_until
 from fault_support import processes_with
 from forked import QUIET, command
-from panda_cosim import (
-    Options,
-    Recording,
-    Scenario,
-    Session,
-    SimulationError,
-    load_scenario,
-    run_scenario,
-    shipped_scenarios,
-)
+from panda_cosim import Options, Recording, Session, SimulationError, load_scenario, run_scenario
 from panda_cosim.run import prepare as preparation
 from panda_cosim.run.client import addressed
 from panda_cosim.run.replay import replay
@@ -263,7 +254,7 @@ def test_a_client_is_checked_when_it_is_read(tmp_path, text, problem):
 def test_a_client_is_written_as_it_was_read(tmp_path):
     scenario = load_scenario(write(tmp_path / "fill", client=MISSING))
     write_scenario(replace(scenario, folder=None), tmp_path / "again")
-    assert Scenario.read(tmp_path / "again").client == scenario.client
+    assert load_scenario(tmp_path / "again").client == scenario.client
 
 
 @pytest.mark.own_process
@@ -280,7 +271,7 @@ def test_a_session_with_a_program_can_be_repeated(tmp_path):
 
 def test_a_program_beside_fmus_that_listen_to_nobody_ends_the_run_too(tmp_path):
     folder = tmp_path / "push"
-    shutil.copytree(shipped_scenarios()["push"], folder)
+    shutil.copytree(load_scenario("push").folder, folder)
     (folder / "reference.parquet").unlink()
     text = (folder / "scenario.toml").read_text()
     program = '\n[client]\ncommand = ["sh", "-c", "sleep 0.2; exit {}"]\n'

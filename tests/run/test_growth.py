@@ -82,13 +82,6 @@ def regress(first: Path, second: Path) -> None:
     ).problems
 
 
-def update(first: Path, second: Path) -> None:
-    recording, path = Recording.open(first), second / "reference.parquet"
-    Reference.of(recording, VERDICT, Tolerances()).write(path, recording)
-    written, name = Reference.read(path), "plant.hand_xpos[1]"
-    assert np.abs(written[name] - recording[name]).max() <= 0.51 * written.quanta[name]
-
-
 def peak(function: Callable[[], object]) -> int:
     """Return how much memory a call takes [bytes], beside Arrow's."""
     gc.collect()
@@ -99,10 +92,9 @@ def peak(function: Callable[[], object]) -> int:
     return most
 
 
-LONGER = [pytest.param(use, marks=pytest.mark.long) for use in (compare_runs, regress, update)]
-
-
-@pytest.mark.parametrize("use", [judge, *LONGER])
+@pytest.mark.parametrize(
+    "use", [judge, *(pytest.param(use, marks=pytest.mark.long) for use in (compare_runs, regress))]
+)
 def test_few_columns_of_a_long_run_are_in_memory(runs, use):
     use(*runs[SHORT])  # imports
     grown = peak(lambda: use(*runs[LONG])) - peak(lambda: use(*runs[SHORT]))

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ import pytest
 import forked
 from bounded import killed_after, line_of, ran, running, wait_until
 from fault_support import build_faulty, processes_with, run_command, run_with_fault, write_scenario
-from panda_cosim import InputError, Options, Recording
+from panda_cosim import InputError, Options, Recording, run_scenario
 from panda_cosim.fmus.atomic import TEMPORARY
 
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
@@ -182,27 +183,15 @@ def test_a_run_leaves_nothing_but_its_folder(tmp_path, scenario, faulty):
     assert list((tmp_path / "here").iterdir()) == []
 
 
-THREADS = """
-import sys
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from panda_cosim import run_scenario
-
-scenario, out = sys.argv[1:]
-before = [*sys.path, Path.cwd()]
-
-def run(number):
-    return run_scenario(scenario, f"{out}/{number}").recording.sha256()
-
-with ThreadPoolExecutor(8) as pool:
-    assert len(set(pool.map(run, range(16)))) == 1
-assert [*sys.path, Path.cwd()] == before
-"""
-
-
+@pytest.mark.own_process
 def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path, scenario):
-    done = forked.script(THREADS, str(scenario), str(tmp_path))
-    assert done.returncode == 0, done.stderr
+    def bits(number: int) -> str:
+        return run_scenario(scenario, tmp_path / f"{number}").recording.sha256()
+
+    before = [*sys.path, Path.cwd()]
+    with ThreadPoolExecutor(8) as pool:
+        assert len(set(pool.map(bits, range(16)))) == 1
+    assert [*sys.path, Path.cwd()] == before
 
 
 # FMUs in processes of their own.

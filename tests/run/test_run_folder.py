@@ -75,6 +75,13 @@ def test_a_shipped_scenario_written_anew_reads_back_the_same(tmp_path, name):
     assert dataclasses.replace(read, **same) == scenario
 
 
+def timed(rows: list[TableRow]) -> TrajectoryTable:
+    """Return a table of rows, which get times."""
+    return TrajectoryTable(
+        tuple(dataclasses.replace(row, time=k / 7) for k, row in enumerate(rows))
+    )
+
+
 NUMBER = st.floats(-9.0, 9.0)
 POSITION = st.tuples(NUMBER, NUMBER, NUMBER)
 QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, st.floats(0.001, 9.0))
@@ -83,37 +90,31 @@ PARAMETER = st.one_of(NUMBER, st.booleans(), TEXT, st.lists(NUMBER, min_size=1, 
 SECTION = st.dictionaries(st.sampled_from(["kp", "kp[3]", "block mass", "ä", '"', "\\"]), PARAMETER)
 
 
-@st.composite
-def scenarios(draw: st.DrawFn) -> Scenario:
-    rows = tuple(
-        TableRow(
-            float(k) / 7,
-            draw(st.sampled_from(["world", "home", "target"])),
-            draw(POSITION),
-            draw(st.floats(0.0, 0.08)),
-            draw(st.one_of(st.none(), QUATERNION)),
-        )
-        for k in range(draw(st.integers(2, 4)))
-    )
-    return Scenario(
-        "name",
-        TrajectoryTable(rows),
-        draw(st.integers(1, 3_600_000)) * 0.001,
-        purpose=draw(TEXT),
-        align=draw(st.booleans()),
-        plant=draw(SECTION),
-        controller=draw(SECTION),
-        push=tuple(Push(0.1, 0.2, force) for force in draw(st.lists(POSITION, max_size=2))),
-        not_finite=tuple(draw(st.lists(TEXT, max_size=2))),
-        order=tuple(draw(st.lists(TEXT, max_size=2))),
-        parameters=draw(st.dictionaries(TEXT.filter(bool), SECTION, max_size=2)),
-        success=Success(max_tilt=draw(st.one_of(st.none(), st.floats(0.0, 179.0)))),
-        regression=Tolerances(values={"plant.qpos[10]": draw(st.floats(1e-9, 1.0))}),
-    )
+TEXTS = st.lists(TEXT, max_size=2).map(tuple)
+FRAMES = st.sampled_from(["world", "home", "target"])
+ROW = st.builds(
+    TableRow, st.just(0.0), FRAMES, POSITION, st.floats(0.0, 0.08), st.none() | QUATERNION
+)
+SCENARIOS = st.builds(
+    Scenario,
+    st.just("name"),
+    st.lists(ROW, min_size=2, max_size=4).map(timed),
+    st.integers(1, 3_600_000).map(lambda ticks: ticks * 0.001),
+    purpose=TEXT,
+    align=st.booleans(),
+    plant=SECTION,
+    controller=SECTION,
+    push=st.lists(st.builds(Push, st.just(0.1), st.just(0.2), POSITION), max_size=2).map(tuple),
+    not_finite=TEXTS,
+    order=TEXTS,
+    parameters=st.dictionaries(TEXT.filter(bool), SECTION, max_size=2),
+    success=st.builds(Success, max_tilt=st.none() | st.floats(0.0, 179.0)),
+    regression=st.floats(1e-9, 1.0).map(lambda most: Tolerances(values={"plant.qpos[10]": most})),
+)
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
-@given(scenarios())
+@given(SCENARIOS)
 def test_any_scenario_written_reads_back_bit_for_bit(tmp_path_factory, scenario):
     folder = tmp_path_factory.mktemp("written") / "name"
     write_files(scenario, folder)
@@ -231,9 +232,9 @@ def test_what_was_made_is_replaced_and_so_is_a_file_that_is_given_up(tmp_path):
     for _ in range(2):
         command("plot", run, "--out", out / "x.png", cwd=tmp_path, code=0)
     assert [path.name for path in out.iterdir()] == ["x.png"]
-    (out / "x.html").write_text("mine")
-    command("view", run, "--out", out / "x.html", "--overwrite", cwd=tmp_path, code=0)
-    assert (out / "x.html").read_text() != "mine"
+    (out / "x.csv").write_text("mine")
+    command("inputs", "push", out / "x.csv", "--overwrite", cwd=tmp_path, code=0)
+    assert (out / "x.csv").read_text() != "mine"
 
 
 def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path):

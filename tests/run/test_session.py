@@ -15,16 +15,7 @@ import pytest
 from bounded import line_of, running
 from fmu_support import in_process
 from forked import command
-from panda_cosim import (
-    InputError,
-    Options,
-    Recording,
-    Session,
-    load_scenario,
-    replay,
-    run_scenario,
-    shipped_scenarios,
-)
+from panda_cosim import InputError, Options, Recording, Session, load_scenario, replay, run_scenario
 from panda_cosim.fmus.interface.plant import FORCES
 from panda_cosim.run.journal import Journal
 from parts_jobs import session_of_other_parts
@@ -157,7 +148,7 @@ def test_a_parameter_set_of_ssp_gives_what_no_key_does(tmp_path):
         assert session.scenario.plant["block_mass"] == mass
     assert "0 of 1 scenarios match" in command("regress", "push", "--ssv", good, code=1).stdout
     wrong = "plant.block_mass: value 99"
-    assert wrong in command("check", shipped_scenarios()["push"], "--ssv", bad, code=2).stdout
+    assert wrong in command("check", load_scenario("push").folder, "--ssv", bad, code=2).stdout
 
 
 ACTIONS: dict[str, Callable[[Session], None]] = {
