@@ -102,24 +102,6 @@ def test_an_event_of_the_summary_may_move_by_so_many_steps(tmp_path, before, now
     assert ok or f"may move by {steps} steps" in texts(comparison)
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.floats(0.0, 30.0), st.floats(0.5, 20.0), st.floats(1.0, 10.0), st.integers(0, 3))
-def test_a_match_in_narrow_tubes_is_one_in_wider_ones(tmp_path_factory, off, scale, wider, ticks):
-    folder = tmp_path_factory.mktemp("runs")
-    reference = Reference.of(record(folder / "before", columns()), SUMMARY, TOLERANCES)
-    values = columns()
-    values["controller.dq[1]"][224] += off * DQ
-    values["plant.contact_force"] = np.roll(values["plant.contact_force"], 1)
-    now = record(folder / "now", values)
-    tubes = (Tolerances(1e-3, scale), Tolerances((1 + ticks) * 1e-3, scale * wider))
-    reference = Reference.of(record(folder / "again", columns()), SUMMARY, Tolerances())
-    narrow, wide = (compare_with_reference(now, SUMMARY, reference, each) for each in tubes)
-    assert wide.ok or not narrow.ok
-    assert wide.worst is not None
-    assert narrow.worst is not None
-    assert wide.worst.share <= narrow.worst.share
-
-
 def test_a_reference_too_coarse_for_the_tolerances_must_be_recorded_again(compared):
     assert compared(columns(), tolerances=Tolerances(scale=0.5, values=VALUES)).ok
     with pytest.raises(InputError, match=r"plant\.qpos\[1\]: .* rounded to 5e-07 rad"):

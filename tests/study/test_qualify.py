@@ -8,7 +8,7 @@ import pytest
 from forked import command
 from odd_fmu import odd_fmu
 from panda_cosim.run.start import start_values
-from panda_cosim.study.compare.qualify import STEPS, Finding, changes_of, score
+from panda_cosim.study.compare.qualify import STEPS, changes_of
 from panda_cosim.task.scenario import load_scenario
 from panda_cosim.task.tolerances import signal_of
 
@@ -55,15 +55,6 @@ def test_every_number_that_a_scenario_takes_is_changed_once_and_by_the_step():
         instance, name = key.split(".")
         values = [value for n, value in changed[instance].items() if signal_of(n) == name]
         assert values == pytest.approx(list(change.now))
-
-
-def test_a_score_is_the_share_of_changes_with_an_effect_that_are_noticed():
-    seen, blind = Finding("a", "", (("s", "x"),), ("t",)), Finding("b", "", (), ("s",))
-    nothing = Finding("c", "", (), ())
-    states = [each.state for each in (seen, blind, nothing)]
-    assert states == ["noticed", "not noticed", "no effect"]
-    assert score([seen, blind, nothing, nothing]) == 0.5
-    assert score([nothing]) == 0.0  # nothing measured is never good
 
 
 def test_the_command_tells_what_each_change_does_and_fails_below_a_score(tmp_path):

@@ -233,16 +233,6 @@ def test_a_suite_judges_the_sweeps_in_it(swept, tmp_path):
         assert words in " ".join((refused.stdout + refused.stderr).split())
 
 
-def test_pytest_collects_a_folder_of_scenarios(approved, tmp_path):
-    for name in ("same", "other"):
-        shutil.copytree(approved, tmp_path / "mine" / name)
-    write_short(tmp_path / "mine" / "other", 0.006)
-    tests = run_pytest(tmp_path, "-v", "--panda-jobs", "1", "--panda-scenarios", "mine", "mine")
-    assert tests.returncode == 1, tests.stdout + tests.stderr
-    assert "1 failed, 1 passed" in tests.stdout
-    assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
-
-
 def test_nested_scenarios_are_found_and_a_stray_sweep_is_named(approved, tmp_path):
     """As pytest finds them; what a run keeps of its scenario, and what is hidden, is none."""
     for place in ("same", "group/same", "group/deep/other", "runs/first/scenario", ".old/same"):
