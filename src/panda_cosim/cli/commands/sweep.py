@@ -58,7 +58,7 @@ def command(  # noqa: PLR0913 - one for each option
     sweep: str = argument("SWEEP.toml"),
     out: Path | None = option("--out -o DIR"),
     vary: list[str] | None = option("--vary KEY=LOW:HIGH:STEPS"),
-    jobs: int | None = option("--jobs -j N"),
+    jobs: int | None = option("--jobs -j N", min=1),
     dask: str | None = option("--dask ADDRESS"),
     time_limit: float | None = option("--time-limit SECONDS"),
     min_success: float | None = option("--min-success SHARE"),

@@ -33,7 +33,6 @@ Elements = dict[str, float]  # by element, field and number; "hash": of all that
 TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 ENGINE: Final = "versions.mujoco"  # comes before models, which it compiles
 ROUNDING: Final = 1e-9  # relative; less is rounding where another engine compiles a model
-MOST: Final = 20_000  # fields; of a larger model, only the hash is kept
 SHOWN: Final = 4  # causes in a line
 # The order in which they are named; FMUs last, as their hashes change with any of their files.
 _PARTS: Final = ("parameters", "models", "", "versions", "fmus")
@@ -46,13 +45,10 @@ def elements(model: Any) -> Elements:
     compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, compiled)
     found: Elements = {"hash": float(int(hashlib.sha256(compiled.tobytes()).hexdigest()[:12], 16))}
-    counts = {kind: getattr(model, count) for kind, count in TABLES["counts"].items()}
-    if sum(counts[kind] * len(fields) for kind, fields in TABLES["fields"].items()) > MOST:
-        return found
     for option in TABLES["options"]:
         found |= _numbered(f"option {option}", getattr(model.opt, option))
     for kind, fields in TABLES["fields"].items():
-        for number in range(counts[kind]):
+        for number in range(getattr(model, TABLES["counts"][kind])):
             element = getattr(model, kind)(number)
             for field in fields:
                 values = getattr(element, field, ())

@@ -15,6 +15,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from ...fmus.errors import InputError
 from ...result.judging.verdicts import MISSED
 from ...result.recording import Recording
@@ -73,17 +75,12 @@ def changes_of(scenario: Scenario, share: float) -> Iterator[Change]:
             if isinstance(value, int | float) and not isinstance(value, bool):
                 signals[signal_of(name)].append(float(value))
         for name, before in signals.items():
-            tried = _tried(f"{instance}.{name}", tuple(before), share)
-            yield from islice((change for change in tried if _is_valid(change, scenario)), 1)
-
-
-def _tried(key: str, before: tuple[float, ...], share: float) -> Iterator[Change]:
-    """Yield a change up and one down; of zeros, one by a step of their own."""
-    if not any(before):
-        yield Change(key, before, tuple(STEPS.get(key, 0.0) for _ in before))
-        return
-    for factor in (1.0 + share, 1.0 - share):
-        yield Change(key, before, tuple(value * factor for value in before))
+            key, steps = f"{instance}.{name}", [share * value for value in before]
+            if not any(before):
+                steps = [STEPS.get(key, 0.0)] * len(before)
+            ends = (np.add(before, steps), np.subtract(before, steps))
+            changes = (Change(key, tuple(before), tuple(now.tolist())) for now in ends)
+            yield from islice((change for change in changes if _is_valid(change, scenario)), 1)
 
 
 def _is_valid(change: Change, scenario: Scenario) -> bool:

@@ -18,7 +18,8 @@ from itertools import islice
 from typing import Any, Final
 
 from ...fmus.atomic import cache_folder, temporary_folder
-from ...fmus.errors import CosimError, InputError, one_line
+from ...fmus.errors import CosimError, one_line
+from ...fmus.extras import needing
 from ..work import Workers
 from .row import Done, Job, Task, first_columns, run_rows, unpack_job
 
@@ -120,25 +121,11 @@ class Cluster(Backend):
     def __init__(self, job: Job, jobs: int, address: str) -> None:
         super().__init__(job)
         self._address = address
+        # What its client logs, with a traceback, is also raised.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
-            import dask  # noqa: PLC0415 - an extra
-            import distributed  # noqa: PLC0415
-
-            # What its client logs, with a traceback, is also raised.
-            logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-            library: Any = distributed  # it has no types
-            cluster = address
-            if address == "local":  # with keys of its own, since other users reach its port, too
-                with dask.config.set(NO_HTTP):
-                    cluster = library.LocalCluster(
-                        n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
-                    )
-                self.callback(cluster.close)
-            self._client = library.Client(cluster, timeout=CONNECTING)
-        except ImportError as error:  # also of cryptography
-            raise InputError(
-                f"--dask {address}: {one_line(error)}; pip install 'panda-cosim[dask]'"
-            ) from None
+            with needing("distributed", "dask", f"--dask {address}"):  # and cryptography
+                self._client = self._connected(jobs, address)
         except (OSError, ValueError, TypeError) as error:
             raise CosimError(f"--dask {address}: {one_line(error)}") from error
         self.callback(self._client.close)
@@ -146,6 +133,20 @@ class Cluster(Backend):
         # A task, not scattered data: Dask makes a result again if its worker is lost.
         self._shared = self._client.submit(copy, job, pure=False)
         self._seconds = self._rows = 0.0
+
+    def _connected(self, jobs: int, address: str) -> Any:
+        import dask  # noqa: PLC0415 - an extra
+        import distributed  # noqa: PLC0415
+
+        library: Any = distributed  # it has no types
+        cluster = address
+        if address == "local":  # with keys of its own, since other users reach its port, too
+            with dask.config.set(NO_HTTP):
+                cluster = library.LocalCluster(
+                    n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
+                )
+            self.callback(cluster.close)
+        return library.Client(cluster, timeout=CONNECTING)
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
         """Run tasks, see `Backend.run`."""

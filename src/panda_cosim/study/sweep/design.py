@@ -100,9 +100,6 @@ def _read_list(path: Path) -> dict[str, Sequence[Any]]:
     text = read_text(path, _MAX_BYTES)
     with located(path):
         table = parse_csv(text)
-        for line, cells in table.rows.items():
-            if not all(map(str.strip, cells)):
-                raise InputError(f"line {line}: a cell is blank; must have {len(cells)} values")
         if not table.rows:
             raise InputError("has no rows; must have at least one below the names")
     rows = ([literal(cell.strip()) for cell in cells] for cells in table.rows.values())
@@ -140,17 +137,15 @@ def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str
     return [
         key
         for key, column in design.columns.items()
-        if not any(_acts(key, _extremes(column), row, loaded.scenario) for row, loaded in pairs)
+        if len(values := _extremes(column)) > 1
+        and not any(_acts(key, values, row, loaded.scenario) for row, loaded in pairs)
     ]
 
 
 def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> bool:
     """Tell whether a row becomes another run as one of its values goes from end to end."""
-    variants = [{**row, key: value} for value in values]
-    if len(variants) == 1:
-        variants.append({other: value for other, value in row.items() if other != key})
     try:
-        first, *others = (scenario.changed(each) for each in variants)
+        first, *others = (scenario.changed({**row, key: value}) for value in values)
         return any(_differ(first, other) for other in others)
     except InputError:  # it decides whether the row can run
         return True

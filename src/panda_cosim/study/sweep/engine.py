@@ -78,8 +78,6 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     """
     if not isinstance(definition, Sweep):
         definition = load_sweep(definition)
-    if jobs is not None and jobs < 1:
-        raise InputError(f"jobs: value {jobs!r}; must be at least 1")
     scenarios, design = check_sweep(definition, out)
     versions = map(str, dict.fromkeys(design.columns.get("mujoco", ())))
     job = _job(scenarios, versions, time_limit=time_limit, keep=definition.keep)

@@ -25,10 +25,10 @@ from ...run.prepare import prepare
 from ...task.scenario import Scenario, load_scenario
 from .definition import Sweep
 from .design import check_keys
+from .results import Z
 
 Array = NDArray[np.float64]
 
-WIDE: Final = 1.959963984540054  # standard deviations on either side: 95 %
 STEP: Final = 1e-3  # of a range, by which slopes are measured
 ROUNDS: Final = 3  # in which the signals' noise is estimated anew
 ALIKE: Final = 0.99  # correlation from which two values cannot be told apart
@@ -93,10 +93,10 @@ def fit(definition: Sweep, log: Path, names: Path | None = None) -> Fit:
         raise InputError(f"{log}: nothing to fit to: no signal or instant in common with the run")
     places, covariance, left = _closest(apart, middle, np.ptp([*target.values()], axis=1))
     spread = np.sqrt(np.diag(covariance))
-    half = np.where(spread > 0.0, WIDE * spread, 1.0)  # a value without effect may be any
+    half = np.where(spread > 0.0, Z * spread, 1.0)  # a value without effect may be any
     marks = low + np.clip([places, places - half, places + half], 0.0, 1.0) * (high - low)
     idle = [f"{k} changes no signal of the log" for k, s in zip(keys, spread, strict=True) if not s]
-    errors = covariance / np.outer(half, half) * WIDE**2
+    errors = covariance / np.outer(half, half) * Z**2
     alike = [
         f"{keys[i]} and {keys[j]} cannot be told apart: their errors go together"
         for i, j in combinations(np.flatnonzero(spread), 2)

@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...fmus.errors import InputError
 from ..compare.differences import Row as Changed
+from .results import CONFIDENCE
 from .row import MARGIN, Row
 from .store import Store, changes
 
-CONFIDENCE: Final = 0.95
 RESAMPLES: Final = 9999
 SUCCESS: Final = "success"
 

@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from ...fmus.atomic import held, replacing, write_whole, writing
+from ...fmus.atomic import held, replacing, temporary_folder, write_whole, writing
 from ...fmus.build.identity import code_digest, digest, package_version
 from ...fmus.errors import InputError, one_line
 from ...run.folder import write_files
@@ -129,10 +129,10 @@ class Store:
 
     def kept_scenarios(self, names: Sequence[str]) -> list[Path]:
         """Return the folders of the scenarios as they were swept; none if others were."""
-        if not (self.folder / KEPT).exists():
+        there = (self.folder / KEPT).exists()
+        if not there or self.content.origin["definition"]["scenario"] != list(names):
             return []
-        same = self.content.origin["definition"]["scenario"] == list(names)
-        return [self.kept_scenario(i, name) for i, name in enumerate(names)] if same else []
+        return [self.kept_scenario(i, name) for i, name in enumerate(names)]
 
     def kept_scenario(self, number: int, name: str) -> Path:
         """Return the folder of a scenario as it was swept."""
@@ -150,14 +150,12 @@ class Store:
         """Keep the scenarios, unless they are; a kill leaves all of them or none."""
         if (self.folder / KEPT).exists():
             return
-        partial = Store(self.folder / f".{KEPT}")
-        shutil.rmtree(partial.folder, ignore_errors=True)
-        for number, each in enumerate(packed):
-            folder = partial.kept_scenario(number, each.name)
-            write_scenario(each.scenario, folder)
-            write_files(folder, each.files)
-        (partial.folder / KEPT).rename(self.folder / KEPT)
-        partial.folder.rmdir()
+        with temporary_folder(self.folder) as partial:
+            for number, each in enumerate(packed):
+                folder = Store(partial).kept_scenario(number, each.name)
+                write_scenario(each.scenario, folder)
+                write_files(folder, each.files)
+            (partial / KEPT).rename(self.folder / KEPT)
 
     def changed_scenarios(self) -> Iterator[str]:
         """Yield a remark on each scenario that is no longer as it was swept."""
