@@ -82,9 +82,9 @@ class Child(_Beside):
 
     def end(self) -> int:
         """Kill it, and return how it ended, as `ended` does; may be called again."""
-        if not self.connection.closed:  # else its number may be another process's by now
+        if self._process.returncode is None:  # else its number may be another process's by now
             self.kill()
-            self.connection.close()
+        self.connection.close()
         return self._process.wait()
 
 

@@ -15,7 +15,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
 from functools import cache
 from pathlib import Path
-from threading import Lock, local
+from threading import Lock
 from typing import Final, TypeVar
 
 from ..fmus.processes import STANDARD_ERROR, Child, listen
@@ -48,14 +48,14 @@ def processor() -> str:
 class Workers(AbstractContextManager["Workers"]):
     """At most `count` processes for one call at a time, with `attempts` for each call.
 
-    Each thread that waits for calls has a process of its own, which it starts when it needs one.
+    A process that has answered waits for another call; if none waits, one is started.
     """
 
     def __init__(self, count: int, attempts: int = 1) -> None:
-        self._attempts = attempts
-        self._threads, self._own = ThreadPoolExecutor(count), local()
+        self._attempts, self._threads = attempts, ThreadPoolExecutor(count)
         self._lock = Lock()  # of what follows
-        self._processes: set[_Process] = set()
+        self._idle: list[_Process] = []
+        self._busy: set[_Process] = set()
         self._is_closed = False
 
     def submit(
@@ -72,7 +72,7 @@ class Workers(AbstractContextManager["Workers"]):
         def call() -> T:
             reason = ""
             for _ in range(self._attempts):
-                process = self._ready()
+                process = self._taken()
                 try:
                     value: T = process.call(function, argument, time_limit)
                 except TimeoutError:
@@ -82,30 +82,33 @@ class Workers(AbstractContextManager["Workers"]):
                     process.leave()  # it may not have come to its end yet
                     reason = f"its process ended with {self._end(process)}"
                 else:
-                    process.is_idle = True
+                    self._keep(process)
                     return value
             return died(reason)
 
         return self._threads.submit(call)
 
-    def _ready(self) -> _Process:
-        """Return this thread's process, or a new one if it has none, or has used it often."""
-        process: _Process | None = getattr(self._own, "process", None)
-        if process and process.calls >= MOST_CALLS:
-            process.leave()
-            self._end(process)
+    def _taken(self) -> _Process:
         with self._lock:
             if self._is_closed:
                 raise CancelledError
-            if process not in self._processes:
-                process = self._own.process = _Process()
-                self._processes.add(process)
-            process.is_idle = False
+            process = self._idle.pop() if self._idle else _Process()
+            self._busy.add(process)
         return process
+
+    def _keep(self, process: _Process) -> None:
+        """Keep a process for another call, unless it has had many."""
+        if process.calls == MOST_CALLS:
+            process.leave()
+            self._end(process)
+            return
+        with self._lock:
+            self._busy.remove(process)
+            self._idle.append(process)
 
     def _end(self, process: _Process) -> str:
         with self._lock:
-            self._processes.discard(process)
+            self._busy.remove(process)
         code = process.end()
         return f"signal {-code}" if code < 0 else f"exit code {code}"
 
@@ -113,19 +116,14 @@ class Workers(AbstractContextManager["Workers"]):
         """Kill what runs, and start nothing more; a second call does nothing."""
         with self._lock:
             self._is_closed = True
-            processes = set(self._processes)
-            idle = {process for process in processes if process.is_idle}
-        for process in processes - idle:
-            process.kill()  # its thread sees that, and ends it
+            for process in self._busy:
+                process.kill()  # its thread sees that, and ends it
         try:
-            for process in idle:
+            self._threads.shutdown(cancel_futures=True)
+            for process in self._idle:
                 process.leave()
         finally:  # Ctrl-C may come while they leave
-            for process in processes:
-                if process.ended(0.0) is None:
-                    process.kill()
-            self._threads.shutdown(cancel_futures=True)
-            for process in processes:
+            for process in self._busy.union(self._idle):
                 process.end()
 
     def __exit__(self, *_: object) -> None:
@@ -138,7 +136,7 @@ class _Process(Child):
 
     def __init__(self) -> None:
         super().__init__("-m", MODULE, output=STANDARD_ERROR, environment=ENVIRONMENT)
-        self.calls, self.is_idle = 0, True
+        self.calls = 0
 
     def call(self, function: Callable[[A], T], argument: A, time_limit: float | None) -> T:
         """Run a call, and return its value."""
@@ -153,8 +151,7 @@ class _Process(Child):
     def leave(self) -> None:
         """Let it end by itself; idle, it only waits for a call."""
         self.connection.close()
-        if self.ended(LEAVING) is None:
-            self.kill()
+        self.ended(LEAVING)
 
 
 def main(socket: int, parent: int) -> None:
