@@ -23,7 +23,7 @@ from ...fmus.sources.python_fmu import slave_fmu
 from ...fmus.sources.targets import Kind, Target
 from ...fmus.twins import FMUS
 from ...run.written import written_system
-from ...study.check.embedding import add_experiment, experiments_of, write_compatibility
+from ...study.check.embedding import add_experiment, experiments_of
 from ...study.check.experiments import Experiment
 from ...task.scenario import Scenario
 from ..console import show_file, warn
@@ -60,7 +60,6 @@ def command(  # noqa: PLR0913 - one for each option
     names: Names = NAMES,
     mujoco: str = MUJOCO,
     slave: str = option("--slave FILE.py[:CLASS]", ""),
-    compatibility: bool = flag("--compatibility"),
     overwrite: bool = OVERWRITE,
 ) -> None:
     """Build the FMUs of a scenario, and Panda.ssp that connects them.
@@ -87,7 +86,6 @@ def command(  # noqa: PLR0913 - one for each option
         container: Build only Panda.fmu, which contains the whole system. Needs the extra
             `container`.
         slave: Build only this slave of your own, written for PythonFMU.
-        compatibility: Add a folder for each FMU, with the files that the FMI cross-check asks for.
     """
     target = target_of(kind, fmi, platform, scalars=scalars, names=names)
     if slave:
@@ -99,7 +97,7 @@ def command(  # noqa: PLR0913 - one for each option
             announce_build(target)
             announce_python(kind, [name for name in FMUS if name not in chosen.fmus])
         build = (_container_of if container else build_of)(chosen, out, target)
-    build.write(compatibility=compatibility, overwrite=overwrite)
+    build.write(overwrite=overwrite)
 
 
 Make = Callable[[Path], object]  # writes a file
@@ -112,29 +110,26 @@ class Build:
     files: Mapping[Path, Make]
     experiments: Callable[[], Mapping[Path, Experiment]] = dict  # a scenario is run for them
 
-    def write(self, *, compatibility: bool = False, overwrite: bool = False) -> None:
+    def write(self, *, overwrite: bool) -> None:
         """Write the files; they replace older ones when all are whole."""
         check_replaceable(*self.files, overwrite=overwrite)
-        experiments, whole = self.experiments(), {}
+        experiments = self.experiments()
         with ExitStack() as stack:
             for path, make in self.files.items():
                 make(new := stack.enter_context(replacing(path)))
                 if path.suffix == ".fmu":
-                    whole[path] = _completed(new, path, experiments.get(path))
+                    _complete(new, path, experiments.get(path))
         for path in self.files:
-            if compatibility and (experiment := whole.get(path)):
-                write_compatibility(path, experiment)
             show_file(path)
 
 
-def _completed(new: Path, path: Path, experiment: Experiment | None) -> Experiment | None:
+def _complete(new: Path, path: Path, experiment: Experiment | None) -> None:
     """Add a reference experiment to a new FMU, which will be at the path, if it can be run."""
     try:
-        return add_experiment(new, experiment)
+        add_experiment(new, experiment)
     except CosimError as error:
         reason = str(error).replace(str(new), str(path))
         warn(f"{path}: holds no reference experiment, as it cannot be run here: {reason}")
-        return None
 
 
 def _made(fmu: NativeFmu, target: Target) -> Make:

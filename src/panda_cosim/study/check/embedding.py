@@ -13,15 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.atomic import replacing
 from ...fmus.build.description import literal, render
 from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
 from ...fmus.errors import CosimError
 from ...fmus.interface.tables import Connection
+from ...fmus.interface.variables import by_array
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu
 from ...fmus.master.system import in_units, multiples_of, read_fmus
-from ...fmus.master.wiring import Name
 from ...run.options import Options
 from ...run.prepare import LISTENING, prepare
 from ...task.files import csv_text
@@ -31,13 +30,10 @@ from .experiments import (
     FOLDER,
     IT,
     MANIFEST,
-    MOST_COMPARED,
     Experiment,
     Series,
     answer,
     experiment_of,
-    first_of,
-    scalars_of,
 )
 
 Array = NDArray[np.float64]
@@ -52,29 +48,34 @@ def experiments_of(scenario: Scenario) -> dict[str, Experiment]:
     recording, assembly = rehearse(prepared).recording, prepared.assembly
     fmus = read_fmus(assembly.system, prepared.start_values(), scenario.coupling)
     multiples = multiples_of(fmus, assembly.system, scenario.step)
-    fed: dict[Name, Array] = {}
+    fed: dict[str, dict[str, Array]] = {instance: {} for instance in assembly.interfaces}
     for each in (*(Connection(name, name) for name in assembly.external), *assembly.connections):
         if assembly.scalars[each.target].variable.kind not in TEXTS:
             values, linear = recording[".".join(each.source)], in_units(fmus, each)
             ahead = _ahead(each, scenario.coupling, fmus, multiples)
             values = np.append(values[ahead:], np.repeat(values[-1:], ahead))
-            fed[each.target] = linear.factor * values + linear.offset
-    experiments = {}
-    for instance, interface in assembly.interfaces.items():
-        driven = {name: values for (owner, name), values in fed.items() if owner == instance}
-        every = math.ceil(recording.rows * len(driven) / MOST_CELLS) or 1
-        rows = np.unique([*range(0, recording.rows, every), recording.rows - 1])
-        stimuli = Series(recording.time[rows], {n: each[rows] for n, each in driven.items()})
-        starts = {s.name: s.start for s in interface.scalars()}
-        given = prepared.start_values().get(instance, {})
-        experiments[instance] = Experiment(
+            fed[each.target[0]][each.target[1]] = linear.factor * values + linear.offset
+    given = prepared.start_values()
+    return {
+        instance: Experiment(
             scenario.name, recording.time[0], recording.time[-1],
             scenario.step * multiples.get(instance, 1),
             description=f"{interface.model} as driven in the scenario {scenario.name}",
-            parameters={n: v for n, v in given.items() if v != starts[n] and n not in driven},
-            stimuli=stimuli if driven else Series(),
-        )  # fmt: skip
-    return experiments
+            parameters={
+                name: value for name, value in given.get(instance, {}).items()
+                if name not in fed[instance] and value != assembly.scalars[instance, name].start
+            },
+            stimuli=_thinned(recording.time, fed[instance]),
+        )
+        for instance, interface in assembly.interfaces.items()
+    }  # fmt: skip
+
+
+def _thinned(times: Array, driven: Mapping[str, Array]) -> Series:
+    """Return inputs over time, with their last row, as far as the file stays small."""
+    every = math.ceil(len(times) * len(driven) / MOST_CELLS) or 1
+    rows = np.union1d(np.arange(0, len(times), every), len(times) - 1)
+    return Series(times[rows], {name: values[rows] for name, values in driven.items()})
 
 
 def _ahead(
@@ -89,12 +90,12 @@ def _ahead(
     return multiples.get(feeder, 1) if leads else int(coupling == "iterated")
 
 
-def add_experiment(path: Path, experiment: Experiment | None = None) -> Experiment:
+def add_experiment(path: Path, experiment: Experiment | None = None) -> None:
     """Put an experiment into a new FMU's file, with what the FMU answers now as references."""
     # Without one, it is the FMU's default experiment. An FMU that holds some keeps these.
     fmu = read_fmu(path)
     if (fmu.folder / FOLDER / MANIFEST).is_file():
-        return first_of(fmu)
+        return
     if {*LISTENING} <= fmu.variables.keys():
         raise CosimError("it waits for a program")
     driven = experiment or experiment_of(fmu, "default", {}, Series())
@@ -118,39 +119,18 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> Experime
         files["stimuli.csv"] = series_text(fmu, whole.stimuli)
     with path.open("r+b") as file:
         add_members(file, {f"{FOLDER}/{name}": content for name, content in files.items()})
-    return whole
 
 
 def series_text(fmu: Fmu, series: Series) -> bytes:
     """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
     # Its elements that have no values keep their start value.
+    arrays = by_array(fmu.variables.values())
     columns: list[Iterable[str]] = [map(repr, series.times.tolist())]
     names = dict.fromkeys(fmu.variables[name].variable.name for name in series.values)
-    for scalars in (scalars_of(fmu, name) for name in names):
+    for scalars in (arrays[name] for name in names):
         values = ((s, series.values.get(s.name, np.full(len(series.times), s.start)))
                   for s in scalars)  # fmt: skip
         texts = [[literal(scalar, value) for value in each.tolist()] for scalar, each in values]
         columns.append(map(" ".join, zip(*texts, strict=True)))
     head = ",".join(f'"{name}"' for name in ("time", *names))
     return f"{head}\n{csv_text(zip(*columns, strict=True))}".encode()
-
-
-def write_compatibility(path: Path, experiment: Experiment) -> None:
-    """Write a folder with an FMU and the files that the FMI cross-check rules ask for."""
-    fmu, name = read_fmu(path), path.stem
-    references = experiment.references
-    owner = {name: fmu.variables[name].variable.name for name in references.values}
-    first = [*dict.fromkeys(owner.values())][:MOST_COMPARED]  # whole arrays
-    compared = {name: each for name, each in references.values.items() if owner[name] in first}
-    texts = {"it": experiment, "model": name, "about": fmu.description}
-    files = {
-        f"{name}.fmu": path.read_bytes(),
-        f"{name}_ref.csv": series_text(fmu, Series(references.times, compared)),
-        f"{name}_ref.opt": render("experiment.opt.j2", it=experiment),
-        "ReadMe.txt": render("experiment.txt.j2", **texts),
-    }
-    if experiment.stimuli.values:
-        files[f"{name}_in.csv"] = series_text(fmu, experiment.stimuli)
-    for member, content in files.items():
-        with replacing(path.with_suffix("") / member) as partial:
-            partial.write_bytes(content)

@@ -10,6 +10,7 @@ import math
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Final
 from xml.etree.ElementTree import Element
@@ -31,14 +32,13 @@ from ...task.files import as_argument, check_new
 from ...task.input_table import InputTable
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ...task.writer import check_name, write_scenario
-from ..compare.tubes import distances
 
 Array = NDArray[np.float64]
 
 FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST: Final = "fmi-ls-manifest.xml"
 TOLERANCE: Final = 1e-6  # of an experiment that names none, relative to values above 1
-MOST_COMPARED: Final = 10  # outputs, as the cross-check rules recommend
+MOST_JUDGED: Final = 10  # outputs that a scenario of an experiment judges
 _ON_TICK: Final = 1e-6  # of a step, by which a reference may be off an instant
 _SWITCHES: Final = {"true": "1", "false": "0"}
 IT: Final = "fmu"  # the instance
@@ -143,11 +143,13 @@ def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
 
 def _apart(answers: Array, reference: Array) -> Array:
     """How far answers (n,) are from references; texts that differ are infinitely far."""
-    rows = np.arange(len(reference))
-    if reference.dtype != object:
-        return distances(answers, rows, reference, 0.0, 0) / np.maximum(np.abs(reference), 1.0)
-    texts = [each if isinstance(each, str) else each.hex() for each in answers]  # as in the file
-    return distances(np.array(texts, object), rows, reference, 0.0, 0)
+    if reference.dtype == object:
+        texts = [
+            each if isinstance(each, str) else each.hex() for each in answers
+        ]  # as in the file
+        return np.where(np.array(texts, object) == reference, 0.0, np.inf)
+    apart = np.abs(answers.astype(float) - reference) / np.maximum(np.abs(reference), 1.0)
+    return np.where(np.isfinite(apart), apart, np.inf)
 
 
 def answer(fmu: Fmu, experiment: Experiment) -> Recording:
@@ -181,35 +183,41 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     # Its references at the end, or at the last instant for which there are some.
     check_name(folder)
     fmu = read_fmu(path)
-    experiment = first_of(fmu)
+    experiments = _experiments(fmu)
+    if not experiments:
+        raise InputError(f"{path}: holds no experiments")
+    experiment = experiments[0]
     if experiment.start != 0.0:
         raise InputError(f"{path}: startTime {experiment.start:g} of its experiment; must be 0")
-    criteria, values = [], experiment.references.values
-    rows, ticks = experiment.compared()
-    last = {n: each[rows[-1]] for n, each in values.items() if rows.size}
-    numbers = [(n, value) for n, value in last.items() if values[n].dtype != object]
-    judged = [(name, float(value)) for name, value in numbers if np.isfinite(value)]
-    for name, value in judged[:MOST_COMPARED]:
-        bound = experiment.tolerance * max(abs(value), 1.0)
-        end = "end" if ticks[-1] == experiment.steps else float(ticks[-1] * experiment.step)
-        signal, above, below = f"{IT}.{name}", value - bound, value + bound
-        criteria.append(SignalCriterion(signal, "final", to=end, above=above, below=below))
+    criteria = tuple(islice(_criteria(experiment), MOST_JUDGED))
     scenario = replace(
         _scenario(fmu, experiment),
         name=folder.name,
         purpose=f"Experiment of {path.name}",
         fmus={IT: path.name},
-        success=Success(signal=tuple(criteria)),
+        success=Success(signal=criteria),
     )
     check_new([folder / path.name])
     write_scenario(scenario, folder)
     shutil.copy(path, folder / path.name)
-    total = sum(each.size for each in values.values())
+    total = sum(each.size for each in experiment.references.values.values())
     more = f"panda-cosim check {as_argument(path)} compares the rest"
     if not criteria:
         more = f"add [[success.signal]] to {folder / SCENARIO_FILE}, or every run is a success"
     about = f"{len(criteria)} of {total} reference values, at most one of an output; {more}"
     return sorted(folder.iterdir()), f"Criteria: {about}"
+
+
+def _criteria(experiment: Experiment) -> Iterator[SignalCriterion]:
+    """Yield one for each output of numbers, at the last instant that has references."""
+    rows, ticks = experiment.compared()
+    if not rows.size:
+        return
+    end = "end" if ticks[-1] == experiment.steps else float(ticks[-1] * experiment.step)
+    for name, values in experiment.references.values.items():
+        if values.dtype != object and np.isfinite(value := float(values[rows[-1]])):
+            bound, signal = experiment.tolerance * max(abs(value), 1.0), f"{IT}.{name}"
+            yield SignalCriterion(signal, "final", to=end, above=value - bound, below=value + bound)
 
 
 # Read.
@@ -229,17 +237,10 @@ def _experiments(fmu: Fmu) -> list[Experiment]:
     return found["experiment"] or found["result"]
 
 
-def first_of(fmu: Fmu) -> Experiment:
-    """Return the first experiment in an FMU, else raise `InputError`."""
-    for experiment in _experiments(fmu):
-        return experiment
-    raise InputError(f"{fmu.label}: holds no experiments")
-
-
 def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
     for element in _read(fmu, file).iter("Experiment"):
-        parts = {part.tag: part.get("source", "") for part in element if part.get("source")}
-        files = {tag: _member(fmu, file, source) for tag, source in parts.items()}
+        files = {part.tag: _member(fmu, file, source)
+                 for part in element if (source := part.get("source"))}  # fmt: skip
         stimuli, references = (
             _series(fmu, files[name]) if name in files else Series()
             for name in ("Stimuli", "References")
@@ -300,9 +301,9 @@ def _series(fmu: Fmu, file: Path) -> Series:
                              object if kind in TEXTS else float)  # fmt: skip
             columns = parts.reshape(len(rows), count).T
         except ValueError as error:
-            what = "text" if kind in TEXTS else "number"
-            what = f"{count} {what}s" if count > 1 else f"a {what}"
-            raise InputError(f"{place}: {name}: must have {what} in each row") from error
+            values_of = "a value" if count == 1 else f"{count} values"
+            must = f"must have {values_of} of type {kind} in each row"
+            raise InputError(f"{place}: {name}: {must}") from error
         values |= zip((scalar.name for scalar in scalars), columns, strict=True)
     return Series(np.array(table.times), values)
 
