@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Final
 
 import typer
 from rich.text import Text
@@ -15,12 +16,14 @@ from ...result.recording.logs import SUFFIXES
 from ...study.check.diagnosis import Diagnostic, check_folder
 from ...study.check.experiments import check_experiments
 from ...study.check.motion import check_motion
-from ...task.scenario import shipped_scenarios
+from ...task.scenario import load_scenario
 from ...task.values import Values
 from ..console import show_result
 from ..forms import scenario_argument
 from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, SSV, Robot, end, values_of
 from ..outcome import STYLES
+
+FILES: Final = {".fmu", ".ssp", *SUFFIXES}  # other than folders of scenarios
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -69,8 +72,8 @@ def command(  # noqa: PLR0913 - one for each option
         folder: Name of a shipped scenario, a scenario's folder, an .fmu or .ssp file, or a
             motion: .csv, .parquet or .mcap.
     """
-    if not folder.exists():
-        folder = shipped_scenarios().get(str(folder), folder)
+    if not folder.is_dir() and folder.suffix not in FILES:
+        folder = load_scenario(str(folder)).folder or folder
     if folder.suffix == ".fmu":
         if any((assignments, controller, plant, robot, ssv)):
             raise InputError(f"{folder}: takes --json alone; experiments set their own values")

@@ -10,7 +10,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -43,12 +43,9 @@ if TYPE_CHECKING:
 
 SETTLED: Final = 0.02  # of a position's largest distance from its end
 RESTING: Final = 0.002  # likewise, by which it moves at most in the last quarter of the responses
-FREQUENCIES = 600  # points of a frequency response
-
-
-# Of a table of loops: heading and unit, and the attribute.
-_TABLE: Final = Path(__file__).with_name("loops.toml").read_text(encoding="utf-8")
-HEADS: Final[Mapping[str, str]] = tomllib.loads(_TABLE)["columns"]
+FREQUENCIES: Final = 600  # points of a frequency response
+TABLES: Final = tomllib.loads(Path(__file__).with_name("loops.toml").read_text(encoding="utf-8"))
+HEADS: Final[Mapping[str, str]] = TABLES["columns"]  # attribute by heading and unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,18 +106,19 @@ class Margins(Limits):
 def judge(responses: Responses, coupling: str) -> Margins:
     """Judge all loops of one measurement."""
     reason, sensitivity = _reason(responses), responses.sensitivity
-    about: dict[str, Any] = {
-        "period": responses.period, "coupling": coupling, "stable": not reason, "reason": reason,
-        "pole_modulus": responses.growth, "linear": responses.linear,
-    }  # fmt: skip
+    margins = Margins(
+        period=responses.period, coupling=coupling, stable=not reason, reason=reason,
+        pole_modulus=responses.growth, linear=responses.linear,
+    )  # fmt: skip
     if reason:
-        return Margins(**about)
-    loops = tuple(_judge(responses, loop) for loop in range(len(responses.inputs)))
+        return margins
     disk = disk_margin(sensitivity)[0]
-    gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
-    phase = math.degrees(2.0 * math.atan(0.5 * disk))
-    return Margins(**vars(limits(sensitivity)), **about, loops=loops, disk_margin=disk,
-                   disk_gain_db=gain, disk_phase_deg=phase)  # fmt: skip
+    return replace(
+        margins, **vars(limits(sensitivity)), disk_margin=disk,
+        loops=tuple(_judge(responses, loop) for loop in range(len(responses.inputs))),
+        disk_gain_db=20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf,
+        disk_phase_deg=math.degrees(2.0 * math.atan(0.5 * disk)),
+    )  # fmt: skip
 
 
 def _reason(responses: Responses) -> str:
@@ -160,25 +158,20 @@ def steps(responses: Responses) -> Array:
     return moves
 
 
-def step_figures(moves: Array) -> tuple[int, float] | None:
-    """Ticks until a position has settled, and how far it moves at most; None: it drifts."""
-    away = np.abs(moves - moves[-1])
-    if not away.max() or away[3 * len(away) // 4 :].max() > RESTING * away.max():
-        return None
-    settled = np.flatnonzero(away > SETTLED * away.max())[-1] + 1
-    return int(settled), float(np.abs(moves).max())
-
-
-def _judge(responses: Responses, loop: int) -> Loop:
+def _judge(responses: Responses, index: int) -> Loop:
     """Compute the margins and the step response of one loop."""
-    found: dict[str, Any] = vars(limits(responses.sensitivity.loop(loop)))
-    figures = step_figures(steps(responses)[:, loop]) if responses.positions else None
-    if figures:
-        settled, found["peak_ratio"] = figures
-        found["settling_ms"] = settled * responses.period * 1e3
-    element = responses.inputs[loop].partition("[")[2].rstrip("]")
-    joint = int(element) if element.isdigit() else loop + 1
-    return Loop(**found, input=responses.inputs[loop], joint=joint)
+    found = vars(limits(responses.sensitivity.loop(index)))
+    element = responses.inputs[index].partition("[")[2].rstrip("]")
+    joint = int(element) if element.isdigit() else index + 1
+    loop = Loop(**found, input=responses.inputs[index], joint=joint)
+    moves = steps(responses)[:, index]
+    away = np.abs(moves - moves[-1])
+    drifts = not away.max() or away[3 * len(away) // 4 :].max() > RESTING * away.max()
+    if drifts or not responses.positions:
+        return loop
+    settled = np.flatnonzero(away > SETTLED * away.max())[-1] + 1
+    settling_ms = float(settled * responses.period * 1e3)
+    return replace(loop, peak_ratio=float(np.abs(moves).max()), settling_ms=settling_ms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +222,7 @@ class Analysis:
         about = f"{self.scenario} at t = {self.at:g} s; loops opened at {', '.join(self.inputs)}"
         return html([about]) + self.margins._repr_html_() + html(self.remarks)
 
-    @property
+    @cached_property
     def plant(self) -> control.StateSpace:
         """`control.StateSpace` of the plant alone, from the loops' inputs to its outputs.
 
@@ -239,7 +232,8 @@ class Analysis:
         beside them is named `identified[1]` and so on: hidden states, or a plant that moves.
         Signals have `_` for the point in their names.
         """
-        return self._plant[0]
+        is_, names = self.responses, (self.inputs, self.responses.outputs, "plant")
+        return realised(is_.of_plant(ROWS + COLUMNS + 1), is_.states, self.period, *names)[0]
 
     @property
     def closed(self) -> control.StateSpace:
@@ -279,10 +273,10 @@ class Analysis:
 
     def _part(self, outputs: int, name: str) -> Any:
         """Return the closed loops with their first outputs alone."""
+        import control  # noqa: PLC0415 - brings matplotlib and scipy
+
         closed = self.closed
-        c, d, names = closed.C[:outputs], closed.D[:outputs], closed.output_labels[:outputs]
-        ends = self.inputs, names, name, closed.state_labels
-        return system(closed.A, closed.B, c, d, self.period, *ends)
+        return control.ss(closed[:outputs, :], name=name, states=closed.state_labels)
 
     @property
     def matrices(self) -> dict[str, Any]:
@@ -310,11 +304,6 @@ class Analysis:
         pulses[0, :n] += np.eye(n)  # what is added, itself
         names = self.inputs, (*self.inputs, *is_.outputs), "closed"
         return realised(pulses, [n + i for i in is_.states], self.period, *names)
-
-    @cached_property
-    def _plant(self) -> tuple[Any, float]:
-        is_, names = self.responses, (self.inputs, self.responses.outputs, "plant")
-        return realised(is_.of_plant(ROWS + COLUMNS + 1), is_.states, self.period, *names)
 
 
 @typed

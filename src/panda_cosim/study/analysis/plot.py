@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import cycle
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,16 +11,14 @@ import numpy as np
 
 from ...show.pictures.panels import COLOURS, DPI, GREY
 from ...show.pictures.plot import own_style
-from .margins import Analysis, frequencies, steps
+from .margins import TABLES, Analysis, frequencies, steps
 
 if TYPE_CHECKING:
     from ...show.pictures.canvas import ShownFigure
 
-WANTED_PHASE_DEG, WANTED_DELAY_MS = 45.0, 3.0
 WIDTH: Final = 1.0  # of the last joint's line; those before are wider, and seen beneath it
 WIDER: Final = 0.55
-GAINS: Final = ("kp", "ki", "kd", "ik_gain")  # of our own law
-SHOWN: Final = 5  # parameters of another
+SHOWN: Final = 5  # parameters of the law
 LETTERS: Final = 24  # of a case's name beneath its bars
 
 
@@ -30,9 +29,7 @@ def draw_analyses(cases: Mapping[str, Analysis]) -> ShownFigure:
 
         figure = ShownFigure(figsize=(17, 8.6), dpi=DPI, facecolor="white")
         axes = figure.subplots(2, 3)
-        figure.subplots_adjust(
-            left=0.045, right=0.96, bottom=0.09, top=0.865, hspace=0.3, wspace=0.2
-        )
+        figure.subplots_adjust(0.045, 0.09, 0.96, 0.865, hspace=0.3, wspace=0.2)
         for number, (name, analysis) in enumerate(cases.items()):
             _draw(analysis, axes, "" if len(cases) == 1 else name, COLOURS[number % len(COLOURS)])
         _finish(axes)
@@ -47,21 +44,17 @@ def draw_analyses(cases: Mapping[str, Analysis]) -> ShownFigure:
 
 
 def _details(cases: Mapping[str, Analysis]) -> str:
-    """Period, coupling, gains (of our law, or the first parameters of another), why no margins."""
+    """Period, coupling, the law's first numbers, and why there are no margins."""
     if len(cases) > 1:
         return " · ".join(cases)
     (analysis,) = cases.values()
-    margins, parameters = analysis.margins, analysis.parameters
-    names = [name for name in parameters if name != "period"][:SHOWN]
-    names = list(GAINS) if parameters.keys() >= set(GAINS) else names
-    gains = [f"{name} {_short(parameters[name])}" for name in names]
-    about = [f"period {margins.period * 1e3:g} ms", margins.coupling, *gains, margins.reason]
-    return " · ".join(filter(None, about))
-
-
-def _short(value: Any) -> str:
-    values = list(dict.fromkeys(value if isinstance(value, tuple) else (value,)))
-    return ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
+    margins = analysis.margins
+    parameters = {name: np.unique(value) for name, value in analysis.parameters.items()}
+    gains = [f"{name} {', '.join(map('{:g}'.format, values))}"
+             for name, values in parameters.items()
+             if values.dtype == float and name != "period"]  # fmt: skip
+    about = [f"period {margins.period * 1e3:g} ms", margins.coupling, *gains[:SHOWN]]
+    return " · ".join(filter(None, (*about, margins.reason)))
 
 
 def _draw(analysis: Analysis, axes: Any, name: str, colour: str) -> None:
@@ -71,10 +64,11 @@ def _draw(analysis: Analysis, axes: Any, name: str, colour: str) -> None:
     omega, sensitivity = frequencies(analysis.responses), analysis.responses.sensitivity
     moves = steps(analysis.responses)
     times = 1e3 * analysis.period * np.arange(len(moves))
-    for i, move in enumerate(moves.T):
+    labels = (name, *"_" * len(moves)) if name else analysis.inputs
+    colours = cycle([colour] if name else COLOURS)
+    for i, (move, label, own) in enumerate(zip(moves.T, labels, colours, strict=False)):
         wider = 0.0 if name else WIDER * (len(moves.T) - 1 - i)
-        style = {"color": colour if name else COLOURS[i % len(COLOURS)], "linewidth": WIDTH + wider}
-        label = "_" if name and i else name or analysis.inputs[i]
+        style = {"color": own, "linewidth": WIDTH + wider}
         axes[0, 2].plot(times, move, label=label, **style)
         if analysis.margins.stable:
             answer = 1.0 / sensitivity.loop(i).at(omega)[:, 0, 0] - 1.0
@@ -90,11 +84,7 @@ def _draw(analysis: Analysis, axes: Any, name: str, colour: str) -> None:
 
 
 def _finish(axes: Any) -> None:
-    titles = ("Gain of each open loop, with the others closed", "Nichols: + is the limit",
-              "Each joint after a step of 1 at its own input",
-              "Phase: its distance to -180 deg at 0 dB is the margin",
-              "Singular values of the sensitivity of all loops")  # fmt: skip
-    for each, title in zip(axes.flat, titles, strict=False):
+    for each, title in zip(axes.flat, TABLES["titles"], strict=True):
         each.set_title(title)
     for each in (axes[0, 0], axes[1, 0], axes[1, 1]):
         each.xaxis.set_major_formatter("{x:g}")
@@ -109,20 +99,10 @@ def _margins(cases: Mapping[str, Analysis], axes: Any) -> None:
     place = np.arange(len(cases))
     axes.set_xlim(-0.8, len(cases) - 0.2)
     axes.set_xticks(place, [shorten(name, LETTERS) for name in cases], fontsize="small")
-    axes.set_title("Margins of all loops at once (none: 0); dashed: target")
-    for side, shift, colour, key, wanted, label in (
-        (
-            axes,
-            -0.15,
-            COLOURS[0],
-            "disk_phase_deg",
-            WANTED_PHASE_DEG,
-            "phase within disk [deg]",
-        ),
-        (axes.twinx(), 0.15, COLOURS[1], "delay_margin_ms", WANTED_DELAY_MS, "delay margin [ms]"),
-    ):
-        values = [getattr(each.margins, key) for each in cases.values()]
+    sides = zip((axes, axes.twinx()), (-0.15, 0.15), COLOURS, TABLES["targets"], strict=False)
+    for side, shift, colour, target in sides:
+        values = [getattr(each.margins, target["key"]) for each in cases.values()]
         side.bar(place + shift, np.where(np.isfinite(values), values, 0.0), 0.3, color=colour)
-        side.axhline(wanted, color=colour, ls="--", lw=0.8)
-        side.set_ylabel(label, color=colour)
+        side.axhline(target["wanted"], color=colour, ls="--", lw=0.8)
+        side.set_ylabel(target["label"], color=colour)
         side.grid(visible=False)

@@ -9,7 +9,7 @@ in the run. Responses are cut off where a contact or a limit changes them.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +22,7 @@ from ...fmus.master.perturbed import Change, PerturbedSystem
 from ...fmus.master.wiring import Array, Name
 from ...run.inputs import Inputs
 from ...run.prepare import Prepared
+from ...task.tolerances import signal_of
 from .sensitivity import Sensitivity
 
 WINDOWS: Final = (250, 500, 1000, 2000, 4000)  # [ticks] the first in which responses decay
@@ -71,7 +72,7 @@ class Responses:
     @property
     def states(self) -> list[int]:
         """Which of the outputs may be states: positions and speeds."""
-        kinds = [_whole(name).rpartition(".")[2] for name in self.outputs]
+        kinds = [signal_of(name).rpartition(".")[2] for name in self.outputs]
         return [i for i, kind in enumerate(kinds) if kind in (POSITIONS, SPEEDS)]
 
     @cached_property
@@ -134,18 +135,16 @@ def opened(prepared: Prepared, inputs: Inputs, tick: int, loop: str = "") -> Ite
         external = inputs[tick : tick + (WINDOWS[-1] if tick else 1)]  # the start is at rest
         after = ((0, WINDOWS[-1] - len(external)), (0, 0))  # from the end, commands stay
         perturbed = PerturbedSystem(running, targets, np.pad(external, after, mode="edge"))
-        read = {connection.source for connection in system.connections}
-        at = prepared.assembly.start_time + tick * step
-        yield Measurement(perturbed, targets, read, at, step)
+        yield Measurement(perturbed, targets, prepared, tick)
 
 
 def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
     """Inputs at which the loops are opened: those that are named, else all of the plant."""
     names = {target: ".".join(target) for target in fed}
-    chosen = [t for t in fed if loop in (names[t], _whole(names[t]))]
+    chosen = [t for t in fed if loop in (names[t], signal_of(names[t]))]
     chosen = chosen if loop else [t for t in fed if t[0] == "plant"]
     if not chosen:
-        valid = list(dict.fromkeys(map(_whole, names.values())))
+        valid = list(dict.fromkeys(map(signal_of, names.values())))
         what = f"--loop {loop}: no FMU feeds it" if loop else "no FMU is named `plant`"
         raise InputError(
             f"{what}; --loop must name a connected input: {', '.join(valid) or 'none'}"
@@ -154,23 +153,15 @@ def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
     return chosen
 
 
-def _whole(name: str) -> str:
-    return name.partition("[")[0]
-
-
 class Measurement:
     """Measures the responses of a system that has been stepped to some tick."""
 
     def __init__(
-        self,
-        system: PerturbedSystem,
-        targets: Sequence[Name],
-        read: Collection[Name],  # outputs that feed inputs
-        at: float,  # [s]
-        step: float,  # [s]
+        self, system: PerturbedSystem, targets: Sequence[Name], prepared: Prepared, tick: int
     ) -> None:
-        self._system, self._targets, self._step = system, targets, step
-        self._read, self._instant = read, at
+        self._system, self._targets, self._step = system, targets, prepared.scenario.step
+        self._instant = prepared.assembly.start_time + tick * self._step
+        self._read = {connection.source for connection in prepared.assembly.system.connections}
         self._nothing = np.empty((0, len(targets)))
         self._resize(WINDOWS[0])
         again = system.run(np.zeros_like(self._nothing))
@@ -268,7 +259,7 @@ class Measurement:
     def _positions(self, loops: Sequence[int]) -> list[Name]:
         """Positions of the joints that the inputs move, which have the same numbers."""
         targets = [self._targets[i] for i in loops]
-        places = [(fmu, POSITIONS + name.removeprefix(_whole(name))) for fmu, name in targets]
+        places = [(fmu, POSITIONS + name.removeprefix(signal_of(name))) for fmu, name in targets]
         return places if set(places) <= set(self._system.columns) else []
 
     def _others(self, loops: Sequence[int], positions: Sequence[Name]) -> list[Name]:
@@ -279,8 +270,8 @@ class Measurement:
         plant = self._targets[loops[0]][0]
         speeds = [(fmu, name.replace(POSITIONS, SPEEDS)) for fmu, name in positions]
         own = [c for c in self._system.columns if c[0] == plant and c not in positions]
-        joints = [c for c in own if c in self._read and _whole(c[1]) in (POSITIONS, SPEEDS)]
-        known = [c for c in own if c in speeds or c in joints or _whole(c[1]) in POSE]
+        joints = [c for c in own if c in self._read and signal_of(c[1]) in (POSITIONS, SPEEDS)]
+        known = [c for c in own if c in speeds or c in joints or signal_of(c[1]) in POSE]
         return known or [c for c in own if c in self._read]
 
     def _measured(self, loops: Sequence[int], columns: Sequence[int]) -> tuple[Array, float, bool]:

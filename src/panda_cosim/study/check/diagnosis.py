@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from ...assets.checks import REMEDIES
 from ...controller.presets import PRESETS
 from ...fmus.build.engines import has_engine
 from ...fmus.build.identity import mujoco_version
-from ...fmus.errors import CosimError, InputError, did_you_mean
+from ...fmus.errors import CosimError, InputError
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.master.fmu import check_libraries
@@ -45,7 +47,7 @@ from ...run.system.assembly import system_scenario, with_parameter_set
 from ...run.system.parts import UnreadSlaveError
 from ...task.client import MissingPackageError
 from ...task.files import as_argument
-from ...task.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped, shipped_scenarios
+from ...task.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped
 from ...task.timing.demand import LimitViolation, find_violations
 from ...task.timing.reference import joint_reference
 from ...task.values import Values
@@ -75,27 +77,24 @@ def check_folder(
 
     `ssv` is a parameter set of SSP.
     """
-    if folder.suffix != SYSTEM and not folder.is_dir():
-        return _diagnostics("wrong", [_no_folder(folder)])
+    is_system = folder.suffix == SYSTEM
+    file = folder if is_system else folder / SCENARIO_FILE
     try:
-        read = system_scenario if folder.suffix == SYSTEM else Scenario.read
-        scenario = with_parameter_set(read(folder), ssv, values or {}, run_code=False)
+        scenario = (system_scenario if is_system else Scenario.read)(folder)
+        scenario = with_parameter_set(scenario, ssv, values or {}, run_code=False)
         scenario = replace(scenario, preflight=robot or scenario.preflight)
         prepared = prepare(scenario, run_code=False)
-        is_foreign = prepared.scenario.has_own_parts
         level: Level = "wrong" if robot else "hint"  # of conditions that are not measured
+        is_foreign = prepared.scenario.has_own_parts
         diagnostics = _foreign(prepared, level) if is_foreign else _rehearsed(prepared)
-    except UnreadSlaveError as error:
-        text = f"{error}; connections and parameters are checked by a run"
-        return _diagnostics("hint", [*_remarks(scenario), text])
-    except MissingPackageError as error:  # which `regress` skips
+    # What is known only once it runs; a scenario without its package is skipped by `regress`.
+    except (UnreadSlaveError, MissingPackageError) as error:
         return _diagnostics("hint", [*_remarks(scenario), f"not checked: {error}"])
     except (InputError, ValueError) as error:
-        file = folder if folder.suffix == SYSTEM else folder / SCENARIO_FILE
         place = "" if str(error).startswith(str(folder)) else f"{file}: "
         return [Diagnostic("wrong", f"{place}{error}")]
     # An .ssp file has neither a purpose nor criteria.
-    remarks = [] if folder.suffix == SYSTEM else [*_remarks(prepared.scenario)]
+    remarks = [] if is_system else [*_remarks(prepared.scenario)]
     remarks += doubts(prepared.scenario, prepared.values)
     try:
         check_tolerances(prepared.scenario, prepared.assembly)
@@ -111,15 +110,6 @@ def _diagnostics(level: Level, texts: Iterable[str]) -> list[Diagnostic]:
     return [Diagnostic(level, text) for text in texts]
 
 
-def _no_folder(folder: Path) -> str:
-    """Return what to do about a folder that is not there."""
-    if folder.is_file():
-        return f"{folder}: not a folder; must be that of a scenario, such as {folder.parent}"
-    near = did_you_mean(folder.name, shipped_scenarios())
-    new = f"; `panda-cosim new {as_argument(folder)}` makes one that runs"
-    return f"{folder}: no such folder{near or new}"
-
-
 def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
     """Describe a scenario of other FMUs, whose code is not run; no robot's conditions are seen."""
     scenario, assembly = prepared.scenario, prepared.assembly
@@ -128,20 +118,18 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
         check_libraries(fmu)
     seen = (f"{name}: {text}" for name, text in notes(fmus, assembly.system, scenario.step))
     hints = _diagnostics("hint", [*assembly.notes, *suggestions(assembly), *seen])
-    hints += _diagnostics("good", conversions(fmus, assembly.system))
-    hints += _order(prepared)
+    hints += _diagnostics("good", [*conversions(fmus, assembly.system), *_order(prepared)])
     models = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
     count = len(assembly.connections)
     about = f"{scenario.name}: {models}, {count} connections, {scenario.duration:g} s"
     unseen = "no FMU was run; limits, collisions and grip are checked only with our own FMUs"
+    unseen = f"the client was not started, and {unseen}" if scenario.client else unseen
     trouble: list[str] = []
     is_alone = not (scenario.system or scenario.client)
     if is_alone and all(not part.file or part.is_model for part in assembly.parts):
         trouble = [*_passed_through(prepared), *_told(prepared, rehearse(prepared))]
-        hints += _diagnostics("hint", trouble)
         unseen = "rehearsed in memory"
-    if scenario.client:
-        unseen = f"the client was not started, and {unseen}"
+    hints += _diagnostics("hint", trouble)
     if scenario.preflight:
         run = f"`panda-cosim run {_name(scenario)} --set preflight={scenario.preflight}`"
         text = f"what {scenario.preflight} refuses is not known before a run: {run}"
@@ -165,11 +153,10 @@ def _conclusion(about: str, troubles: int, otherwise: str) -> Diagnostic:
     return Diagnostic("hint", f"{about}; it runs, but has the {count} above")
 
 
-def _order(prepared: Prepared) -> list[Diagnostic]:
+def _order(prepared: Prepared) -> Iterator[str]:
     """Say in which order FMUs are stepped, if they are connected."""
-    if not prepared.assembly.connections:
-        return []
-    return [Diagnostic("good", prepared.assembly.course(prepared.scenario.coupling))]
+    if prepared.assembly.connections:
+        yield prepared.assembly.course(prepared.scenario.coupling)
 
 
 def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
@@ -180,15 +167,14 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     trouble = _diagnostics("hint", [*_told(prepared, run), *_limits(prepared)])
     lines = refusals(summary.preflight, complete=summary.complete)
     real = [Diagnostic(level, text.replace("SCENARIO", name)) for level, text in lines]
-    real += _order(prepared)
+    real += _diagnostics("good", _order(prepared))
     if summary.verdict is NOT_MEASURED:  # what the criteria wait for never happens
         place = f"{scenario.folder}/{SCENARIO_FILE}: [success]"
         return [Diagnostic("wrong", f"{place} {run.summary.detail}"), *trouble, *real]
     about = _about(scenario)
     if not trouble and (grip := weakest_grip(run.recording)):
         about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
-    last = _conclusion(about, len(trouble), "it can run")
-    return [*trouble, *real, last]
+    return [*trouble, *real, _conclusion(about, len(trouble), "it can run")]
 
 
 def _told(prepared: Prepared, run: Run) -> list[str]:
@@ -205,24 +191,17 @@ def _told(prepared: Prepared, run: Run) -> list[str]:
 
 def _passed_through(prepared: Prepared) -> Iterator[str]:
     """Name shapes of a scene of one's own that lack what the block meets, such as finger pads."""
-    plant = (
-        prepared.assembly.system.fmus.get("plant") if "plant" in prepared.scenario.fmus else None
-    )
-    if plant is None or "block_mass" not in prepared.values["plant"]:
+    if "plant" not in prepared.scenario.fmus or "block_mass" not in prepared.values["plant"]:
         return
-    model = load_binary(model_in(plant), "plant")
+    model = load_binary(model_in(prepared.assembly.system.fmus["plant"]), "plant")
     met, arm = model.geom("obj_geom").conaffinity[0], model.body("link0").rootid[0]
-    for geom in map(model.geom, range(model.ngeom)):
-        touches = geom.contype[0] or geom.conaffinity[0]
-        if (
-            touches
-            and geom.conaffinity[0] & met < met
-            and model.body(geom.bodyid[0]).rootid[0] != arm
-        ):
-            yield (
-                f"plant: geom {geom.name or geom.id}: the finger pads pass through it; must have "
-                'class="surroundings", or class="block" to be gripped'
-            )
+    touches = (model.geom_contype | model.geom_conaffinity) != 0
+    touches &= model.body_rootid[model.geom_bodyid] != arm
+    for number in np.flatnonzero(touches & (model.geom_conaffinity & met < met)):
+        yield (
+            f"plant: geom {model.geom(number).name or number}: the finger pads pass through it; "
+            'must have class="surroundings", or class="block" to be gripped'
+        )
 
 
 def _name(scenario: Scenario) -> str:
@@ -232,9 +211,8 @@ def _name(scenario: Scenario) -> str:
 
 def _about(scenario: Scenario) -> str:
     """Return in one line what was checked."""
-    rows, pushes = len(scenario.rows), len(scenario.push)
-    parts = [f"{scenario.name}: {rows} rows", f"{scenario.duration:g} s"]
-    if pushes:
+    parts = [f"{scenario.name}: {len(scenario.rows)} rows", f"{scenario.duration:g} s"]
+    if pushes := len(scenario.push):
         parts.append(f"{pushes} push{'es' if pushes > 1 else ''}")
     if scenario.mismatch.values:
         parts.append(f"mismatch of {', '.join(scenario.mismatch.values)}")
@@ -271,16 +249,13 @@ def _limits(prepared: Prepared) -> Iterator[str]:
     texts = [f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN]]
     if len(violations) > SHOWN:
         texts.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more violations")
-    name = _name(scenario)
+    name, helps = _name(scenario), REMEDIES["singular"]
     if all(violation.quantity != "reach" for violation in violations):
-        more = f"`panda-cosim retime {name} --keep-times` gives these rows more time"
+        helps = f"`panda-cosim retime {name} --keep-times` gives these rows more time"
     elif scenario.success.block_position:
-        more = f"`panda-cosim route {name}` plans another path"
-    else:
-        more = REMEDIES["singular"]
-    if texts:
-        texts[-1] += f"; {more}"
-    yield from texts
+        helps = f"`panda-cosim route {name}` plans another path"
+    yield from texts[:-1]
+    yield from (f"{last}; {helps}" for last in texts[-1:])
 
 
 def feasibility(

@@ -5,16 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from difflib import SequenceMatcher
 from itertools import islice
 from typing import Final
 
-from ...fmus.errors import InputError
+from ...fmus.errors import InputError, nearest
 from ...fmus.interface.variables import Variable
 from ...run.system.assembly import Assembly
 from ...run.system.connector import OPTIONAL, Connector
 
-ALIKE: Final = 0.6  # of two names, as `SequenceMatcher` measures it
 LOOKED_AT: Final = 20  # unconnected inputs
 _SIDE: Final = re.compile(r"[_.]?(input|output|in|out|cmd|meas|measured)$", re.I)
 
@@ -32,24 +30,30 @@ def suggestions(assembly: Assembly) -> Iterator[str]:
         if not any((part.name, name) in fed for name in variable.names())
     )
     for name, variable in islice(unfed, LOOKED_AT):
-        source = _nearest(connector, name, variable)
-        if source:
+        if source := _nearest(connector, name, variable):
             target = f"{name}.{variable.name}"
             yield f'nothing feeds {target}; perhaps [connect] "{target}" = "{source}"'
 
 
 def _nearest(connector: Connector, name: str, fed: Variable) -> str:
     """Return the output that fits an input: of a name like its own, or the only one of its unit."""
-    fitting, stem = [], _SIDE.sub("", fed.name.lower())
+    fitting = dict(_fitting(connector, name, fed))
+    stems = {_stem(giving): source for source, giving in reversed(fitting.items())}
+    if near := nearest(_stem(fed), stems):
+        return stems[near]
+    same_unit = [source for source, giving in fitting.items() if giving.unit]
+    return same_unit[0] if len(same_unit) == 1 and fed.unit not in ("", "1") else ""
+
+
+def _fitting(connector: Connector, name: str, fed: Variable) -> Iterator[tuple[str, Variable]]:
+    """Yield the outputs of other FMUs whose shape, type and unit fit an input."""
     for part in connector.parts.values():
         for giving in part.interface.of("output") if part.name != name else ():
             with suppress(InputError):
                 source = f"{part.name}.{giving.name}"
                 connector.check(source, giving, f"{name}.{fed.name}", fed)
-                alike = SequenceMatcher(None, _SIDE.sub("", giving.name.lower()), stem).ratio()
-                fitting.append((alike, source, giving))
-    likeness, source, _ = max(fitting, default=(0.0, "", fed), key=lambda each: each[0])
-    if likeness >= ALIKE:
-        return source
-    same_unit = [each for each in fitting if fed.unit not in ("", "1") and each[2].unit]
-    return same_unit[0][1] if len(same_unit) == 1 else ""
+                yield source, giving
+
+
+def _stem(variable: Variable) -> str:
+    return _SIDE.sub("", variable.name.lower())
