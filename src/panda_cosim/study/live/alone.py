@@ -8,7 +8,7 @@ connected, and the inputs that the scenario gives. What else a scenario can have
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Final
 
@@ -32,10 +32,12 @@ from ...run.session import Session
 from ...run.system.parts import Part
 from ...task.fields import check_rules
 from ...task.scenario import Scenario
-from ...task.trajectory import COMMANDS, POSTURE_COMMANDS, turns
+from ...task.trajectory import COMMANDS, POSTURE_COMMANDS, Trajectory, turns
 from ...task.writer import write_scenario
+from .criteria import criteria_of
 
 MODULES: Final = ("plant", "controller")
+DIGITS: Final = 12  # of a spline's derivatives after the point; those of far rows are 0
 MODEL: Final = "scene.mjb"  # the plant's, which the page compiles
 
 
@@ -69,8 +71,8 @@ def engine_of(session: Session) -> dict[str, object]:
     """Return what the page's worker is given, as `SystemData` and `SimulationData` in engine/."""
     scenario, assembly, rows = session.scenario, session.prepared.assembly, session.table.rows
     columns, path = list(session.numbers()), session.trajectory
-    values = {each.name: getattr(path, each.name) for each in fields(path)}
-    plain = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in values.items()}
+    plain = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in asdict(path).items()}
+    plain |= {"turns": turns(path.orientations).tolist(), "influence": _influence(path)}
     commands = [f"controller.{name}" for name in (*COMMANDS, *POSTURE_COMMANDS)]
     turn = session.start_pose.grasp_yaw if scenario.align else 0.0
     forces = {body: [columns.index(f"plant.{FORCES[body]}[{i}]") for i in (1, 2, 3)]
@@ -81,14 +83,27 @@ def engine_of(session: Session) -> dict[str, object]:
         "step": scenario.step,
         "ticks": scenario.ticks,
         "external": session.row()[1 : 1 + len(assembly.external)].tolist(),
-        "trajectory": plain | {"turns": turns(path.orientations).tolist()},
+        "trajectory": plain,
         "commands": [columns.index(name) if name in columns else -1 for name in commands],
         "pushes": [{**asdict(push), "columns": forces[push.on]} for push in scenario.push],
         "offsets": [[*row.position, turn * (row.frame == "target")] for row in rows],
         "moves": scenario.timing == "table",
+        "criteria": list(criteria_of(session)),
         "head": session.head.model_copy(update={"kind": "native"}).model_dump(),
         "files": dict(_files(scenario)),
     }
+
+
+def _influence(path: Trajectory) -> list[object]:
+    """What each row's value adds to velocity and acceleration at each row of a spline (2, n, n)."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow, and rarely needed
+
+    n = len(path.times)
+    if path.interpolation != "spline" or n == 1:
+        return []
+    at_rest = [(order, np.zeros(n)) for order in (1, 2)]
+    spline = make_interp_spline(path.times, np.eye(n), k=5, bc_type=(at_rest, at_rest))
+    return [spline(path.times, order).round(DIGITS).tolist() for order in (1, 2)]
 
 
 def _slave(session: Session, part: Part, columns: list[str]) -> dict[str, object]:
@@ -115,10 +130,9 @@ def _slave(session: Session, part: Part, columns: list[str]) -> dict[str, object
 def _table(fmu: NativeFmu, values: Mapping[str, Value]) -> str:
     """Return an FMU's table, with start values, and with the one model that they choose."""
     started = tuple(_started(variable, values) for variable in fmu.interface.variables)
-    options = [("model", MODEL) if key == "model" else (key, text) for key, text in fmu.options]
+    options = dict.fromkeys((key, MODEL if key == "model" else text) for key, text in fmu.options)
     interface = replace(fmu.interface, variables=started)
-    options = list(dict.fromkeys(options))
-    return table(interface, fmu.token, fmu.step_size, options, scalars=True).decode()
+    return table(interface, fmu.token, fmu.step_size, [*options], scalars=True).decode()
 
 
 def _started(variable: Variable, values: Mapping[str, Value]) -> Variable:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from itertools import groupby
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,35 +20,22 @@ from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ...run.folder import SCENARIO_FOLDER
 from ...run.session import Session
-from ...show.view.facts import column_bounds, shown_curves
+from ...show.view.facts import CURVES, column_bounds, shown_curves
 from ...show.view.model import describe as describe_model
 from ...show.view.page import live_page
 from ...show.view.run import ROLES
 from ...task.files import MODEL_FILE
 from ...task.rotations import about_z, rotate
+from ...task.tolerances import signal_of
 
 PUSH: Final = "plant.push_force"
 POINTS: Final = 2000  # of a curved path
-HAND: Final = {
-    "signal": PUSH,
-    "bodies": ["hand", "left_finger", "right_finger"],  # the force acts on the first
-    "stiffness": 120.0,  # [N/m] of the drag's spring
-    "damping": 0.0,  # [N.s/m]: the arm damps itself
-    "limit": 80.0,  # [N]
-}
 BLOCK: Final = {"obj": "block_force"}  # of our own plant
 SWING: Final = 10.0  # [rad/s] natural frequency of a free body on the drag's spring
 LOAD: Final = 60.0  # [m/s^2] largest acceleration of a free body by a drag
 ERROR: Final = "tracking error"  # which the page computes
-CURVES: Final = (
-    ("Tracking error", [ERROR]),
-    ("Fingers on the block", ["plant.contact_force"]),
-    ("Push on the hand", [f"{PUSH}[{i}]" for i in (1, 2, 3)]),
-    ("Push on the block", [f"plant.block_force[{i}]" for i in (1, 2, 3)]),
-    ("Position of the hand", [f"plant.hand_xpos[{i}]" for i in (1, 2, 3)]),
-    ("Joint velocities", [f"plant.qvel[{i}]" for i in range(1, 8)]),
-    ("Joint torques", [f"plant.actuator_force[{i}]" for i in range(1, 8)]),
-)
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+HAND: Final[dict[str, object]] = _TABLES["hand"]
 
 
 def page_of(session: Session, engine: Mapping[str, object] | None = None) -> str:
@@ -59,10 +48,10 @@ def page_of(session: Session, engine: Mapping[str, object] | None = None) -> str
         "about": _about(session),
         "model": describe_model(model),
         "masses": model.body_mass.tolist() if session.is_panda else None,
-        "signals": _signals(session),
+        "signals": list(_signals(session)),
         "columns": columns,
         "roles": {
-            role: [column for column in columns if column.partition("[")[0] == signal]
+            role: [column for column in columns if signal_of(column) == signal]
             for role, signal in ROLES.items()
         },
         "bounds": {name: pair for name, pair in bounds.items() if name in columns},
@@ -123,29 +112,29 @@ def _model(session: Session) -> Any:
 
 
 def _about(session: Session) -> dict[str, object]:
+    scenario, curves = session.scenario, (*CURVES[:2], *_TABLES["curves"].items(), *CURVES[2:])
     columns = dict.fromkeys((*session.signals, ERROR), "")
-    scenario, curves = session.scenario, shown_curves(CURVES, columns)
     hint = ["drag the hand, the block or a waypoint"] if session.is_panda else []
     return {
         "title": f"{scenario.name.replace('_', ' ')}, live",
         "purpose": one_line(scenario.purpose),
         "facts": [f"{scenario.duration:.2f} s", *hint],
         "verdict": {"state": "plain", "words": "in real time"},
-        "curves": curves if session.is_panda else [],  # the page's code takes the first signals
+        # Of others, the page's code takes the first signals.
+        "curves": shown_curves(curves, columns) if session.is_panda else [],
         **{key: [] for key in ("notes", "criteria", "limits", "moments", "waypoints")},
     }
 
 
-def _signals(session: Session) -> list[dict[str, object]]:
-    numbers, signals = session.numbers(), []
+def _signals(session: Session) -> Iterator[dict[str, object]]:
+    """Yield the recorded signals that are numbers, as a run's page has them."""
+    numbers = session.numbers()
     recorded = session.prepared.assembly.recorded(session.scenario.coupling)[1:]  # without time
     columns = [column for column in recorded if column.name in numbers]
-    for signal, group in groupby(columns, key=lambda column: column.name.partition("[")[0]):
+    for signal, group in groupby(columns, key=lambda column: signal_of(column.name)):
         own = list(group)
-        about = {"unit": own[0].unit, "units": [column.unit for column in own]}
-        about |= {"columns": [column.name for column in own], "words": own[0].description}
-        signals.append({"name": signal, **about})
-    return signals
+        names, units = [column.name for column in own], [column.unit for column in own]
+        yield {"name": signal, "columns": names, "units": units, "words": own[0].description}
 
 
 def plan(session: Session) -> dict[str, object]:

@@ -16,9 +16,7 @@ import secrets
 import threading
 import webbrowser
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from functools import partial
 from html import escape
 from http import HTTPStatus
 from pathlib import Path
@@ -27,7 +25,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
-from websockets.asyncio.server import ServerConnection, broadcast, serve
+from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
@@ -62,6 +60,7 @@ class LiveServer:
         self._simulation, self._page = simulation, page.encode()
         self._host, self._port = host, port
         self._token = secrets.token_urlsafe(24)
+        self._loop = asyncio.new_event_loop()
         self._viewers: list[ServerConnection] = []  # the first one may act
         self._status, self._plan = simulation.status(), simulation.plan()
 
@@ -74,48 +73,40 @@ class LiveServer:
     @contextmanager
     def serving(self) -> Iterator[None]:
         """Serve until the `with` block ends."""
-        listening: Future[None] = Future()
-        serve_in_loop = partial(asyncio.run, self._serve(listening))
-        thread = threading.Thread(target=serve_in_loop, name="live server", daemon=True)
+        thread = threading.Thread(target=self._loop.run_forever, name="live server", daemon=True)
         thread.start()
-        listening.result()
+        try:
+            server = asyncio.run_coroutine_threadsafe(self._listen(), self._loop).result()
+        except OSError as error:
+            place = f"{self._host}:{self._port}"
+            raise InputError(f"cannot listen on {place}: {error.strerror or error}") from None
+        self._port = next(iter(server.sockets)).getsockname()[1]
         try:
             yield
         finally:
-            self._loop.call_soon_threadsafe(self._end.set)
+            self._loop.call_soon_threadsafe(server.close)
+            with suppress(TimeoutError):  # clients that do not answer are left without a goodbye
+                closed = asyncio.run_coroutine_threadsafe(server.wait_closed(), self._loop)
+                closed.result(2 * CLOSE_TIME)
+            self._loop.call_soon_threadsafe(self._loop.stop)
             thread.join(5)
 
-    async def _serve(self, listening: Future[None]) -> None:
-        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+    async def _listen(self) -> Server:
         self._loop.set_exception_handler(
             lambda _, context: LOG.error(context["message"], exc_info=context.get("exception"))
         )
-        try:
-            server = await serve(
-                self._talk,
-                self._host,
-                self._port,
-                process_request=self._answer,
-                open_timeout=OPEN_TIME,
-                close_timeout=CLOSE_TIME,
-                logger=LOG,
-                max_size=COMMAND_LIMIT,
-                compression=None,
-                server_header=None,
-            )
-        except OSError as error:
-            place = f"{self._host}:{self._port}"
-            listening.set_exception(
-                InputError(f"cannot listen on {place}: {error.strerror or error}")
-            )
-            return
-        self._port = next(iter(server.sockets)).getsockname()[1]
-        listening.set_result(None)
-        await self._end.wait()
-        server.close()
-        with suppress(TimeoutError):  # clients that do not answer are left without a goodbye
-            async with asyncio.timeout(2 * CLOSE_TIME):
-                await server.wait_closed()
+        return await serve(
+            self._talk,
+            self._host,
+            self._port,
+            process_request=self._answer,
+            open_timeout=OPEN_TIME,
+            close_timeout=CLOSE_TIME,
+            logger=LOG,
+            max_size=COMMAND_LIMIT,
+            compression=None,
+            server_header=None,
+        )
 
     # Requests.
 

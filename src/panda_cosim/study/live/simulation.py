@@ -18,10 +18,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, RootModel, ValidationError
 
 from ...fmus.errors import CosimError, InputError, SimulationError
-from ...fmus.master.step import Coupling
 from ...fmus.master.wiring import Array
 from ...run.folder import SCENARIO_FOLDER
-from ...run.journal import JOURNAL_FILE, Release, Set, first_problem
+from ...run.journal import JOURNAL_FILE, Release, Set, SetCoupling, first_problem
 from ...run.session import Session
 from .page import offset_of, plan
 
@@ -77,14 +76,7 @@ class Keep(_Command):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 
 
-class Couple(_Command):
-    """Change the coupling; `Session.set_coupling`."""
-
-    do: Literal["coupling"]
-    coupling: Coupling
-
-
-Command = Act | Step | Speed | Set | Release | Drag | Keep | Couple
+Command = Act | Step | Speed | Set | Release | SetCoupling | Drag | Keep
 
 
 class _Message(RootModel[Annotated[Command, Field(discriminator="do")]]):
@@ -225,10 +217,10 @@ class Simulation:
             try:
                 self._do(command, viewers)
             except CosimError as error:
-                is_over = self._session.is_over
-                if not (self._session.is_open or is_over):  # after a restart that failed
+                session = self._session
+                if not (session.is_open or session.is_over):  # after a restart that failed
                     raise
-                refuse(OVER if is_over and not isinstance(command, Keep) else str(error))
+                refuse(str(error))
         return done
 
     def _do(self, command: Command, viewers: Viewers) -> None:
@@ -241,7 +233,7 @@ class Simulation:
                 self._step(command.ticks, viewers)
             case Speed():
                 self._speed = command.factor
-            case Set() | Release():
+            case Set() | Release() | SetCoupling():
                 session.act(command)
             case Drag():
                 row, last = command.row, len(session.table.rows) - 1
@@ -252,8 +244,6 @@ class Simulation:
             case Keep():  # in the working directory
                 session.keep(command.name)
                 self._message = f"kept as a scenario: panda-cosim run ./{command.name}"
-            case Couple():
-                session.set_coupling(command.coupling)
         if isinstance(command, Act | Step | Speed):
             self._anchor()
 

@@ -58,9 +58,9 @@ export function button(label: string, className: string, action: () => void, ...
 }
 
 /** Let the browser save bytes as a file. */
-export function download(name: string, bytes: Uint8Array<ArrayBuffer>): void {
+export function download(name: string, parts: BlobPart[]): void {
   const link = make("a");
-  link.href = URL.createObjectURL(new Blob([bytes]));
+  link.href = URL.createObjectURL(new Blob(parts));
   link.download = name;
   link.click();
   URL.revokeObjectURL(link.href);

@@ -90,7 +90,7 @@ export class Simulation {
     if (!this.system.isOver || this.failed) return;
     this.playing = false;
     this.actions.push({ tick: this.system.tick, action: "end" });
-    this.message = "the scenario is over";
+    this.message = `the scenario is over${this.system.judge.words}`;
     this.tellStatus();
   }
 
@@ -135,7 +135,7 @@ export class Simulation {
         this.say({ journal: this.journal() });
         break;
       case "keep":
-        throw new Refused("a page keeps no scenarios: the journal holds the session, and panda-cosim replay repeats it");
+        throw new Refused("a page keeps no scenarios: its journal holds the session");
       default:
         this.checkOpen();
         this.act(command);
@@ -144,22 +144,13 @@ export class Simulation {
   }
 
   /** Change the run, and note it. */
-  private act(command: Extract<Command, { do: "set" | "release" | "waypoint" | "coupling" }>): void {
-    const { tick } = this.system;
-    if (command.do === "set") {
-      this.set(command.name, command.value);
-      this.actions.push({ tick, action: "set", name: command.name, value: command.value });
-    } else if (command.do === "release") {
-      const held = this.inputs(command.name).filter((column) => this.system.held.delete(column));
-      if (!held.length) throw new Refused(`${command.name}: is not held`);
-      this.actions.push({ tick, action: "release", name: command.name });
-    } else if (command.do === "waypoint") {
-      this.actions.push({ tick, action: "move_waypoint", row: command.row, position: this.move(command.row, command.position) });
-    } else {
-      this.coupling = command.coupling;
-      this.system.couple(this.coupling);
-      this.actions.push({ tick, action: "set_coupling", coupling: this.coupling });
-    }
+  private act(command: Extract<Command, { do: "set" | "release" | "waypoint" | "set_coupling" }>): void {
+    let { do: action, ...given }: { do: string } = command;
+    if (command.do === "set") this.set(command.name, command.value);
+    else if (command.do === "set_coupling") this.system.couple((this.coupling = command.coupling));
+    else if (command.do === "waypoint") [action, given] = ["move_waypoint", { row: command.row, position: this.move(command.row, command.position) }];
+    else if (!this.inputs(command.name).filter((column) => this.system.held.delete(column)).length) throw new Refused(`${command.name}: is not held`);
+    this.actions.push({ tick: this.system.tick, action, ...given });
   }
 
   private set(name: string, value: Value | number[]): void {

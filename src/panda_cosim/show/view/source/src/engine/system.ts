@@ -1,5 +1,6 @@
 // The coupled system of a page: its FMUs, their rows, and the inputs that the scenario gives them.
 import type { Tunable } from "../live/link.ts";
+import { type CriterionData, Judge } from "./judge.ts";
 import { MuJoCo } from "./mujoco.ts";
 import { Slave, type SlaveData } from "./slave.ts";
 import { initialize, Step } from "./step.ts";
@@ -16,6 +17,7 @@ export interface SystemData {
   trajectory: TrajectoryData;
   commands: number[]; // column of each of the trajectory's values, or -1
   pushes: { start: number; duration: number; force: number[]; columns: number[] }[];
+  criteria: CriterionData[];
 }
 
 /** Compiled modules by name; MuJoCo's is `mujoco`. */
@@ -25,19 +27,19 @@ const BLOCK = 3 << 20; // [B] of MuJoCo's memory, in which data and stacks of th
 
 export class System {
   tick = 0;
-  trajectory: Trajectory;
+  trajectory!: Trajectory;
+  judge!: Judge;
   readonly held = new Map<number, number>(); // values of external inputs by column
   private now: Float64Array;
   private next: Float64Array;
-  private step: Step;
+  private step!: Step;
 
   private constructor(
     private readonly data: SystemData,
     private readonly slaves: readonly Slave[],
   ) {
     [this.now, this.next] = [0, 1].map(() => new Float64Array(data.columns.length));
-    this.trajectory = new Trajectory(data.trajectory);
-    this.step = this.coupled(data.coupling);
+    this.prepare();
   }
 
   /** Open the FMUs; nothing is initialized yet. */
@@ -62,8 +64,7 @@ export class System {
     this.slaves.forEach((slave) => slave.reset());
     this.tick = 0;
     this.held.clear();
-    this.trajectory = new Trajectory(this.data.trajectory);
-    this.step = this.coupled(this.data.coupling);
+    this.prepare();
     this.now.fill(0);
     this.putInputs(this.now);
     initialize(this.slaves, this.now);
@@ -74,13 +75,16 @@ export class System {
     for (; count > 0 && !this.isOver; count--) {
       this.putInputs(this.now);
       this.step.take(this.now, this.next);
+      this.judge.see(this.now);
       [this.now, this.next] = [this.next, this.now];
       this.tick++;
       this.now[0] = this.time;
     }
     for (const column of this.step.leaderColumns) this.now[column] = this.next[column];
     this.putInputs(this.now);
-    if (this.isOver) this.step.lead(this.now);
+    if (!this.isOver) return;
+    this.step.lead(this.now);
+    this.judge.see(this.now);
   }
 
   /** The present row; inputs are those of the next step. */
@@ -90,15 +94,17 @@ export class System {
   }
 
   couple(coupling: string): void {
-    this.step = this.coupled(coupling);
+    this.step = new Step(this.slaves, coupling, this.data.step, this.data.columns);
   }
 
   set(tunable: Tunable, value: number): void {
     this.slaves.find(({ data }) => tunable.name.startsWith(`${data.name}.`))!.set(tunable, value);
   }
 
-  private coupled(coupling: string): Step {
-    return new Step(this.slaves, coupling, this.data.step, this.data.columns);
+  private prepare(): void {
+    this.trajectory = new Trajectory(this.data.trajectory);
+    this.judge = new Judge(this.data.criteria);
+    this.couple(this.data.coupling);
   }
 
   /** Set time and external inputs: what the scenario gives, then what is held instead. */

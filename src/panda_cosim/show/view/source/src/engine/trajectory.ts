@@ -15,6 +15,7 @@ export interface TrajectoryData {
   grips: number[]; // [m]
   postures: number[][] | null; // joint positions [rad]
   interpolation: string;
+  influence: number[][][]; // of each row's values on velocity and acceleration at each row of a spline
 }
 
 const TOLERANCE = 1e-9; // [s]; k * dt reaches a row's time even if rounding makes it a little less
@@ -48,9 +49,10 @@ export class Trajectory {
   }
 
   private use(): void {
-    const { interpolation, orientations, postures } = this.data;
+    const { orientations, postures, influence } = this.data;
     const rows = this.positions.map((place, row) => [...place, ...orientations[row], ...(postures?.[row] ?? [])]);
-    this.spline = interpolation === "spline" && rows.length > 1 ? derivatives(this.times, rows) : null;
+    const summed = (weights: readonly number[]) => rows.reduce((sum, row, i) => plus(sum, row, weights[i]), scaled(rows[0], 0));
+    this.spline = influence.length ? rows.map((row, at) => [row, ...influence.map((weights) => summed(weights[at]))].flat()) : null;
   }
 
   private onSegment(time: number, row: number): number[] {
@@ -131,71 +133,7 @@ function series(square: number, first: 0 | 1): number {
   return sum;
 }
 
-// Splines of degree 5 with four continuous derivatives, from rest to rest: between two rows a
-// polynomial with the values, velocities and accelerations of both.
-
-// Derivatives of the polynomial's basis, times its coefficients, at the begin and the end of a segment
-// of length 1: third and fourth, of value, velocity, acceleration at the begin, then at the end.
-const THIRD = [[-60, -36, -9, 60, -24, 3], [-60, -24, -3, 60, -36, 9]];
-const FOURTH = [[360, 192, 36, -360, 168, -24], [-360, -168, -24, 360, -192, 36]];
-
-const power = (base: number, exponent: number): number => Array.from({ length: exponent }, () => base).reduce((product, factor) => product * factor, 1);
-
-/** Return the rows with their velocities and accelerations, which make the spline smooth. */
-function derivatives(times: readonly number[], rows: readonly number[][]): number[][] {
-  const inner = rows.length - 2;
-  const width = rows[0].length;
-  const system = Array.from({ length: 2 * inner }, () => new Array<number>(2 * inner + width).fill(0));
-  for (let row = 1; row <= inner; row++) {
-    [THIRD, FOURTH].forEach((parts, which) => {
-      const equation = system[2 * (row - 1) + which];
-      [0, 1].forEach((side) => {
-        // The segment before the row ends with the derivative that the segment after it begins with.
-        const first = row - 1 + side;
-        const length = times[first + 1] - times[first];
-        const sign = side ? -1 : 1;
-        parts[1 - side].forEach((part, k) => {
-          const [at, order] = [first + Math.floor(k / 3), k % 3];
-          const factor = (sign * part) / power(length, 3 + which - order);
-          if (order === 0) rows[at].forEach((value, c) => (equation[2 * inner + c] -= factor * value));
-          else if (at >= 1 && at <= inner) equation[2 * (at - 1) + order - 1] += factor;
-        });
-      });
-    });
-  }
-  solve(system);
-  const rest = new Array<number>(2 * width).fill(0);
-  return rows.map((row, at) => {
-    const found = at >= 1 && at <= inner ? [2 * at - 2, 2 * at - 1].flatMap((i) => system[i].slice(2 * inner)) : rest;
-    return [...row, ...found];
-  });
-}
-
-const BELOW = 3; // rows below the diagonal in which a column has numbers
-const RIGHT = 6; // columns on the right of it in which a row has them, once rows have been swapped
-
-/** Solve linear equations in place, whose right sides become the solution: Gauss, within the band. */
-function solve(system: number[][]): void {
-  const n = system.length;
-  const width = system[0]?.length ?? n;
-  const subtract = (row: number[], other: readonly number[], first: number, factor: number): void => {
-    for (let c = first; c < Math.min(first + RIGHT + 1, n); c++) row[c] -= factor * other[c];
-    for (let c = n; c < width; c++) row[c] -= factor * other[c];
-  };
-  for (let column = 0; column < n; column++) {
-    const end = Math.min(column + BELOW + 1, n);
-    let pivot = column;
-    for (let row = column; row < end; row++) if (Math.abs(system[row][column]) > Math.abs(system[pivot][column])) pivot = row;
-    [system[column], system[pivot]] = [system[pivot], system[column]];
-    for (let row = column + 1; row < end; row++) subtract(system[row], system[column], column, system[row][column] / system[column][column]);
-  }
-  for (let row = n - 1; row >= 0; row--) {
-    for (let c = row + 1; c < Math.min(row + RIGHT + 1, n); c++) {
-      for (let k = n; k < width; k++) system[row][k] -= system[row][c] * system[c][k];
-    }
-    for (let k = n; k < width; k++) system[row][k] /= system[row][row];
-  }
-}
+// Splines of degree 5: between two rows a polynomial with the values, velocities and accelerations of both.
 
 /** Return values and rates of all parts at a time between a row and the next. */
 function hermite(rows: readonly number[][], times: readonly number[], from: number, time: number): [number[], number[]] {

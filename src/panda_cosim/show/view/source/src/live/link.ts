@@ -13,7 +13,7 @@ export type Command =
   | { do: "waypoint"; row: number; position: number[] }
   | { do: "keep"; name: string }
   | { do: "journal" } // of a worker
-  | { do: "coupling"; coupling: string };
+  | { do: "set_coupling"; coupling: string };
 
 /** A tunable parameter. */
 export interface Tunable {

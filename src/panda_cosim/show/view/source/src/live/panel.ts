@@ -135,7 +135,7 @@ export class Parameters {
     couplings: readonly string[],
   ) {
     for (const name of couplings) this.coupling.append(option(name));
-    this.coupling.addEventListener("change", () => send({ do: "coupling", coupling: this.coupling.value }));
+    this.coupling.addEventListener("change", () => send({ do: "set_coupling", coupling: this.coupling.value }));
     this.element.append(make("label", "pv-parameter", make("span", "pv-what", "coupling"), this.coupling));
     const groups = new Map<string, Tunable[]>();
     for (const tunable of tunables) {
@@ -159,7 +159,7 @@ export class Parameters {
     const { values, coupling } = this.now;
     const changed = this.tunables.filter(({ name, start }) => values[name] !== start);
     const sets = changed.map(({ name }): Command => ({ do: "set", name, value: values[name] }));
-    return coupling === this.first ? sets : [...sets, { do: "coupling", coupling }];
+    return coupling === this.first ? sets : [...sets, { do: "set_coupling", coupling }];
   }
 
   show(status: Status): void {

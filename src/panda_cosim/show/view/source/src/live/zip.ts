@@ -18,31 +18,19 @@ function written(...fields: [value: number, size: number][]): Uint8Array<ArrayBu
   return Uint8Array.from(fields.flatMap(([value, size]) => Array.from({ length: size }, (_, i) => (value / 256 ** i) & 255)));
 }
 
-function joinedBytes(parts: readonly Uint8Array[]): Uint8Array<ArrayBuffer> {
-  const whole = new Uint8Array(parts.reduce((sum, { length }) => sum + length, 0));
-  let at = 0;
-  for (const part of parts) {
-    whole.set(part, at);
-    at += part.length;
-  }
-  return whole;
-}
+const sizeOf = (parts: readonly Uint8Array[]): number => parts.reduce((sum, { length }) => sum + length, 0);
 
-/** Return an archive of files by their paths. */
-export function zip(files: Record<string, string>): Uint8Array<ArrayBuffer> {
-  const local: Uint8Array[] = [];
-  const central: Uint8Array[] = [];
-  let offset = 0;
+/** Return the parts of an archive of files by their paths. */
+export function zip(files: Record<string, string>): Uint8Array<ArrayBuffer>[] {
+  const local: Uint8Array<ArrayBuffer>[] = [];
+  const central: Uint8Array<ArrayBuffer>[] = [];
   for (const [path, text] of Object.entries(files)) {
     const [name, content] = [path, text].map((words) => new TextEncoder().encode(words));
     const about: [number, number][] = [[20, 2], [0x0800, 2], [0, 2], [0, 2], [DATE, 2], [checksum(content), 4], [content.length, 4], [content.length, 4], [name.length, 2], [0, 2]]; // prettier-ignore
-    const head = joinedBytes([written([0x04034b50, 4], ...about), name, content]);
-    central.push(written([0x02014b50, 4], [20, 2], ...about, [0, 2], [0, 2], [0, 2], [0, 4], [offset, 4]), name);
-    local.push(head);
-    offset += head.length;
+    central.push(written([0x02014b50, 4], [20, 2], ...about, [0, 2], [0, 2], [0, 2], [0, 4], [sizeOf(local), 4]), name);
+    local.push(written([0x04034b50, 4], ...about), name, content);
   }
-  const directory = joinedBytes(central);
   const count = Object.keys(files).length;
-  const end = written([0x06054b50, 4], [0, 2], [0, 2], [count, 2], [count, 2], [directory.length, 4], [offset, 4], [0, 2]);
-  return joinedBytes([...local, directory, end]);
+  const end = written([0x06054b50, 4], [0, 2], [0, 2], [count, 2], [count, 2], [sizeOf(central), 4], [sizeOf(local), 4], [0, 2]);
+  return [...local, ...central, end];
 }
