@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import grouped
-from ...fmus.interface.variables import Value
 from ...fmus.master.wiring import Array
 from ...result.judging.signals import time_of
 from ...run.execution import Execution
@@ -183,7 +181,6 @@ class Analysis:
         at: The instant [s].
         margins: Margins of each loop and of all at once; see `Margins`.
         responses: What was measured, n loops; see `Responses`.
-        parameters: Those of the FMU that feeds the loops' inputs, by name.
         confirmed: What runs on both sides of each margin came to, if they were verified.
     """
 
@@ -191,7 +188,6 @@ class Analysis:
     at: float
     margins: Margins
     responses: Responses = field(repr=False)
-    parameters: Mapping[str, Value] = field(repr=False)
     confirmed: tuple[Confirmation, ...] = ()
 
     @property
@@ -344,16 +340,7 @@ def analyze(
         margins = judge(responses, prepared.scenario.coupling)
         wanted = verify and margins.stable
         confirmed = confirm(margins, responses.sensitivity, measurement.bears) if wanted else ()
-    connections = prepared.assembly.system.connections
-    fed_by = {".".join(c.target): c.source[0] for c in connections}[responses.inputs[0]]
-    return Analysis(
-        prepared.scenario.name,
-        responses.at,
-        margins,
-        responses,
-        grouped(prepared.assembly.interfaces[fed_by], prepared.values[fed_by]),
-        confirmed,
-    )
+    return Analysis(prepared.scenario.name, responses.at, margins, responses, confirmed)
 
 
 def _instant(prepared: Prepared, at: float | str) -> tuple[int, Inputs]:

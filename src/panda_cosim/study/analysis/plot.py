@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 1.0  # of the last joint's line; those before are wider, and seen beneath it
 WIDER: Final = 0.55
-SHOWN: Final = 5  # parameters of the law
 LETTERS: Final = 24  # of a case's name beneath its bars
 
 
@@ -39,22 +38,11 @@ def draw_analyses(cases: Mapping[str, Analysis]) -> ShownFigure:
         title = f"{title.replace('_', ' ')}: control loops at t = {first.at:g} s"
         plain: Any = {"va": "top", "parse_math": False}  # names come from users
         figure.text(0.015, 0.975, title, fontsize=16, fontweight="bold", **plain)
-        figure.text(0.015, 0.938, _details(cases), fontsize=10, color=GREY, **plain)
+        details = (
+            cases if len(cases) > 1 else first.margins.lines[:1]
+        )  # with its period and coupling
+        figure.text(0.015, 0.938, " · ".join(details), fontsize=10, color=GREY, **plain)
     return figure
-
-
-def _details(cases: Mapping[str, Analysis]) -> str:
-    """Period, coupling, the law's first numbers, and why there are no margins."""
-    if len(cases) > 1:
-        return " · ".join(cases)
-    (analysis,) = cases.values()
-    margins = analysis.margins
-    parameters = {name: np.unique(value) for name, value in analysis.parameters.items()}
-    gains = [f"{name} {', '.join(map('{:g}'.format, values))}"
-             for name, values in parameters.items()
-             if values.dtype == float and name != "period"]  # fmt: skip
-    about = [f"period {margins.period * 1e3:g} ms", margins.coupling, *gains[:SHOWN]]
-    return " · ".join(filter(None, (*about, margins.reason)))
 
 
 def _draw(analysis: Analysis, axes: Any, name: str, colour: str) -> None:

@@ -134,11 +134,11 @@ def _foreign(prepared: Prepared, level: Level) -> list[Diagnostic]:
         run = f"`panda-cosim run {_name(scenario)} --set preflight={scenario.preflight}`"
         text = f"what {scenario.preflight} refuses is not known before a run: {run}"
         hints.append(Diagnostic(level, text))
-    columns = {column.name for column in assembly.recorded(scenario.coupling)}
-    recorded = {*columns, *shapes_of(tuple(columns))}
+    columns = tuple(column.name for column in assembly.recorded(scenario.coupling))
+    lacking = unrecorded(scenario.success, {*columns, *shapes_of(columns)})
     file = f"{scenario.folder}/{SCENARIO_FILE}"
-    if lacking := [f"{file}: [success] {text}" for text in unrecorded(scenario.success, recorded)]:
-        return [*_diagnostics("wrong", lacking), *hints]
+    if wrong := _diagnostics("wrong", (f"{file}: [success] {text}" for text in lacking)):
+        return [*wrong, *hints]
     if len(assembly.interfaces) > 1 and not count:
         text = f"{about}; it runs, but its FMUs are not connected ({unseen})"
         return [*hints, Diagnostic("hint", text)]
@@ -223,21 +223,21 @@ def _about(scenario: Scenario) -> str:
 
 
 def _remarks(scenario: Scenario) -> Iterator[str]:
-    if not scenario.purpose:
-        yield f"{SCENARIO_FILE}: purpose is empty; one line should say what the scenario is for"
-    if scenario.success == type(scenario.success)():
-        yield f"{SCENARIO_FILE}: [success] is empty, so every run that reaches its end is a success"
-    is_timed = scenario.timing != "table" or scenario.route
-    if not is_timed and scenario.timing_share != Scenario.timing_share:
-        yield f'{SCENARIO_FILE}: timing_share has no effect on a run with timing = "table"'
-    if scenario.mismatch.seed and not scenario.mismatch.values:
-        yield f"{SCENARIO_FILE}: [mismatch] seed has no effect, as nothing is drawn"
     last = scenario.rows[-1].time if scenario.rows else 0.0
+    is_timed = scenario.timing != "table" or scenario.route
+    remarks = {
+        "purpose is empty; one line should say what the scenario is for": not scenario.purpose,
+        "[success] is empty, so every run that reaches its end is a success":
+            scenario.success == type(scenario.success)(),
+        'timing_share has no effect on a run with timing = "table"':
+            not is_timed and scenario.timing_share != Scenario.timing_share,
+        "[mismatch] seed has no effect, as nothing is drawn":
+            scenario.mismatch.seed and not scenario.mismatch.values,
+    }  # fmt: skip
+    yield from (f"{SCENARIO_FILE}: {text}" for text, holds in remarks.items() if holds)
     if last > scenario.duration:
-        yield (
-            f"{TABLE_FILE}: the last row is at {last:g} s, after the duration of "
-            f"{scenario.duration:g} s: it is never reached"
-        )
+        after = f"after the duration of {scenario.duration:g} s: it is never reached"
+        yield f"{TABLE_FILE}: the last row is at {last:g} s, {after}"
 
 
 def _limits(prepared: Prepared) -> Iterator[str]:

@@ -104,15 +104,11 @@ class Outcome:
         return "wrong" if not self.ok else "hint" if self.left_out else "good"
 
     def __str__(self) -> str:
-        span = f"{self.span}, at no instant of the run"
-        left = f"; {self.left_out} more not compared, {span}" if self.left_out else ""
-        if not self.values:
-            return f"{self.experiment}: nothing could be compared{left}"
+        left = f"; {self.left_out} more not compared, {self.span}, at no instant of the run"
         largest = f"{self.largest_difference:.3g} ({self.variable} at t = {self.time:g} s)"
-        return (
-            f"{self.experiment}: {self.values} values, largest difference {largest}, tolerance "
-            f"{self.tolerance:g}{left}"
-        )
+        compared = f"{self.values} values, largest difference {largest}, tolerance"
+        said = f"{compared} {self.tolerance:g}" if self.values else "nothing could be compared"
+        return f"{self.experiment}: {said}{left if self.left_out else ''}"
 
 
 # Run.
@@ -134,11 +130,10 @@ def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
     if not values:
         return outcome
     recording = answer(fmu, experiment)
-    columns = ((recording[f"{IT}.{n}"][ticks], each[rows]) for n, each in references.items())
-    errors = np.stack([_apart(*column) for column in columns], axis=1)
-    row, column = divmod(int(errors.argmax()), errors.shape[1])
-    return replace(outcome, largest_difference=float(errors[row, column]),
-                   variable=list(references)[column], time=float(times[rows[row]]))  # fmt: skip
+    apart = {n: _apart(recording[f"{IT}.{n}"][ticks], each[rows]) for n, each in references.items()}
+    variable = max(apart, key=lambda name: apart[name].max())
+    row, largest = rows[apart[variable].argmax()], float(apart[variable].max())
+    return replace(outcome, largest_difference=largest, variable=variable, time=float(times[row]))
 
 
 def _apart(answers: Array, reference: Array) -> Array:
