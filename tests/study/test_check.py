@@ -111,7 +111,7 @@ EDITS = [
     ("scenario.toml", "duration = 3.4", "duration = 2.5", "hint", "it is never reached"),
     ("scenario.toml", "Picks the block up and holds it", "", "hint", "purpose is empty"),
     ("trajectory.csv", "0.08\n1.2", "0,08\n1.2", "wrong", "line 2: 7 values; must be 6"),
-    ("trajectory.csv", "1.7,target", "1.1,target", "wrong", "goes back"),
+    ("trajectory.csv", "1.7,target", "1.1,target", "wrong", "time: value 1.1; must be"),
     (
         "trajectory.csv",
         "1.7,target,0.0",
