@@ -226,6 +226,10 @@ class Simulation:
     def _do(self, command: Command, viewers: Viewers) -> None:
         session = self._session
         match command:
+            case Set() | Release() | SetCoupling() | Drag() | Step() | Act(do="play") if (
+                session.is_over
+            ):
+                raise InputError(OVER)
             case Act():
                 self._act(command.do, viewers)
             case Step():
@@ -260,7 +264,5 @@ class Simulation:
             for name in dict.fromkeys(held.partition("[")[0] for held in session.held):
                 if name.endswith("_force"):
                     session.release(name)
-        elif do == "play" and session.is_over:
-            raise InputError(OVER)
         else:
             self._playing = do == "play"
