@@ -182,7 +182,7 @@ KINDS: dict[str, tuple[str, Callable[[Random, bytes], bytes], list[str]]] = {
     "results": ("swept/results/part-00000001.parquet", of_parquet,
                 ["sweep report swept --out out.html"]),
     "mjcf": ("box.xml", of_text, ["mjcf2fmu box.xml --out out.fmu"]),
-    "session": ("session/session.jsonl", of_json, [f"run --session session {RUN}"]),
+    "session": ("session/session.jsonl", of_json, [f"replay session {RUN}"]),
     "fmu": ("law.fmu", of_archive, ["info law.fmu", f"run short --controller law.fmu {RUN}"]),
     "ssp": ("Panda.ssp", of_archive,
             ["info Panda.ssp", f"run --system Panda.ssp --duration 0.02 {RUN}"]),

@@ -19,6 +19,7 @@ from panda_cosim import InputError, load_scenario, shipped_scenarios
 from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.sources.law import read_law
 from panda_cosim.run.start import resolve, start_values
+from panda_cosim.run.system.assembly import assemble
 from panda_cosim.run.system.connector import Connector
 from panda_cosim.run.system.parts import Part
 from panda_cosim.study.check.diagnosis import check_folder
