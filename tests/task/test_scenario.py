@@ -220,15 +220,15 @@ BAD_TABLES = {
     "column missing": (GOOD_TABLE.replace("z,", "height,", 1), "column 'height' is unknown"),
     "no grip column": (
         "time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
-        "grip: missing; must have the columns time, frame, x, y, z, grip",
+        "line 2: key grip is missing",
     ),
     "column repeated": (
         GOOD_TABLE.replace(",grip", ",qw,grip"),
         "column 'qw' occurs 2 times; must occur once",
     ),
     "one quaternion column missing": (
-        "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
-        "qz: missing; must have the columns time, frame, x, y, z, qw, qx, qy, qz, grip",
+        "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,0,1,0,0\n",
+        "orientation: value [0.0, 1.0, 0.0]; must be 4",
     ),
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
@@ -242,7 +242,7 @@ BAD_TABLES = {
     "times too close": (with_cell("time", "1e-9"), "value 1e-09; must be at least 1e-06 s after"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
     "quaternion of zero length": (with_cell("qx", "0"), "must be longer than 0, or blank"),
-    "quaternion partly blank": (with_cell("qz", ""), "value of 3 items; must be 4 numbers"),
+    "quaternion partly blank": (with_cell("qz", ""), "value [0.0, 1.0, 0.0]; must be 4 numbers"),
 }
 
 

@@ -17,6 +17,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import numpy as np
@@ -56,15 +57,12 @@ class Quantity(_Field):
     high: float = math.inf
     unit: str = ""
 
-    def __call__(self, value: object) -> float:
+    def __call__(self, value: Any) -> float:
         """Return the number as a float."""
-        # numpy's numbers have no common base class, but only numbers have __float__.
-        if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
-            raise ValueError(f"value {excerpt(value)} is not a number; must be {self}")
-        try:
-            number = float(value)
-        except (OverflowError, TypeError):  # TypeError: an array of several numbers
-            number = math.nan
+        number = math.nan
+        if not isinstance(value, bool | str | bytes):
+            with suppress(OverflowError, TypeError):  # of what is no number, or several
+                number = float(value)
         if not (math.isfinite(number) and self.low <= number <= self.high):
             raise ValueError(f"value {excerpt(value)}; must be {self}")
         return number
@@ -98,12 +96,11 @@ class Vector(_Field):
     count: int
     item: Quantity = Quantity()
 
-    def __call__(self, value: object) -> tuple[float, ...]:
+    def __call__(self, value: Any) -> tuple[float, ...]:
         """Return the numbers as floats."""
-        if isinstance(value, str | bytes) or not isinstance(value, Sequence | np.ndarray):
+        is_list = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes)
+        if not is_list or len(value) != self.count:
             raise ValueError(f"value {excerpt(value)}; must be {self.count} numbers")
-        if len(value) != self.count:
-            raise ValueError(f"value of {len(value)} items; must be {self.count} numbers")
         return numbers(value, self.item)
 
 

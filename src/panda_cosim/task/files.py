@@ -130,8 +130,6 @@ def parse_csv(text: str, check: Callable[[list[str]], None] = lambda _: None) ->
         for name, count in Counter(names).most_common(1):
             if count > 1:
                 raise InputError(f"column {excerpt(name)} occurs {count} times; must occur once")
-        if not all(names):
-            raise InputError("a column has no name; must have one above each cell")
         for cells in lines:
             if len(cells) != len(names):
                 must = f"must be {len(names)} ({one_line(','.join(names))})"

@@ -326,13 +326,12 @@ class Scenario:
             table, driven = read_tables(folder / TABLE_FILE)
         with located(path):
             check_keys("", keys, KEYS)
-            inputs = keys.get("inputs", {})
-            file = inputs.get("file") if isinstance(inputs, Mapping) else None
-            if file is not None and driven.columns:
-                must = f"must be left out, as {TABLE_FILE} has inputs"
-                refuse("[inputs] file", file, must)
-            if file is not None:
-                driven = InputTable.read(folder / Line().check("[inputs] file", file))
+            inputs = keys.get("inputs")
+            if isinstance(inputs, Mapping) and "file" in inputs:
+                if driven.columns:
+                    must = f"must be left out, as {TABLE_FILE} has inputs"
+                    refuse("[inputs] file", inputs["file"], must)
+                driven = InputTable.read(folder / Line().check("[inputs] file", inputs["file"]))
             name = folder.resolve().name
             return cls(**keys, name=name, table=table, input_table=driven, folder=folder)
 

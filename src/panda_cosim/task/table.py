@@ -237,18 +237,6 @@ def _check_names(names: Sequence[str]) -> None:
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
     valid = (*COLUMNS, *OPTIONAL_COLUMNS, *POSTURE_COLUMNS)
     check_keys("", [name for name in names if "." not in name], valid, "column")
-    needed = _needed(names)
-    missing = [name for name in needed if name not in names]
-    if missing and len(names) == len(set(names)):
-        wanted = ", ".join(needed)
-        raise InputError(f"{', '.join(missing)}: missing; must have the columns {wanted}")
-
-
-def _needed(names: Sequence[str]) -> list[str]:
-    """Return the columns that a file with these must have; a group may be absent as a whole."""
-    groups = (QUATERNION_COLUMNS, POSTURE_COLUMNS)
-    absent = [name for group in groups if not {*group} & {*names} for name in group]
-    return [name for name in (*COLUMNS, *POSTURE_COLUMNS) if name not in absent]
 
 
 def _row(cells: Mapping[str, str]) -> TableRow:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from ..fmus.errors import InputError, refuse
+from ..fmus.errors import refuse
 from .fields import Quantity, Whole
 
 _OWN: Final = {
@@ -63,12 +63,10 @@ class Tolerances:
         vars(self).update(checked, values=values)
 
     @classmethod
-    def of(cls, section: object) -> Tolerances:
+    def of(cls, section: object) -> object:
         """Make them from a scenario file's section: `time`, `scale`, and the values by name."""
-        if isinstance(section, cls):
-            return section
         if not isinstance(section, Mapping):
-            raise InputError("key regression: must be a section [regression]")
+            return section  # it is one, or is refused as no section
         values = {name: value for name, value in flattened(section) if name not in _OWN}
         own: dict[str, Any] = {name: section[name] for name in _OWN if name in section}
         return cls(**own, values=values)
