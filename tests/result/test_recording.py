@@ -248,8 +248,7 @@ def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path):
         try:
             recording = Recording.open(path)
         except InputError as error:
-            reason = "is not an Arrow stream" if size else "is empty"
-            assert str(error).startswith(f"{path}: {reason}")  # noqa: PT017
+            assert str(error).startswith(f"{path}: is not an Arrow stream")  # noqa: PT017
             continue
         assert np.array_equal(all_columns(recording), whole[: recording.rows])
         assert recording.complete is False
@@ -274,9 +273,7 @@ FOREIGN = [
     (["time"], "float64", "{", "is damaged"),
     (["time"], "float64", "[]", "format None; must be 1"),
     (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
-    (["time"], "float16", WHOLE, "type halffloat; must be double"),
     ([], "float64", WHOLE, "the first column is not time"),
-    (["time", "x", "x"], "float64", WHOLE, "two columns have the same name"),
 ]
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
-from ...fmus.errors import InputError, excerpt
+from ...fmus.errors import refuse
 from ...task.criteria import Direction
 
 Word = Literal["ok", "missed", "not measured"]
@@ -61,7 +61,7 @@ class Criterion:
         # Margins are computed anew: format 1 has none, and format 2 limited them.
         entries = summary.get("criteria", ())
         if not isinstance(entries, list | tuple):
-            raise InputError(f"criteria: value {excerpt(entries)}; must be a list")
+            refuse("criteria", entries, "must be a list")
         return tuple(cls._read(entry) for entry in entries)
 
     @classmethod
@@ -72,8 +72,7 @@ class Criterion:
             direction = entry.get("direction", "above" if name.startswith("min_") else "below")
             return cls(name, *numbers, str(entry["unit"]), direction, entry.get("reason"))
         except (LookupError, TypeError, AttributeError, ValueError):
-            shown = excerpt(entry)
-            raise InputError(f"criteria: value {shown}; must be a judged criterion") from None
+            refuse("criteria", entry, "must be a judged criterion")
 
 
 def verdict_of(criteria: Iterable[Criterion]) -> Word:

@@ -12,7 +12,6 @@ from ...assets import STEP_SIZE
 from ...assets.fields import Array
 from ...assets.franka import ROBOTS
 from ...assets.limits import RobotLimits
-from ...fmus.errors import refuse
 from ...task.limits import LIMITS, LIMITS_OF, METRICS, robot_of
 from ..recording import Recording, by_rows
 from .holds import HAND
@@ -120,8 +119,6 @@ def _reference_rates(order: int) -> Elements:
     def rates(recording: Recording) -> Iterator[Array]:
         metadata, rows = recording.metadata, np.arange(recording.rows)
         period = metadata.get("parameters", {}).get("controller", {}).get("period", STEP_SIZE)
-        if not (isinstance(period, int | float) and period > 0.0):
-            refuse("metadata: controller.period", period, "must be above 0 s")
         ticks = max(round(period / STEP_SIZE), 1)
         late = int(metadata.get("coupling") == "jacobi" and len(rows) > 1)  # [ticks] of the first
         for velocity in _of(REFERENCE)(recording):

@@ -74,8 +74,6 @@ class Recording:
         self._source = source
         if self.columns[:1] != ("time",):
             raise InputError(f"{path}: the first column is not time")
-        if len(self.types) != len(source.columns):
-            raise InputError(f"{path}: two columns have the same name")
         self._shapes = shapes_of(self.columns) | shapes_of(self.texts)
 
     @classmethod

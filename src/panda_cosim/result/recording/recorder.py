@@ -119,7 +119,6 @@ class Recorder(MemoryRecorder):
         place = Path(folder).absolute()  # an FMU may change the working directory
         super().__init__(place, columns, metadata)
         self._stream, self._parquet = place / STREAM_FILE, place / PARQUET_FILE
-        storage.literal(self._parquet)  # or it would be refused after the run
         self._saved = 0  # rows in the stream
         self._size = 0  # of the stream's whole messages [bytes]
         self._error: SimulationError | None = None
