@@ -136,7 +136,7 @@ def test_too_fast_a_command_says_which_limit_binds():
 # Other blocks.
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [2, pytest.param(300, marks=pytest.mark.long)])
 def test_other_blocks_are_placed_as_well(count):
     for task in random_tasks(count):
         metrics = run_in_memory(load_scenario("pick_and_place").changed(task)).summary

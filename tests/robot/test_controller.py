@@ -136,7 +136,7 @@ def test_the_law_is_the_one_that_is_written_down(seed, has_pid, gentle):
 
 
 @pytest.mark.parametrize("gains", ALL_GAINS)
-@pytest.mark.parametrize("instant", [0, 1, 150, 399])
+@pytest.mark.parametrize("instant", [1, 350])
 def test_a_restored_state_replays_bit_for_bit(gains, instant):
     original = Controller(gains)
     replay(original, INPUT_ROWS[:instant])

@@ -72,10 +72,11 @@ def test_a_request_that_is_not_complete_waits() -> None:
 # Motions.
 
 
-def way(made: Coupled) -> Any:
-    """How far each joint has gone [rad]."""
-    q = made.rows[:, :7]
-    return q.max(axis=0) - q.min(axis=0)
+@needs_clients
+@pytest.mark.parametrize("what", ["joint", "joint_velocity"])
+def test_joints_go_as_far_as_they_are_told(what: str) -> None:
+    q = after(what).rows[:, :7]
+    np.testing.assert_allclose(q.max(axis=0) - q.min(axis=0), JOINTS, atol=3.0 * FRICTION)
 
 
 @needs_clients
@@ -83,7 +84,6 @@ def test_joints_follow_positions_tick_by_tick() -> None:
     made = after("joint")
     assert made.told["durations"] == [0, 1]
     assert made.told["lag"] < 2.0 * FRICTION
-    np.testing.assert_allclose(way(made), JOINTS, atol=3.0 * FRICTION)
     assert TICKS <= len(made.rows) <= TICKS + BRAKING
     assert (made.ended, made.failed, made.warnings) == ("the program has left", False, [])
     assert made.output("motion_generator")[: TICKS - 1].tolist() == [1.0] * (TICKS - 1)
@@ -97,11 +97,6 @@ def test_a_repeat_and_a_pause_give_the_same_bits(is_told, monkeypatch, tmp_path)
     if not is_told:  # the kernel tells nothing of packets, as of another machine's
         monkeypatch.setattr(line, "PACKETS", tmp_path / "none")
     np.testing.assert_array_equal(couple("paused").rows, after("joint").rows)
-
-
-@needs_clients
-def test_joints_follow_velocities() -> None:
-    np.testing.assert_allclose(way(after("joint_velocity")), JOINTS, atol=3.0 * FRICTION)
 
 
 @needs_clients

@@ -56,18 +56,15 @@ def said(*arguments: object) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("law_first", [True, False])
-def test_a_torque_law_and_its_scene_are_named_in_any_order(laws, law_first):
+def test_a_torque_law_and_its_scene_are_named_in_any_order(laws):
     law = ("--controller", f"{laws / 'laws.py'}:OSC")
-    options = (*law, *MOTORS) if law_first else (*MOTORS, *law)
     gain = ("--set", "controller.stiffness=300")
-    code, text = said("run", laws / "hold", *options, *gain, "--no-video", "--no-view",
-                      "--out", laws / "run")  # fmt: skip
+    for options in ((*law, *MOTORS), (*MOTORS, *law)):
+        assert said("check", laws / "hold", *options, *gain)[0] == 0
+    out = ("--no-video", "--no-view", "--out", laws / "run")
+    code, text = said("run", laws / "hold", *options, *gain, *out)
     assert code == 0, text
     assert "controller.kp" not in text
-    assert said("check", laws / "hold", *options, *gain)[0] == 0
-    if not law_first:
-        return  # an analysis parses its options by the same code
     code, text = said("analyze", laws / "hold", *options, *gain, "--at", "0.1", "--out", laws / "a")
     assert code == 0, text
     assert "plant.torque[7]" in text
@@ -210,8 +207,7 @@ def test_each_mode_of_the_hand_on_its_springs_has_the_damping_ratio(ratio):
 
 
 @pytest.mark.own_process
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("force", [-150.0, 150.0])  # N
+@pytest.mark.parametrize(("axis", "force"), [(0, -150.0), (1, 150.0), (2, -150.0)])  # N
 def test_a_hand_that_is_pushed_comes_back_to_its_path(tmp_path, axis, force):
     push = Push(start=0.6, duration=0.3, force=tuple(force * np.eye(3)[axis]))
     record = run_scenario(replace(MOVING, push=(push,)), tmp_path / "run").recording

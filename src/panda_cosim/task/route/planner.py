@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import islice, product
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from ...assets import STEP_SIZE
 from ...assets.fields import Array
 from ...fmus.errors import InputError
 from ...fmus.extras import needing
-from ...plant.parameters import BLOCK_HALF_HEIGHT, block_start_height
+from ...plant.parameters import BLOCK_HALF_HEIGHT
 from ..scenario import Scenario
 from .motions import SPACING, Motion, rounded, timed
 from .scene import HOME, PLANNED, SEED, Lines, Load, RouteScene, spacing
@@ -37,17 +37,11 @@ CLEARANCES: Final = (PLANNED, 0.5 * PLANNED, 0.25 * PLANNED)  # [m] less in narr
 ITERATIONS: Final = (300, 3000)  # of the planner: to the best goal, then to any
 SHORTCUTS: Final = 60  # of a path, that are tried
 ROUNDINGS: Final = (1.0, 0.5, 0.25, 0.1)  # of corners, from the fastest to the closest
-RINGS: Final = 0.05 * np.arange(1, 9)  # [m] distances at which other places are tried
-ANGLES: Final = np.arange(0.0, 2.0 * math.pi, math.pi / 4.0)
 SETTLING: Final = 0.5  # [s] after the last row
 
 
 class NoRouteError(InputError):
     """Nothing leads to the block; the message says why."""
-
-
-class NoPlaceError(NoRouteError):
-    """Nothing leads from the block to its place."""
 
 
 def route(scenario: Scenario, scene: RouteScene, load: float) -> Scenario:
@@ -56,7 +50,7 @@ def route(scenario: Scenario, scene: RouteScene, load: float) -> Scenario:
     try:
         motions = _motions(scene, place)
     except NoRouteError as error:
-        raise InputError(f"{scenario.name}: {error}{_nearest(scene, place, error)}") from None
+        raise InputError(f"{scenario.name}: {error}") from None
     table = timed(scene, motions, load, scenario.timing_share)
     ticks = math.ceil((table.rows[-1].time + SETTLING) / STEP_SIZE)
     duration = round(ticks * STEP_SIZE, 9)
@@ -64,12 +58,10 @@ def route(scenario: Scenario, scene: RouteScene, load: float) -> Scenario:
                    duration=duration)  # fmt: skip
 
 
-def _motions(
-    scene: RouteScene, place: Array, tries: Sequence[tuple[int, float]] = TRIES
-) -> list[Motion]:
+def _motions(scene: RouteScene, place: Array) -> list[Motion]:
     """Return all motions, or raise the reason of the last attempt that had a grasp."""
     block, reason = scene.block, NoRouteError("no posture of the arm grasps and lifts the block")
-    for starts, height in tries:
+    for starts, height in TRIES:
         scene.block, scene.opening = block, READY
         above, loads = block[:3] + np.array([0.0, 0.0, height]), (Load.GRASPED, Load.SET_DOWN)
         yaw = 2.0 * math.atan2(block[6], block[3])
@@ -79,7 +71,7 @@ def _motions(
         for to_block, down, lift in _ways(scene, HOME, picks, Load.STANDS, OPEN):
             try:
                 carried = _carried(scene, place, starts, height, down, lift)
-            except NoPlaceError as error:
+            except NoRouteError as error:
                 reason = error
                 continue
             return [
@@ -89,7 +81,6 @@ def _motions(
                 Motion("lift", lift, CLOSED, CARRY),
                 *carried,
             ]
-    scene.block = block
     raise reason
 
 
@@ -116,7 +107,7 @@ def _carried(  # noqa: PLR0913 - all that the rest depends on
                 Motion("return", back, OPEN),
             ]
         reason = "no way leads back from the place"
-    raise NoPlaceError(reason)
+    raise NoRouteError(reason)
 
 
 def _ways(
@@ -200,28 +191,3 @@ def _joints(state: Any) -> Array:
 
 def _dwell(q: Array, duration: float) -> Array:
     return np.tile(q, (round(duration / SPACING) + 1, 1))
-
-
-def _around(place: Array) -> Iterator[Array]:
-    """Yield places of the block (3,) [m] around one, the nearest first."""
-    for distance, angle in product(RINGS, ANGLES):
-        x, y = place[0] + distance * math.cos(angle), place[1] + distance * math.sin(angle)
-        yield np.array([x, y, block_start_height(x, y)]).round(3)
-
-
-def _nearest(scene: RouteScene, place: Array, error: NoRouteError) -> str:
-    """Name the nearest place for the block, at the start or at the end, to which a route leads."""
-    standing, moves_place = scene.block, isinstance(error, NoPlaceError)
-    for other in _around(place if moves_place else standing):
-        block = np.concatenate((other, standing[3:]))
-        if not scene.can_stand(block):
-            continue
-        scene.block = standing if moves_place else block
-        try:
-            _motions(scene, other if moves_place else place, TRIES[:1])
-        except NoRouteError:
-            continue
-        key, numbers = ("success.block_position", 3) if moves_place else ("plant.block_pos", 2)
-        value = ",".join(f"{number:g}" for number in other[:numbers])
-        return f"; the nearest that was found to work is {key}={value}"
-    return ""

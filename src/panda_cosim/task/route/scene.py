@@ -25,7 +25,6 @@ ROOM, FEW = 0.35, 0.1  # [rad] to the ends: more is no better, less the last cho
 CLEARANCE: Final = 0.004  # [m] of everything that moves from everything else, on the finished path
 PLANNED: Final = 0.02  # [m] the same where a path is planned, as its corners are rounded later
 REACH: Final = 0.9  # [m] no point of the arm is further from a joint's axis
-INSIDE: Final = 1e-4  # [m] deeper contact is none of rest
 ABOVE: Final = 0.06  # [m] over a place, where the hand comes from
 KNOTS: Final = 25  # of a straight line
 SAME_BRANCH: Final = 0.2  # [rad] between two of them
@@ -89,12 +88,6 @@ class RouteScene:
         """Let the held block stand where it is at joint positions (7,) [rad]."""
         self.block = _product(self.hand(q), self.held)
 
-    def can_stand(self, block: Array) -> bool:
-        """Tell whether a block at a pose (7,) touches nothing but what it stands on."""
-        contact = self._contacts(block)
-        pairs = np.sort(self._kinds[contact.geom], axis=1)
-        return bool((contact.dist[(pairs == [_SURROUNDINGS, _BLOCK]).all(axis=1)] > -INSIDE).all())
-
     def is_free(self, q: Array, load: Load, clearance: float = CLEARANCE) -> bool:
         """Tell whether joint positions (7,) [rad] are in range, and keep the clearance [m]."""
         if (q < self.low - 1e-3).any() or (q > self.high + 1e-3).any():
@@ -102,19 +95,15 @@ class RouteScene:
         is_held, surroundings, gripper = load.value
         block = _product(self.hand(q), self.held) if is_held else self.block
         self._data.qpos[:7], self._data.qpos[7:9] = q, self.opening / 2.0
-        contact = self._contacts(block)
+        self._data.qpos[self._free : self._free + 7] = block
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+        contact = self._data.contact
         one, other = np.sort(self._kinds[contact.geom[contact.dist < clearance]], axis=1).T
         allowed = (one == other) & ((one == _GRIPPER) | (one == _SURROUNDINGS))
         allowed |= (other == _BLOCK) & (one == _SURROUNDINGS) & surroundings
         allowed |= (other == _BLOCK) & (one == _GRIPPER) & gripper
         return bool(allowed.all())
-
-    def _contacts(self, block: Array) -> Any:
-        """Contacts with the block at a pose (7,)."""
-        self._data.qpos[self._free : self._free + 7] = block
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_collision(self._model, self._data)
-        return self._data.contact
 
     def are_free(self, path: Array, load: Load) -> bool:
         """Tell whether a path (n, 7) [rad] is free, with no way between two checks too long."""
