@@ -134,5 +134,4 @@ def torque_rate_measure(rate: Array, limits: RobotLimits) -> Measure:
 
 def lengths(vectors: Array) -> Array:
     """Return the lengths of vectors (n, 3) as (n, 1)."""
-    sizes: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return sizes
+    return np.asarray(np.linalg.norm(vectors, axis=1, keepdims=True))

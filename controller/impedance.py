@@ -118,8 +118,7 @@ class ImpedanceLaw(Law):
         """Torques of gravity, velocities and joint damping (7,) [N.m] at the measured joints."""
         x = self._inputs
         damping = JOINT_DAMPING[self._gains.robot] * x.qvel
-        bias: Vector = self._arm.hand(x.qpos, x.qvel).bias + damping
-        return bias
+        return np.asarray(self._arm.hand(x.qpos, x.qvel).bias + damping)
 
 
 def _shorten(vector: Vector, most: float) -> None:

@@ -40,8 +40,7 @@ _SIDES = np.array([[-1.0], [1.0]])
 
 def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
     """Return values within bounds (n,); the upper bound wins. Faster than `np.clip`."""
-    clamped: Vector = np.minimum(np.maximum(values, low), high)
-    return clamped
+    return np.minimum(np.maximum(values, low), high)
 
 
 class Motion(NamedTuple):
@@ -94,8 +93,7 @@ class JointLimits:
         """Joint velocities that lead away from the ends of the joints' ranges."""
         inside = np.maximum(END_ZONE - _SIDES * (self._ends - q_ref), 0.0)
         up, down = np.minimum(END_PULL * inside * inside, END_SPEED)
-        pull: Vector = up - down
-        return pull
+        return np.asarray(up - down)
 
     def inactive(self, qd: Vector, before: Motion) -> bool:
         """Check cheaply that no limit is near; `velocity_box` then contains qd."""
@@ -134,15 +132,13 @@ class JointLimits:
         room = np.maximum(_SIDES * (self._ends - q_ref), 0.0)
         speed = np.sqrt(self._twice_braking * room + self._half_squared) - self._half_change
         speed = np.minimum(speed, APPROACH_RATE * room)
-        stoppable: Vector = np.minimum(speed, self._share * self._robot.speed(q_ref, _SIDES))
-        return stoppable
+        return np.minimum(speed, self._share * self._robot.speed(q_ref, _SIDES))
 
     def _reachable(self, room: Vector) -> Vector:
         """Largest change of speed that can be reduced to 0, step by step, within a room (2, 7)."""
         # A change of d is followed by d - step, d - 2 step and so on.
         count = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * np.maximum(room, 0.0) / self._step) - 1.0))
-        change: Vector = (room + 0.5 * self._step * count * (count + 1.0)) / (count + 1.0)
-        return change
+        return (room + 0.5 * self._step * count * (count + 1.0)) / (count + 1.0)
 
     def _come_back(self, box: Box, excess: Vector, lag: Vector) -> None:
         """Pull back, in place, joint references that are too far ahead by `excess` (7,) [rad]."""
@@ -161,8 +157,7 @@ class JointLimits:
         free = self._stoppable(before.q_ref).min(axis=0) >= self._speed
         kinds = np.where(free & (np.abs(before.lag) <= self._lead), VELOCITY, POSITION)
         kinds = np.where(by_change, np.where(full, ACCELERATION, JERK), kinds)
-        binds: Vector = np.where((qd <= low) | (qd >= high), kinds, 0.0)
-        return binds
+        return np.where((qd <= low) | (qd >= high), kinds, 0.0)
 
 
 def within(qd: Vector, box: Box) -> bool:

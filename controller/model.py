@@ -77,8 +77,7 @@ class ArmModel:
         self._make_inertia(q)
         self._qdd[...] = qdd
         mujoco.mj_mulM(self._model, self._data, self._force, self._acceleration)
-        force: Vector = self._force[:7].copy()
-        return force
+        return np.array(self._force[:7])
 
     def hand(self, q: Vector, qd: Vector) -> HandState:
         """Return where the hand is and what holds the arm, with closed fingers and no load."""
@@ -99,5 +98,4 @@ class ArmModel:
         mujoco.mj_makeM(self._model, self._data)
         mujoco.mj_factorM(self._model, self._data)
         mujoco.mj_solveM(self._model, self._data, moved, rows)
-        product: Vector = moved[:, :7].copy()
-        return product
+        return np.array(moved[:, :7])

@@ -48,5 +48,4 @@ class Pid:
         derivative = self._decay * state.derivative + self._kd_rate * change
         state.integral[...], state.derivative[...] = integral, derivative
         state.error_before[...] = error
-        correction: Vector = self._kp * error + integral + derivative
-        return correction
+        return np.asarray(self._kp * error + integral + derivative)

@@ -140,8 +140,7 @@ class ReferenceLaw(Law):
         """Joint velocities d (7,) [rad/s], of which the task leaves the null space's part."""
         x, gains, q_ref = self._inputs, self._gains, self._state.q_ref
         if gains.follow_posture:
-            drift: Vector = x.posture_vel_cmd + gains.posture_follow_gain * (x.posture_cmd - q_ref)
-        else:
-            pull = self._limits.pull_from_ends(q_ref)
-            drift = gains.posture_gain * (gains.posture - q_ref) + pull
-        return drift
+            behind = x.posture_cmd - q_ref
+            return np.asarray(x.posture_vel_cmd + gains.posture_follow_gain * behind)
+        pull = self._limits.pull_from_ends(q_ref)
+        return np.asarray(gains.posture_gain * (gains.posture - q_ref) + pull)

@@ -21,8 +21,7 @@ def manipulability(factor: Matrix) -> float:
 
     Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", IJRR 4(2), 1985.
     """
-    product: float = math.prod(factor.diagonal().tolist())
-    return product
+    return float(math.prod(factor.diagonal().tolist()))
 
 
 def smallest_singular_value(factor: Matrix, weak_direction: Vector) -> float:

@@ -38,8 +38,7 @@ def kinds_of(model: Any) -> Kinds:
     unwanted = (high == _ARM) | ((high == _FINGER) & (low == _FIXED))
     on_table = (high == _FINGER) & np.logical_or.outer(*[_belongs(model, (TABLE,))] * 2)
     kinds = UNWANTED * unwanted + ON_TABLE * on_table + _OF_BLOCK * (high == _BLOCK)
-    lists: Kinds = kinds.tolist()
-    return lists
+    return list(kinds.tolist())
 
 
 def _belongs(model: Any, names: tuple[str, ...]) -> Any:

@@ -65,8 +65,7 @@ def rotation(quat: Vector) -> Vector:
 
 def _turned(axes: Vector, inertia: Vector) -> Vector:
     """Return the matrix of principal inertias (3,) about axes (3, 3)."""
-    turned: Vector = axes @ np.diag(inertia) @ axes.T
-    return turned
+    return axes @ np.diag(inertia) @ axes.T
 
 
 @cache

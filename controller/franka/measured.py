@@ -25,8 +25,6 @@ from .motions import Kinematics, elbow_of
 from .wire import Message, columns, matrix
 
 GRAVITY: Final = (0.0, 0.0, -9.81)  # [m/s^2] of the base
-CONTACTS: Final = ("joint_contact", "cartesian_contact")
-COLLISIONS: Final = ("joint_collision", "cartesian_collision")
 
 
 class Measured:
@@ -56,8 +54,7 @@ class Measured:
         """Return the torques (7,) [N.m] that carry the load."""
         x, y, _ = rotation(self.inputs.hand_xquat) @ self._centre  # from the hand, world axes
         jac, weight = self.inputs.jac, -GRAVITY[2] * self._load[0]
-        torque: Vector = weight * (jac[2] + jac[3] * y - jac[4] * x)
-        return torque
+        return np.asarray(weight * (jac[2] + jac[3] * y - jac[4] * x))
 
     def errors(self) -> list[str]:
         """Return what the arm's limits, and the thresholds of collisions, refuse."""
@@ -125,5 +122,6 @@ class Measured:
         force[3:] -= moment
         state["tau_ext_hat_filtered"], state["O_F_ext_hat_K"] = torque, force
         state["K_F_ext_hat_K"] = (force.reshape(2, 3) @ frame[:3, :3]).reshape(-1)
-        for names, most in ((CONTACTS, self.lower), (COLLISIONS, self.upper)):
-            state[names[0]], state[names[1]] = np.abs(torque) > most[0], np.abs(force) > most[1]
+        for kind, most in (("contact", self.lower), ("collision", self.upper)):
+            state[f"joint_{kind}"] = np.abs(torque) > most[0]
+            state[f"cartesian_{kind}"] = np.abs(force) > most[1]

@@ -50,8 +50,7 @@ class Kinematics:
     def end_effector(self, q: Vector) -> Vector:
         """Return the end effector's pose (4, 4), world frame."""
         hand = self.hand(q)
-        pose: Vector = transform(rotation(hand.orientation), hand.position) @ self.in_hand
-        return pose
+        return transform(rotation(hand.orientation), hand.position) @ self.in_hand
 
     def towards(self, q: Vector, pose: Vector, elbow: float | None) -> Vector:
         """Return joints (7,), near others, that bring the end effector to a pose (4, 4)."""

@@ -65,8 +65,7 @@ class CartesianImpedance:
         """Return the torques (7,) [N.m], without those that carry the arm."""
         self._command(motion)
         self._law.update()
-        torque: Vector = self._outputs.motor_torque - self._inputs.qfrc_bias
-        return torque
+        return np.asarray(self._outputs.motor_torque - self._inputs.qfrc_bias)
 
     def _command(self, motion: Motion) -> None:
         hand, inputs = self._arm.hand(motion.q), self._inputs

@@ -62,9 +62,8 @@ def figures(deviations):
     distance = np.linalg.norm(spread[:, :3], axis=1)
     values = {"A_p": np.linalg.norm(mean[:3]), "R_l": distance.mean() + 3 * distance.std(ddof=1)}
     values |= {f"A_{axis}": x for axis, x in zip("xyzabc", mean, strict=True)}
-    return values | dict(
-        zip(("R_a", "R_b", "R_c"), 3 * spread[:, 3:].std(axis=0, ddof=1), strict=True)
-    )
+    turns = 3 * spread[:, 3:].std(axis=0, ddof=1)
+    return values | {f"R_{axis}": x for axis, x in zip("abc", turns, strict=True)}
 
 
 def stabilization(time, distance, band):
