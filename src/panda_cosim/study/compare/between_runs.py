@@ -27,7 +27,7 @@ from ...task.typed import typed
 from . import differences
 from .differences import Extent, SignalRow
 from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
-from .wording import DASH, multiple, numbers, precise, short, unit_of
+from .wording import DASH, multiple, precise, short
 
 Names = tuple[str, ...]
 
@@ -126,10 +126,8 @@ class RunComparison:
             for row in self.signals
         ]
         parameters, metrics = (
-            [(row.name, *(f"{text} {unit_of(row.name)}".rstrip() for text in numbers(row.values)))
-             for row in rows]
-            for rows in (self.parameters, self.metrics)
-        )  # fmt: skip
+            [row.cells for row in each] for each in (self.parameters, self.metrics)
+        )
         names = self.names
         return {
             "Recorded": Table(("Recorded", *names), recorded),

@@ -15,7 +15,7 @@ from ...fmus.errors import InputError, excerpt
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, flattened, signal_of
 from .tubes import TIME_SLACK, distances, widths
-from .wording import instant, measure, numbers
+from .wording import instant, measure, numbers, unit_of
 
 Array = NDArray[np.float64]
 
@@ -55,6 +55,12 @@ class Row:
         """Say what it is in each run: `controller.kp 8 -> 6`; long texts are cut."""
         texts = (text if len(text) < LONG else f"{text[:12]}..." for text in numbers(self.values))
         return f"{self.name} {' -> '.join(texts)}"
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Its name, and what it is in each run, with the unit if it is known."""
+        texts = (f"{text} {unit_of(self.name)}".rstrip() for text in numbers(self.values))
+        return self.name, *texts
 
     @property
     def relative(self) -> float:

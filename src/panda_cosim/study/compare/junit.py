@@ -10,7 +10,6 @@ from xml.etree import ElementTree as ET
 
 from ...fmus.atomic import MARK, replacing
 from ...result.judging.criterion import line
-from .causes import named
 from .wording import instant, measure, multiple
 
 if TYPE_CHECKING:
@@ -53,10 +52,7 @@ def details(outcome: Outcome) -> str:
         for d in (compared.deviations if compared else ())
         if not d.ok
     ]
-    causes = compared.causes if compared else ()
-    listed = [f"changed: {named(causes, len(causes))}"] if causes else []
-    criteria = [line(criterion) for criterion in outcome.criteria]
-    return "\n".join([*listed, *criteria, *outcome.problems[bool(causes) :], *deviations])
+    return "\n".join([*map(line, outcome.criteria), *outcome.problems, *deviations])
 
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:

@@ -36,7 +36,6 @@ from ...result.recording.storage import (
     values_of,
 )
 from ...task.files import as_argument
-from ...task.scenario import Scenario
 from ...task.tolerances import Tolerances
 from ..work import processor
 from .tubes import widths
@@ -247,10 +246,3 @@ def _check_run(recording: Recording, summary: Summary) -> None:
 def how_to_make(path: Path) -> str:
     """Return the command that makes the reference of one scenario, in backticks."""
     return f"`panda-cosim regress {as_argument(path.parent)} --update`"
-
-
-def reference_path(scenario: Scenario) -> Path:
-    """Return where a scenario's reference is, or would be."""
-    if scenario.folder is None:
-        raise InputError(f"scenario {scenario.name}: has no folder, hence no reference")
-    return scenario.folder / REFERENCE_FILE

@@ -27,7 +27,7 @@ from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..work import Workers
 from .against_reference import Comparison, Deviation, compare_with_reference
 from .causes import changed, is_parameter, models_of, named
-from .reference import Reference, how_to_make, kept_metadata, reference_path
+from .reference import REFERENCE_FILE, Reference, how_to_make, kept_metadata
 
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
@@ -90,11 +90,6 @@ class Outcome:
         return self.meaning.level == "good"
 
     @property
-    def has_run(self) -> bool:
-        """Whether it was neither skipped, nor failed to run."""
-        return self.verdict not in ("failed", "skipped")
-
-    @property
     def meaning(self) -> Meaning:
         """What readers make of the verdict."""
         return MEANINGS[self.verdict]
@@ -148,7 +143,8 @@ class Outcome:
     @property
     def reference_path(self) -> Path:
         """Path of the scenario's reference, which need not exist."""
-        return reference_path(self.read)
+        assert self.read.folder is not None  # as each scenario of a suite
+        return self.read.folder / REFERENCE_FILE
 
 
 def start(
@@ -346,7 +342,7 @@ def _scenarios_in(folder: Path) -> dict[str, Path]:
 
 def candidate(outcome: Outcome) -> Reference:
     """Make a reference from a run."""
-    if not outcome.has_run:
+    if outcome.verdict in ("failed", "skipped"):
         raise InputError(f"{outcome.verdict}, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)
     models = models_of(outcome.read, recording)

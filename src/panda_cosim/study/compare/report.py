@@ -12,9 +12,9 @@ import numpy as np
 from ...fmus.atomic import write_whole
 from ...result.judging.criterion import cells
 from ...result.recording import Recording
+from ...run.output import versions
 from ...show.view.page import shown_run
 from ...show.view.run import Shown
-from ...task.scenario import Scenario
 from ...task.values import Values
 from .against_reference import Comparison, Deviation, matching_rows
 from .differences import Row, differing
@@ -24,7 +24,7 @@ from .regress import MEANINGS, Outcome, exit_code, headline
 from .requirements import Proof, of_outcome
 from .tubes import tube
 from .views import Views, limited, shown_reference
-from .wording import DASH, instant, measure, numbers
+from .wording import DASH, instant, measure
 
 CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not
@@ -71,11 +71,7 @@ def _rank(outcome: Outcome) -> tuple[int, float, str]:
 def _about(outcomes: Sequence[Outcome]) -> str:
     """Return date, duration and versions in one line."""
     facts = [time.strftime("%Y-%m-%d %H:%M"), f"{sum(o.seconds for o in outcomes):.0f} s of runs"]
-    ran = [o for o in outcomes if o.has_run and isinstance(o.scenario, Scenario)]
-    if ran:
-        versions = Recording.open(ran[0].run).metadata.get("versions", {})
-        facts += [f"{name} {version}" for name, version in versions.items()]
-    return " · ".join(facts)
+    return " · ".join([*facts, *map(" ".join, versions().items())])
 
 
 def _section(outcome: Outcome, views: Views) -> Section:
@@ -151,5 +147,5 @@ def _figure(
 
 def _changes(title: str, rows: Sequence[Row], folded: str = "") -> Part:
     """Return what has changed from the reference."""
-    cells = [(row.name, *numbers(row.values)) for row in rows]
-    return Part(title, [Table(("What", "Reference", "This run"), cells, folded)])
+    table = Table(("What", "Reference", "This run"), [row.cells for row in rows], folded)
+    return Part(title, [table])

@@ -265,12 +265,9 @@ class Store:
 
     def row(self, index: int) -> Row:
         """Return one row, with all columns."""
-        known = self.done()
-        if index not in known:
-            raise InputError(
-                f"{self.folder}: has no row {index}; must be one of its {len(known)} rows, from "
-                f"{known[0]} to {known[-1]}"
-            )
+        if index not in (known := self.done()):
+            must = f"must be one of its {len(known)} rows, from {known[0]} to {known[-1]}"
+            raise InputError(f"{self.folder}: has no row {index}; {must}")
         return self.rows([index])[0]
 
     def count(self) -> dict[str, int]:
