@@ -122,7 +122,7 @@ ROW = "0,0,0,-1.5,0,1.5,0"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "is empty"),
+        ("", "columns ''; must be time"),
         ("time,q1\n0,1\n", "columns 'time,q1'; must be time and q1 to q7, and may be qd1 to qd7"),
         (f"{GOOD},qd1\n", "must be time and q1 to q7"),
         (f"{GOOD}\n", "0 rows; must be at least two"),

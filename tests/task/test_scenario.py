@@ -23,7 +23,7 @@ GOOD = 'purpose = "A test"\nduration = 1.5\n'
 
 # What scenario.toml holds, and what the message must say.
 BAD_SCENARIOS = {
-    "empty": ("", "is empty"),
+    "empty": ("", "key duration is missing"),
     "latin-1": ('purpose = "h\xf6her"\n'.encode("latin-1"), "line 1: byte 0xf6; must be UTF-8"),
     "too large": ("#" * 65_537, "is too large; must be at most 65536 bytes"),
     "key twice": (GOOD + "duration = 2\n", "at line 3"),
@@ -212,7 +212,7 @@ def with_cell(column: str, text: str) -> str:
 
 # What the file holds, and what the message must say.
 BAD_TABLES = {
-    "empty": ("", "is empty"),
+    "empty": ("", "0 rows; must be 2"),
     "one row": (HEAD + A, "1 rows; must be 2 to 100000"),
     "latin-1": (GOOD_TABLE.replace("home", "h\xf6me").encode("latin-1"), "line 2: byte 0xf6"),
     "no header": (A + B, "line 1: column '0' is unknown"),
@@ -232,7 +232,7 @@ BAD_TABLES = {
     ),
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
-    "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
+    "decimal comma": (with_cell("y", '"0,5"'), "such as 0.25"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
     "time repeats": (with_cell("time", "0"), "row 2: time: value 0.0; must be at least 1e-06 s"),
     "time goes back": (

@@ -105,14 +105,11 @@ def read_text(path: Path, max_bytes: int) -> str:
     if len(content) > max_bytes:
         raise InputError(f"{path}: is too large; must be at most {max_bytes} bytes")
     try:
-        text = content.decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         byte = content[error.start]
         raise InputError(f"{path}: line {line}: byte 0x{byte:02x}; must be UTF-8 text") from error
-    if not text.strip():
-        raise InputError(f"{path}: is empty")
-    return text
 
 
 def parse_csv(text: str, check: Callable[[list[str]], None] = lambda _: None) -> Csv:

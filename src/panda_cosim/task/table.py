@@ -256,6 +256,5 @@ def _value(column: str, text: str) -> str | float:
         return text
     number = finite_number(text)
     if number is None:
-        hint = " with a decimal point" if "," in text else " such as 0.25"
-        raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")
+        refuse(f"column {column}", text, "must be a number such as 0.25")
     return float(_BOUNDS[column].check(f"column {column}", number))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.fields import Array
-from ...fmus.errors import did_you_mean, excerpt, located, refuse
+from ...fmus.errors import located, refuse
 from ...task.criteria import (
     BLOCK,
     BOUNDS,
@@ -178,11 +178,8 @@ def columns_of(
     if name in units:
         return [name]
     if name not in shapes:
-        hint = did_you_mean(name, (*shapes, *units))
-        raise ValueError(
-            f"value {excerpt(name)} is not recorded as a number; must be a recorded signal{hint} "
-            "(`panda-cosim info` lists them)"
-        )
+        must = "must be a recorded signal of numbers (`panda-cosim info` lists them)"
+        refuse("", name, must, (*shapes, *units), ValueError)
     return [c for c in units if c.startswith(f"{name}[")]
 
 

@@ -92,9 +92,7 @@ class Recording:
         files = [given / name for name in names] if given.is_dir() else [given]
         file = next(filter(Path.is_file, files), None)
         if file is None:
-            raise InputError(
-                f"{given}: must be a recording or its folder, with {' or '.join(names)}"
-            )
+            raise InputError(f"{given}: must be a recording or its folder")
         read = open_stream if file.suffix == Path(STREAM_FILE).suffix else open_parquet
         recording = cls(file, read(file))
         if in_order:
@@ -283,10 +281,8 @@ class Recording:
         wrong[1:] |= ~(time[1:] > time[:-1])
         if wrong.any():
             row = int(wrong.argmax())
-            raise InputError(
-                f"{self.path}: time: value {time[row]} in row {row + 1}; must increase from row to "
-                "row"
-            )
+            value = f"value {time[row]} in row {row + 1}"
+            raise InputError(f"{self.path}: time: {value}; must increase from row to row")
 
 
 def by_rows(

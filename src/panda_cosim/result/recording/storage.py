@@ -88,18 +88,16 @@ def make_schema(columns: Sequence[Column], metadata: Mapping[str, object]) -> An
     import pyarrow as pa  # noqa: PLC0415 - slow to import
 
     fields = [
-        pa.field(
-            column.name,
-            pa.type_for_alias(column.type),
-            nullable=False,
-            metadata={
-                **{"unit": column.unit, "description": column.description},
-                **({} if column.nominal is None else {"nominal": repr(column.nominal)}),
-            },
-        )
-        for column in columns
+        pa.field(each.name, pa.type_for_alias(each.type), nullable=False, metadata=_notes(each))
+        for each in columns
     ]
     return pa.schema(fields, metadata={METADATA_KEY: json.dumps(metadata)})
+
+
+def _notes(column: Column) -> dict[str, str]:
+    """Return the metadata of a column."""
+    notes = {"unit": column.unit, "description": column.description, "nominal": column.nominal}
+    return {name: str(value) for name, value in notes.items() if value is not None}
 
 
 def serialize_end(schema: Any, state: Mapping[str, object]) -> Any:
