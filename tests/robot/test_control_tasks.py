@@ -180,14 +180,6 @@ def test_the_parameter_presses_like_the_column():
     assert controllers[0].outputs["ctrl"][7] == controllers[1].outputs["ctrl"][7]
 
 
-def test_a_wide_opening_is_no_grip():
-    controller = Controller(preset("default", grip_force=FORCE))
-    controller.inputs["grip_cmd"] = 0.07
-    controller.inputs["quat_cmd"] = controller.inputs["hand_xquat"] = (1.0, 0.0, 0.0, 0.0)
-    controller.update()
-    assert controller.outputs["ctrl"][7] == pytest.approx(255 * 0.07 / 0.08)
-
-
 @pytest.mark.parametrize(
     ("grip", "force", "bound"),
     [(0.06, 31.0, "from 0 to 30 N"), (0.04, 21.0, "must be at most 20 N on what is 0.04 m wide")],

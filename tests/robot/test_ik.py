@@ -95,11 +95,6 @@ def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
 # Pose error.
 
 
-@given(a=vectors, b=vectors, q=quaternions)
-def test_the_position_error_leads_from_the_hand_to_the_command(a, b, q):
-    assert np.array_equal(pose_error(a, q, b, q)[:3], a - b)
-
-
 @given(a=quaternions, b=quaternions)
 def test_the_error_brings_the_hand_to_the_command_by_the_shorter_way(a, b):
     error = error_between(a, b)

@@ -27,17 +27,6 @@ def excite(plant: Plant, ticks: int, seed: int = 0) -> None:
         plant.step()
 
 
-def press(plant: Plant) -> None:
-    """Close the gripper on the block between its fingers."""
-    plant.inputs["ctrl"][7] = 0.0
-    hand = plant.outputs["hand_xpos"]
-    for _ in range(600):
-        plant.data.qpos[9:12] = hand[0], hand[1], hand[2] - 0.13
-        plant.data.qpos[12:] = 1.0, 0.0, 0.0, 0.0
-        plant.data.qvel[9:] = 0.0
-        plant.step()
-
-
 @pytest.fixture(params=SCENES)
 def plant(request):
     """A plant of each scene."""
@@ -94,27 +83,6 @@ def test_a_step_is_one_of_mujoco_bit_for_bit(plant):
         np.testing.assert_array_equal(plant.outputs["qpos"], reference.qpos[:16])
         np.testing.assert_array_equal(plant.outputs["qvel"], reference.qvel[:15])
         np.testing.assert_array_equal(plant.outputs["actuator_force"], reference.actuator_force)
-
-
-def test_the_contact_force_is_the_sum_of_the_fingers_normal_forces():
-    plant = Plant()
-    press(plant)
-    fingers = [plant.model.body(f"{side}_finger").id for side in ("left", "right")]
-    block = plant.model.geom("obj_geom").id
-    # The contacts of the step that has ended: take the same step again, up to its forces.
-    twin = Plant()
-    twin.set_state(plant.get_state())
-    plant.step()
-    mujoco.mj_forward(twin.model, twin.data)
-    total, force = 0.0, np.zeros(6)
-    for i in range(twin.data.ncon):
-        pair = twin.data.contact[i].geom
-        others = [g for g in pair if g != block]
-        if block in pair and twin.model.geom_bodyid[others[0]] in fingers:
-            mujoco.mj_contactForce(twin.model, twin.data, i, force)
-            total += force[0]
-    assert total > 10.0, "the fingers press [N]"
-    assert plant.outputs["contact_force"] == pytest.approx(total, rel=1e-6)
 
 
 def test_the_blocks_force_lifts_the_block_and_leaves_the_arm_alone():

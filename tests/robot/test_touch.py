@@ -110,13 +110,6 @@ def test_a_hand_that_presses_on_the_table_stops_or_gives_way(reaction):
     assert not any("retime" in text for text in advice)
 
 
-def test_without_a_reaction_the_hand_goes_on_pressing():
-    scenario = replace(load_scenario("collision"), controller={"observer": True})
-    run = run_in_memory(scenario)
-    assert run.signals["plant.unwanted_contact_force"].max() > 150.0  # N
-    assert run.summary.events["collision"] is not None
-
-
 def test_an_arm_that_has_stopped_goes_on_when_the_reaction_is_none(tmp_path):
     scenario = replace(
         pushed("link6", (0.0, 0.0, -90.0)), controller={"reaction": "stop"}, duration=4.0
