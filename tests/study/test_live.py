@@ -117,10 +117,26 @@ def replayed(folder: Path, out: Path) -> Recording:
     return Recording.open(out)
 
 
+def check_names(page: Page) -> None:
+    """Buttons and curves have their names, and those of one row an axis."""
+    unlike = """[...document.querySelectorAll('.pv button')].filter((b) => b.textContent &&
+        b.ariaLabel && !b.ariaLabel.toLowerCase().includes(b.textContent.toLowerCase()))"""
+    assert page.value(f"{unlike}.map((b) => b.ariaLabel)") == []
+    names = "[...document.querySelectorAll('.pv-name > span:nth-child(2)')]"
+    page.wait(f"{names}.length > 10")
+    legends = set(page.value(f"{names}.map((name) => name.textContent)"))
+    assert {"x", "y", "z", "joint 1", "joint 7"} <= legends
+    scales = "PandaView.viewer.curves.charts.map((chart) => chart.plot.scales.x)"
+    axes = page.value(f"{scales}.map(({{min, max}}) => [min, max])")
+    assert axes
+    assert all(axis == [0, 1] for axis in axes)  # s
+
+
 def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page, tmp_path):
     with live(tmp_path / "run", "--speed", "0.1", "--paused") as server:
         page.visit(server.address, 720, 400)  # software draws, and large pictures take it long
         page.wait(READY)
+        check_names(page)
         page.value(CALM)
         page.wait("document.querySelector('.pv-place') !== null")  # it knows the waypoints
         way = drag_a_waypoint(page)
@@ -181,36 +197,12 @@ def test_a_run_ends_with_its_verdict_and_nothing_is_journalled_after_it(tmp_path
     assert json.loads(before.splitlines()[-1]) == {"tick": 6500, "action": "end"}
 
 
-def test_buttons_and_curves_have_their_names(page, tmp_path):
-    with live(tmp_path / "run", "--paused") as server:
-        page.visit(server.address, 720, 400)
-        page.wait(READY)
-        unlike = """[...document.querySelectorAll('.pv button')].filter((b) => b.textContent &&
-            b.ariaLabel && !b.ariaLabel.toLowerCase().includes(b.textContent.toLowerCase()))"""
-        assert page.value(f"{unlike}.map((b) => b.ariaLabel)") == []
-        names = "[...document.querySelectorAll('.pv-name > span:nth-child(2)')]"
-        page.wait(f"{names}.length > 10")
-        legends = set(page.value(f"{names}.map((name) => name.textContent)"))
-        assert {"x", "y", "z", "joint 1", "joint 7"} <= legends
-        scales = "PandaView.viewer.curves.charts.map((chart) => chart.plot.scales.x)"
-        axes = page.value(f"{scales}.map(({{min, max}}) => [min, max])")
-        assert axes  # of one row
-        assert all(axis == [0, 1] for axis in axes)  # s
-        server.end()
-
-
-def test_restart_begins_another_run_and_keeps_the_one_before(page, tmp_path):
-    with live(tmp_path / "run") as server:
-        page.visit(server.address, 720, 400)
-        page.wait(READY)
-        page.wait(f"{RUN}.newest('time') > 0.1")
-        pause(page)
-        at = newest(page, "time")
-        page.click(".pv-restart")
-        page.wait(f"{RUN}.newest('time') === 0")
-        assert page.value(f"{RUN}.span[0]") == 0.0
-        server.end()
-    assert Recording.open(tmp_path / "run").time[-1] == pytest.approx(at, abs=1e-9)
+def test_restart_begins_another_run_and_keeps_the_one_before(tmp_path):
+    with live(tmp_path / "run", "--paused") as server, viewer(server) as socket:
+        socket.send('{"do": "step", "ticks": 100}')
+        socket.send('{"do": "restart"}')
+        told(socket, "status", lambda status: status["run"] == 2)
+    assert Recording.open(tmp_path / "run").time[-1] == pytest.approx(0.1, abs=1e-9)
     assert (tmp_path / "run-2" / "session.jsonl").is_file()
 
 

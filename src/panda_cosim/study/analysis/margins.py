@@ -179,6 +179,9 @@ class Analysis:
     Attributes:
         scenario: Name of the scenario.
         at: The instant [s].
+        inputs: Where the n loops are opened, such as `plant.ctrl[1]` (n,).
+        positions: Positions of the joints that these inputs move (n,), or () if the plant has none.
+        period: Time between two updates of the controller, at which the models are sampled [s].
         margins: Margins of each loop and of all at once; see `Margins`.
         responses: What was measured, n loops; see `Responses`.
         confirmed: What runs on both sides of each margin came to, if they were verified.
@@ -186,24 +189,12 @@ class Analysis:
 
     scenario: str
     at: float
+    inputs: tuple[str, ...]
+    positions: tuple[str, ...]
+    period: float
     margins: Margins
     responses: Responses = field(repr=False)
     confirmed: tuple[Confirmation, ...] = ()
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Where the n loops are opened, such as `plant.ctrl[1]` (n,)."""
-        return self.responses.inputs
-
-    @property
-    def positions(self) -> tuple[str, ...]:
-        """Positions of the joints that these inputs move (n,), or () if the plant has none."""
-        return self.responses.positions
-
-    @property
-    def period(self) -> float:
-        """Time between two updates of the controller, at which the models are sampled [s]."""
-        return self.responses.period
 
     def plot(self, **others: Analysis) -> ShownFigure:
         """Return the figure of the loops, in a notebook or for a file, with others overlaid.
@@ -340,7 +331,9 @@ def analyze(
         margins = judge(responses, prepared.scenario.coupling)
         wanted = verify and margins.stable
         confirmed = confirm(margins, responses.sensitivity, measurement.bears) if wanted else ()
-    return Analysis(prepared.scenario.name, responses.at, margins, responses, confirmed)
+    name, is_ = prepared.scenario.name, responses
+    loops = is_.inputs, is_.positions, is_.period
+    return Analysis(name, is_.at, *loops, margins, responses, confirmed)
 
 
 def _instant(prepared: Prepared, at: float | str) -> tuple[int, Inputs]:

@@ -57,17 +57,12 @@ class Responses:
     pulses: Array  # (ticks, n + outputs, n) what feeds the inputs, then the outputs; by input
     linearity: float  # of twice a pulse at all inputs, half its response [share of the peak]
     changed: bool  # whether they end before a contact or a limit changes them
-    others: tuple[str, ...] = ()  # outputs of the plant beside the positions
+    outputs: tuple[str, ...] = ()  # of the plant: positions, then others
 
     @property
     def window(self) -> float:
         """Length of the responses [s]."""
         return len(self.pulses) * self.period
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Outputs of the plant: positions, then others."""
-        return (*self.positions, *self.others)
 
     @property
     def states(self) -> list[int]:
@@ -182,7 +177,7 @@ class Measurement:
         columns = [*(system.fed_by[i] for i in loops), *places]
         inputs, moved, seen = (
             tuple(map(".".join, names))
-            for names in ([self._targets[i] for i in loops], positions, others)
+            for names in ([self._targets[i] for i in loops], positions, (*positions, *others))
         )
         about, tried = (inputs, moved, self._instant, self._at.step * self._step), []
         for self._size in SIZES:  # the largest to which answers are linear, or the most linear one

@@ -171,7 +171,9 @@ def _rehearsed(prepared: Prepared) -> list[Diagnostic]:
     if summary.verdict is NOT_MEASURED:  # what the criteria wait for never happens
         place = f"{scenario.folder}/{SCENARIO_FILE}: [success]"
         return [Diagnostic("wrong", f"{place} {run.summary.detail}"), *trouble, *real]
-    about = _about(scenario)
+    about = f"{scenario.name}: {len(scenario.rows)} rows, {scenario.duration:g} s"
+    if scenario.mismatch.values:
+        about += f", mismatch of {', '.join(scenario.mismatch.values)}"
     if not trouble and (grip := weakest_grip(run.recording)):
         about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
     return [*trouble, *real, _conclusion(about, len(trouble), "it can run")]
@@ -209,16 +211,6 @@ def _name(scenario: Scenario) -> str:
     return scenario.name if is_shipped(scenario) else as_argument(Path(str(scenario.folder)))
 
 
-def _about(scenario: Scenario) -> str:
-    """Return in one line what was checked."""
-    parts = [f"{scenario.name}: {len(scenario.rows)} rows", f"{scenario.duration:g} s"]
-    if pushes := len(scenario.push):
-        parts.append(f"{pushes} push{'es' if pushes > 1 else ''}")
-    if scenario.mismatch.values:
-        parts.append(f"mismatch of {', '.join(scenario.mismatch.values)}")
-    return ", ".join(parts)
-
-
 # What the files alone show.
 
 
@@ -246,16 +238,15 @@ def _limits(prepared: Prepared) -> Iterator[str]:
     if not PRESETS[scenario.gains].use_reference:
         return
     violations, _ = feasibility(scenario, prepared.values)
-    texts = [f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN]]
-    if len(violations) > SHOWN:
-        texts.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more violations")
     name, helps = _name(scenario), REMEDIES["singular"]
     if all(violation.quantity != "reach" for violation in violations):
-        helps = f"`panda-cosim retime {name} --keep-times` gives these rows more time"
+        helps = f"`panda-cosim retime {name} --keep-times` gives that row more time"
     elif scenario.success.block_position:
         helps = f"`panda-cosim route {name}` plans another path"
-    yield from texts[:-1]
-    yield from (f"{last}; {helps}" for last in texts[-1:])
+    for violation in violations[:SHOWN]:
+        yield f"{TABLE_FILE}: {violation}; {helps}"
+    if len(violations) > SHOWN:
+        yield f"{TABLE_FILE}: and {len(violations) - SHOWN} more violations"
 
 
 def feasibility(
