@@ -50,8 +50,7 @@ def model_file(recording: Any) -> Path | None:
 def scenario_files(folder: Path) -> list[Path]:
     """Return all scenario.toml in a folder and below, but for hidden ones and copies in runs."""
     files = sorted(folder.rglob("scenario.toml"))
-    hidden = {f for f in files if any(p.startswith(".") for p in f.relative_to(folder).parts)}
-    return [file for file in files if file not in hidden and not is_copy(file)]
+    return [f for f in files if "/." not in f"/{f.relative_to(folder)}" and not is_copy(f)]
 
 
 def is_copy(scenario: Path) -> bool:

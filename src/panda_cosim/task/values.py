@@ -98,11 +98,7 @@ def _from_here(key: str, given: object) -> str:
 
         given = file_of(given)
     text: str = Line().check(key, given)
-    if "." not in text:
-        return text
-    file, colon, name = text.rpartition(":")
-    has_class = colon and file.endswith(".py")
-    return f"{os.path.realpath(file)}:{name}" if has_class else os.path.realpath(text)
+    return os.path.realpath(text) if "." in text else text
 
 
 def _steps(scenario: Scenario, fmus: Collection[str], key: str) -> Steps:

@@ -59,7 +59,7 @@ def find_holds(recording: Recording) -> list[Hold]:
     if any(name not in recording for name in (FORCE, *BLOCK)):
         return []
     spans = _spans(recording.time, recording[FORCE])
-    block = [recording[name] for name in BLOCK]
+    block = np.column_stack([recording[name] for name in BLOCK])
     opening = recording[OPENING] if OPENING in recording.columns else None
     return [_hold(block, opening, *span) for span in spans]
 
@@ -82,10 +82,9 @@ def _spans(time: Array, force: Array) -> list[tuple[int, int]]:
     return [(a, b) for a, b in spans if time[min(b, len(time) - 1)] - time[a] >= SHORT]
 
 
-def _hold(block: Sequence[Array], opening: Array | None, grasp: int, end: int) -> Hold:
+def _hold(block: Array, opening: Array | None, grasp: int, end: int) -> Hold:
     release_command = None if opening is None else _release_command(opening, grasp, end)
-    held = np.column_stack([axis[grasp:end] for axis in block])
-    way = np.linalg.norm(held - held[0], axis=1)
+    way = np.linalg.norm(block[grasp:end] - block[grasp], axis=1)
     away = np.flatnonzero(way > LIFTED)
     return Hold(grasp, end, release_command, grasp + int(away[0]) if len(away) else None)
 
