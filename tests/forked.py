@@ -88,6 +88,8 @@ def _started(command: Sequence[str], **settings: Any) -> Any:
 class _Worker(get_context("fork").Process):  # type: ignore[name-defined,misc]
     """A fork, in place of `subprocess.Popen`."""
 
+    returncode = property(lambda self: self.exitcode)
+
     def __init__(self, command: Sequence[str], env: Mapping[str, str], **_: object) -> None:
         super().__init__(target=_work, args=(*map(int, command[-2:]), env), daemon=True)
         self.start()
