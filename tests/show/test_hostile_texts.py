@@ -225,9 +225,9 @@ def test_a_notebook_shows_a_runs_texts(page, tmp_path):
     summary = Summary(criteria=criteria, scenario=TEXT, reason=TEXT, complete=False)
     in_notebook(page, tmp_path, Run(tmp_path, summary)._repr_html_())
     tags = "[...new Set([...document.body.querySelectorAll('*')].map((e) => e.tagName))].sort()"
-    assert page.value(tags) == ["B", "P", "TABLE", "TBODY", "TD", "TH", "TR"]
+    assert page.value(tags) == ["P", "TABLE", "TBODY", "TD", "TH", "TR"]
     assert page.value(HIDDEN) is False
-    assert says(page, "b", TEXT)
+    assert says(page, "p", TEXT)
     assert page.errors == []
 
 

@@ -186,8 +186,9 @@ def source(tmp_path_factory):
     """A copy of the source with the locked libraries in it."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("no node and npm here")
-    folder = tmp_path_factory.mktemp("build") / "source"
+    folder = tmp_path_factory.mktemp("build") / "view" / "source"
     shutil.copytree(VIEW / "source", folder, ignore=shutil.ignore_patterns("node_modules"))
+    shutil.copy(VIEW.parent / "palette.json", folder.parents[1])
     command = ["npm", "ci", "--prefer-offline"]
     done = ran(command, cwd=folder, code=None)
     unreachable = ("ENOTFOUND", "EAI_AGAIN", "ECONNREFUSED", "ETIMEDOUT", "ENETUNREACH")
@@ -221,37 +222,30 @@ def luminance(colour: str) -> float:
     return float(np.dot((0.2126, 0.7152, 0.0722), linear))
 
 
-# By style sheet: of names of colours, the texts on each paper.
-TEXTS = {
-    "view": {"pv-paper": "ink muted accent good bad", "pv-hover": "ink muted",
-             "pv-accent": "on-accent", "pv-good-paper": "good", "pv-bad-paper": "bad",
-             "pv-warn-paper": "warn", "pv-ghost-paper": "accent"},
-    "differences": {"paper": "ink muted good bad warn", "raised": "ink muted bad",
-                    "good-soft": "good", "bad-soft": "ink muted bad", "warn-soft": "warn",
-                    "bad": "paper"},
-    "sweep": {"paper": "ink quiet good bad accent", "back": "ink quiet", "soft": "ink quiet",
-              "good-paper": "good", "bad-paper": "bad"},
+PALETTE = json.loads((VIEW.parent / "palette.json").read_text(encoding="utf-8"))
+TEXTS = {  # on each paper
+    "paper": "ink muted accent good bad warn", "back": "ink muted", "soft": "ink muted bad",
+    "accent": "on-accent", "good-soft": "good", "bad-soft": "ink muted bad", "warn-soft": "warn",
+    "bad": "paper", "ghost-soft": "accent",
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("sheet", TEXTS)
-def test_texts_are_read_on_their_papers_in_light_dark_and_print(sheet):
-    text = (VIEW / "page" / f"{sheet}.css").read_text(encoding="utf-8")
-    prefix = "pv-" if sheet == "view" else ""
-    found = [dict(re.findall(r"--([\w-]+):\s*(#[0-9a-f]{3,6})\b", block))
-             for block in re.findall(r"\{([^{}]*)\}", text)]  # fmt: skip
-    schemes = [colours for colours in found if f"{prefix}ink" in colours]
-    assert len(schemes) >= 2
-    for scheme in schemes:
-        colours = {**schemes[0], **scheme}
-        full = {
-            n: c if len(c) == 7 else "#" + "".join(2 * d for d in c[1:]) for n, c in colours.items()
-        }
-        for paper, names in TEXTS[sheet].items():
-            for name in names.split():
-                pair = sorted((luminance(full[prefix + name]), luminance(full[paper])))
-                contrast = (pair[1] + 0.05) / (pair[0] + 0.05)
-                assert contrast >= 4.5, (name, paper, scheme, contrast)
+@pytest.mark.parametrize("scheme", ["light", "dark", "print"])
+def test_texts_are_read_on_their_papers(scheme):
+    bright = {name: luminance(colour) for name, colour in PALETTE[scheme].items()}
+    for paper, names in TEXTS.items():
+        for name in names.split():
+            low, high = sorted((bright[name], bright[paper]))
+            assert (high + 0.05) / (low + 0.05) >= 4.5, (name, paper)
+
+
+def test_pages_and_plots_have_the_colours_of_the_palette():
+    style = (VIEW.parent / "pictures" / "plot.mplstyle").read_text(encoding="utf-8")
+    assert {*re.findall("#[0-9a-f]{6}", style)} <= {*PALETTE["light"].values()}
+    for sheet in ("view", "differences", "sweep"):
+        text = (VIEW / "page" / f"{sheet}.css").read_text(encoding="utf-8")
+        for scheme in PALETTE.values():
+            assert ";".join(f"--{name}: {colour}" for name, colour in scheme.items()) in text
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,21 +24,14 @@ if TYPE_CHECKING:
 
 DPI = 110
 
-# Okabe and Ito's colours, which colour-blind readers can tell apart, ordered so that neighbours
-# differ in lightness, too; the yellow is left out, as it is too faint on white.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-INK = "#20242a"
-GREY = "#6e747c"
-SHADE = "#eef1f5"
-
+# Of pages and pictures. Curves have Okabe and Ito's colours, which colour-blind readers can tell
+# apart, ordered so that neighbours differ in lightness, too, and two more.
+_PALETTE = json.loads(Path(__file__).parents[1].joinpath("palette.json").read_text("utf-8"))
+COLOURS = tuple(_PALETTE["curves"].values())
+INK, GREY, SHADE, GOOD, BAD = map(_PALETTE["light"].get, ("ink", "muted", "soft", "good", "bad"))
 STYLE = Path(__file__).with_name("plot.mplstyle")
 
-COMMAND: dict[str, Any] = {
-    "color": INK,
-    "linewidth": 1.0,
-    "dashes": (4, 2.5),
-    "label": "command",
-}
+COMMAND: dict[str, Any] = {"color": INK, "linewidth": 1.0, "dashes": (4, 2.5), "label": "command"}
 HAND, POSITION = "plant.hand_xpos", "controller.pos_cmd"
 BLOCK_HEIGHT = "plant.qpos[12]"  # z of its centre [m]
 TICKS_REACH = 200.0  # [%] of a limit, up to which the axis is marked at the limit and its half

@@ -16,7 +16,7 @@ from ...result.judging.summary import Summary
 from ...result.judging.verdicts import NO_CRITERIA
 from ...task.fields import check_choice
 from .motion import SHAPES, check_signals, describe_run
-from .panels import DPI, GREY, SHADE, STYLE, Curves, panels_of, read_curves
+from .panels import BAD, DPI, GOOD, GREY, SHADE, STYLE, Curves, panels_of, read_curves
 from .signals import PRINTED, all_panels, draw_chosen, draw_panels, moves
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SIZE: Final = (13.0, 12.8)  # [inch]
 LENGTH: Final = 80  # of the purpose, and of what was missed
-VERDICTS: Final = {"good": "#0f7a54", "plain": GREY, "bad": "#c4243a"}  # by level
+VERDICTS: Final = {"good": GOOD, "plain": GREY, "bad": BAD}  # by level
 CARET_DOWN: Final = 11  # matplotlib's marker that points down from its position
 # Of the page of a run whose signals are not those of the task:
 MOST: Final = 24  # signals on a page

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -81,7 +80,6 @@ def describe(run: Shown, model_key: str, against: Recording | None = None) -> di
     _check(run, len(columns["qpos"]))
     thinning = Thinning.of(source.time)
     title, about = describe_run(source)
-    ran = [*metadata.get("code", {}).items(), ("stepped by", run.summary.stepped_by)]
     with ThreadPoolExecutor(1) as second:  # zlib compresses without Python's lock
         recorded = _signals(run, thinning, columns["qpos"], second)
         signals = [*_derived(source, thinning, against), *recorded]
@@ -92,7 +90,7 @@ def describe(run: Shown, model_key: str, against: Recording | None = None) -> di
         "name": run.name,
         "title": title,
         "purpose": str(metadata.get("purpose") or ""),
-        "facts": [*about.split(" · "), *[f"{part}: {by}" for part, by in ran if by][-PARTS:]],
+        "facts": [*about.split(" · "), *_ran(run)],
         "model": model_key if run.model else "",
         "verdict": {"state": run.summary.verdict.level, "words": run.summary.brief},
         "criteria": criteria_of(run.summary),
@@ -121,6 +119,13 @@ def _check(run: Shown, positions: int) -> None:
         )
 
 
+def _ran(run: Shown) -> list[str]:
+    """Say what ran the last FMUs, and what stepped them."""
+    code = run.source.metadata.get("code", {})
+    ran = {**code, "stepped by": run.summary.stepped_by}
+    return [f"{part}: {by}" for part, by in ran.items() if by][-PARTS:]
+
+
 def _notes(run: Shown, thinning: Thinning) -> Iterator[str]:
     """Yield remarks on the run and on how it is shown; empty ones are none."""
     metadata = run.source.metadata
@@ -132,8 +137,7 @@ def _notes(run: Shown, thinning: Thinning) -> Iterator[str]:
 
 def _columns(source: Recording, signal: str) -> list[str]:
     """Return a signal's columns in order; none if the run has no such signal."""
-    pattern = re.compile(rf"{re.escape(signal)}(\[\d+\])?")
-    return [name for name in source.columns if pattern.fullmatch(name)]
+    return [name for name in source.columns if signal_of(name) == signal]
 
 
 def _signals(

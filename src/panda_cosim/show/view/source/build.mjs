@@ -18,6 +18,18 @@ const pages = {
   worker: ["src/engine/worker.ts", "PandaWorker"],
 };
 
+const palette = JSON.parse(readFileSync(join(here, "../../palette.json"), "utf8"));
+
+/** Puts the colours of a scheme in where a style sheet says `@palette SCHEME;`. */
+const colours = {
+  name: "palette",
+  setup: ({ onLoad }) => onLoad({ filter: /\.css$/ }, ({ path }) => ({
+    loader: "css",
+    contents: readFileSync(path, "utf8").replace(/@palette (\w+);/g, (_, scheme) =>
+      Object.entries(palette[scheme]).map(([name, colour]) => `--${name}: ${colour};`).join(" ")),
+  })),
+};
+
 const licences = new Map(libraries.map((name) => {
   const folder = join(here, "node_modules", name);
   const { version } = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
@@ -42,6 +54,7 @@ async function built(name, entry, globalName) {
     target: ["es2022"],
     legalComments: "none", // the notice holds all of them
     charset: "utf8",
+    plugins: [colours],
     write: false,
     metafile: true,
   });

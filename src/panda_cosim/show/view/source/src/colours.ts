@@ -1,7 +1,9 @@
 // Colours of curves and marks.
 
-/** Colours that most people can tell apart, on white and on black. */
-export const PALETTE = ["#2f7cf6", "#f2711c", "#12a594", "#d6409f", "#8e5cf5", "#d9a400", "#4aa3c7", "#c2473a"];
+import palette from "../../../palette.json";
+
+/** Colours that most people can tell apart, on white and on black: Okabe and Ito's, and two more. */
+export const PALETTE = Object.values(palette.curves);
 
 export type Rgb = readonly number[]; // 0 to 255
 

@@ -22,7 +22,7 @@ export class Figure {
   constructor(private readonly host: HTMLElement, readonly curve: Curve) {
     const { runs, baseline, unit } = curve;
     this.view = curve.span;
-    const colours = runs.map((_, index) => `--run-${(index % COLOURS) + 1}`);
+    const colours = runs.map((_, index) => `--curve-${(index % COLOURS) + 1}`);
     const zero = new Float32Array(baseline.length);
     host.replaceChildren();
     this.plots = [
@@ -113,7 +113,7 @@ export class Figure {
     const isBelow = runs[0].values === curve.runs[0].differences;
     const colour = (name: string) => () => getComputedStyle(host).getPropertyValue(name);
     const tube = curve.tube.map((edge) => edge.map((value, row) => value + origin[row]));
-    const lines: Line[] = [{ values: origin, colour: "--reference" }, ...runs];
+    const lines: Line[] = [{ values: origin, colour: "--curve-0" }, ...runs];
     const [below, beside] = axes(colour("--muted"), colour("--grid"), BESIDE, "s");
     const plot = new uPlot({
       width: host.clientWidth,

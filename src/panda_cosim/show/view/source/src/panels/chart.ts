@@ -174,8 +174,8 @@ export class Chart {
       scales: { x: { time: false, range: ({ data: [times] }, low, high) => (times.length > 1 ? [low, high] : [times[0], times[0] + 1]) } }, // 1 s before a run begins
       series: [{}, ...own, ...other],
       cursor: { sync: { key: "panda-view" }, drag: { x: true, y: false }, points: { size: 6 } },
-      axes: axes(ink("--pv-muted"), ink("--pv-grid"), 48, "s"),
-      hooks: { setScale: [(plot, key) => this.scaled(plot, key)], draw: [(plot) => this.drawBounds(plot), (plot) => write(plot, this.shownUnit, ink("--pv-muted")())] },
+      axes: axes(ink("--muted"), ink("--grid"), 48, "s"),
+      hooks: { setScale: [(plot, key) => this.scaled(plot, key)], draw: [(plot) => this.drawBounds(plot), (plot) => write(plot, this.shownUnit, ink("--muted")())] },
     };
   }
 
@@ -226,7 +226,7 @@ export class Chart {
   private boundLevels(): Map<number, string> {
     const all = this.curves.map(({ column, colour }) => ({ colour, pair: this.links.run.bounds(column) }));
     const shared = new Set(all.map(({ pair }) => pair?.join() ?? "")).size === 1;
-    const red = getComputedStyle(this.element).getPropertyValue("--pv-bad");
+    const red = getComputedStyle(this.element).getPropertyValue("--bad");
     const levels = new Map<number, string>();
     for (const { colour, pair } of all)
       for (const level of pair ?? []) if (!levels.has(level)) levels.set(level, shared ? red : colour);
