@@ -193,6 +193,13 @@ def test_info_filters_variables_and_connections():
     assert told["connections"] == [c for c in everything if "torque" in f"{c}".lower()]
 
 
+def test_info_says_what_stands_in_a_scene_of_ones_own(tmp_path):
+    call("new", tmp_path / "own", "--plant")
+    told = json.loads(call("info", tmp_path / "own", "--json").stdout)["objects"]
+    assert ["pillar", "free", "0.6 0.35 0.25", "box 0.03 0.03 0.05"] in told
+    assert "work_space" in call("info", tmp_path / "own").stdout
+
+
 def test_a_run_leaves_recording_summary_and_scenario(finished):
     found = {path.relative_to(finished).as_posix() for path in finished.rglob("*")}
     files = {"recording.parquet", "summary.json", "view.html"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import compress, groupby
+from itertools import chain, compress, groupby
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,9 +20,11 @@ from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.fmu_file import Fmu, described_interface, read_fmu
 from ...fmus.master.order import by_variable, late, stepping_order
 from ...fmus.master.order import shown as order_line
+from ...fmus.sources.model_fmu import load
 from ...fmus.sources.targets import ONLY_PYTHON, OWN, Target
 from ...run.system.assembly import assemble, system_scenario
 from ...run.system.parts import UnreadSlaveError
+from ...show.view.model import describe
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ..console import WIDEST, Item, show_result, table
 from ..forms import argument, flag, option
@@ -44,7 +46,8 @@ def command(
 ) -> None:
     """Show the FMUs' variables and how they are connected.
 
-    Of a scenario's parts in Python, PythonFMU slaves are run to learn their variables.
+    Of a scenario's parts in Python, PythonFMU slaves are run to learn their variables. Of a scene
+    of its own, all fixed and free bodies are listed.
 
     ```
     panda-cosim info
@@ -76,6 +79,7 @@ class _Shown(NamedTuple):
     connections: Sequence[Connection]
     order: Sequence[str]
     late: Sequence[str] = ()  # connections
+    objects: Sequence[tuple[str, str, str, str]] = ()  # of a model's scene; see `_objects`
 
 
 def _markdown(shown: _Shown) -> Iterator[str]:
@@ -93,6 +97,9 @@ def _texts(shown: _Shown, code: Mapping[str, str], faults: Sequence[str]) -> Ite
         yield f"What runs in it: {code[name]}{', as it has no twin in C' * (name in ONLY_PYTHON)}"
         yield from _variables_tables(interface)
         yield ""
+    if shown.objects:
+        heads = ("body", "", "place [m]", "shapes, with sizes as in MJCF*")
+        yield table(heads, shown.objects, title="What stands in the scene")
     for fault in faults:
         yield Text(fault, "yellow")
     if shown.connections:
@@ -119,20 +126,34 @@ def _read(name: str | None) -> _Shown:
     if path.suffix == ".fmu":
         return _Shown({path.stem: described_interface(Fmu(path))}, (), [path.stem])
     if path.suffix == ".ssp":
-        scenario = system_scenario(path)
-    elif (path / SCENARIO_FILE).is_file():
-        scenario = Scenario.read(path)
-    else:
-        raise InputError(
-            f"{excerpt(name)}: must be {', '.join(OWN)}, an .fmu or .ssp file, or a "
-            f"scenario's folder{did_you_mean(name, OWN)}"
-        )
+        return _of_scenario(system_scenario(path))
+    if (path / SCENARIO_FILE).is_file():
+        return _of_scenario(Scenario.read(path))
+    must = f"must be {', '.join(OWN)}, an .fmu or .ssp file, or a scenario's folder"
+    raise InputError(f"{excerpt(name)}: {must}{did_you_mean(name, OWN)}")
+
+
+def _of_scenario(scenario: Scenario) -> _Shown:
+    """Return the parts of a scenario, and what stands in the scenes of its models."""
     try:
         made = assemble(scenario, run_code=False)
     except UnreadSlaveError:  # its variables are only known when it is run
         made = assemble(scenario)
     held = made.late(scenario.coupling)
-    return _Shown(made.interfaces, made.connections, [*made.interfaces], held)
+    models = (part.file for part in made.parts if part.is_model and part.file)
+    objects = [*chain.from_iterable(map(_objects, models))]
+    return _Shown(made.interfaces, made.connections, [*made.interfaces], held, objects)
+
+
+def _objects(model: Path) -> Iterator[tuple[str, str, str, str]]:
+    """Yield what stands in a model's scene: bodies that are fixed or free, and their shapes."""
+    bodies: Any = describe(load(model))["bodies"]
+    for body in bodies:
+        joints = ", ".join(joint["kind"] for joint in body["joints"])
+        if body["fixed"] or joints == "free":
+            place = " ".join(map(str, body["pos"]))
+            shapes = (" ".join(map(str, (it["kind"], *it["size"]))) for it in body["shapes"])
+            yield body["name"], joints or "fixed", place, "; ".join(shapes)
 
 
 def _filtered(text: str, shown: _Shown) -> _Shown:
@@ -160,12 +181,12 @@ def _drawing(shown: _Shown) -> str:
     """Draw FMUs in the order of stepping, and connections, dashed if late, as Mermaid does."""
     number = {name: i for i, name in enumerate(shown.order, 1)}
     lines = [f'  {i}["{i} {_quoted(name)}"]' for name, i in number.items()]
-    ways = defaultdict[str, list[str]](list)
+    ways = defaultdict[tuple[int, str, int], list[str]](list)
     for source, target, ((feeder, _), (fed, _)) in by_variable(shown.connections):
         line = "-.->" if f"{source} -> {target}" in shown.late else "-->"
-        way = f'  {number[feeder]} {line}|"%s"| {number[fed]}'
-        ways[way].append(_quoted(target.removeprefix(f"{fed}.")))
-    lines += [way % ", ".join(names) for way, names in ways.items()]
+        names = ways[number[feeder], line, number[fed]]
+        names.append(_quoted(target.removeprefix(f"{fed}.")))
+    lines += [f'  {a} {line}|"{", ".join(names)}"| {b}' for (a, line, b), names in ways.items()]
     return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 
 
@@ -178,7 +199,8 @@ def _described(shown: _Shown) -> dict[str, object]:
     about = ("model", "description", "variables")
     fmus = {name: {k: getattr(it, k) for k in about} for name, it in shown.interfaces.items()}
     ends = [{"from": ".".join(it.source), "to": ".".join(it.target)} for it in shown.connections]
-    return {"fmus": fmus, "connections": ends, "order": shown.order, "late": shown.late}
+    return {"fmus": fmus, "connections": ends, "order": shown.order, "late": shown.late,
+            "objects": shown.objects}  # fmt: skip
 
 
 def _variables_tables(interface: Interface) -> Iterator[Table]:

@@ -76,10 +76,7 @@ def command(  # noqa: PLR0913 - one for each option
     if not chosen.is_system:
         announce_build(Target(kind))
     if host != LOCAL:
-        warn(
-            f"--host {host}: everyone who can reach this address and has the page's token can "
-            "watch and control the run; nothing is encrypted"
-        )
+        warn(f"--host {host}: who has the page's address controls the run; nothing is encrypted")
     with Session(chosen, out, Options(kind=kind, waits=True), values=values) as session:
         for text in (*session.prepared.waiting, *session.warnings):
             warn(text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -137,9 +137,7 @@ def command(  # noqa: PLR0913 - one for each option
         check_kept_runs(report / "runs", (each.name for each in (*runs, *swept)))
     announce_python(kind)
     with ExitStack() as stack:
-        parent = report or cache_folder()  # on the same disk, so that runs can be moved
-        with writing(parent):
-            place = stack.enter_context(temporary_folder(parent))
+        place = stack.enter_context(_place(report or cache_folder()))
         outcomes = [*_run(suite, place), *(_sweep(each, place, suite.jobs) for each in swept)]
         rows = engine_rows(given, len(engines), outcomes) if engines else []
         outcomes = [*chain.from_iterable(rows)] or outcomes
@@ -153,6 +151,15 @@ def command(  # noqa: PLR0913 - one for each option
     items = chain(items, _of_engines(engines, rows))
     show_result({"scenarios": [*map(_described, outcomes)]}, items, json=json)
     raise typer.Exit(exit_code(outcomes))
+
+
+@contextmanager
+def _place(parent: Path) -> Iterator[Path]:
+    """Make a folder for the runs, on the disk of the report, so that they can be moved."""
+    with ExitStack() as stack:
+        with writing(parent):
+            place = stack.enter_context(temporary_folder(parent))
+        yield place
 
 
 def _qualify(
@@ -314,10 +321,7 @@ def _changed(outcomes: list[Outcome]) -> tuple[list[tuple[Outcome, Reference]], 
 def _ask(question: str, changed: list[Outcome]) -> None:
     """Ask whether references are to be overwritten, with a page of what changes; or end."""
     if sys.stdin is None or not sys.stdin.isatty():
-        raise InputError(
-            f"--update: nothing was overwritten: {question} Answer with --yes, as standard "
-            "input is not a terminal"
-        )
+        raise InputError(f"--update: {question} Without a terminal, --yes says so")
     page = default_folder("update") / REPORT_FILE
     write_report(changed, page, {})
     show_file(page)  # with the differences from the references, before they are gone
