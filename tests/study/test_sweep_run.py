@@ -246,7 +246,7 @@ def test_a_run_that_cannot_start_is_a_row_with_its_reason(tmp_path, fmus):
     with Local(job(short_sweep(tmp_path), fmus), 1) as local:
         rows = {done.task.index: done.row for done in local.run(tasks) if done is not None}
     assert rows[0]["status"] == "failed"
-    assert "column time: value 0.0 repeats" in rows[0]["error"]
+    assert "time: value 0.0; must be at least" in rows[0]["error"]
     assert "unexpected" not in rows[0]["error"]
     assert rows[0]["margin"] is None
     assert rows[1]["status"] == "success"

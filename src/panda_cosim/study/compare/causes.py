@@ -119,11 +119,6 @@ def _is_rounding(row: Row) -> bool:
     return is_model and (None in row.values or row.relative <= ROUNDING)
 
 
-def is_parameter(row: Row) -> bool:
-    """Whether it is a parameter, and not what it was made with besides."""
-    return row.name.startswith("parameters.")
-
-
 def _split(name: str) -> tuple[str, str, str]:
     """Return the part of a setting, or "", the instance, and what it is there."""
     part, _, rest = name.partition(".")

@@ -91,10 +91,7 @@ def _is_valid(change: Change, scenario: Scenario) -> bool:
 
 
 def qualify(
-    suite: Suite,
-    folder: Path,
-    share: float,
-    tell: Callable[[Outcome, int], None] = lambda *_: None,
+    suite: Suite, folder: Path, share: float, tell: Callable[[Outcome, int], None]
 ) -> list[Finding]:
     """Run a suite as it is, then with each change; runs in `folder` are removed as they end.
 

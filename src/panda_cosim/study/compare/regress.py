@@ -26,7 +26,7 @@ from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..work import Workers
 from .against_reference import Comparison, Deviation, compare_with_reference
-from .causes import changed, is_parameter, models_of, named
+from .causes import changed, models_of, named
 from .reference import REFERENCE_FILE, Reference, how_to_make, kept_metadata
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class Outcome:
             return ""
         match = self.comparison.ok
         whole = not match or self.difference  # another engine's fields, also where results match
-        told = [row for row in self.comparison.causes if whole or is_parameter(row)]
+        told = [c for c in self.comparison.causes if whole or c.name.startswith("parameters.")]
         return f"changed: {named(told)}{'; results match' * match}" if told else ""
 
     @property

@@ -91,15 +91,11 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     metrics.sort(key=lambda row: -row.relative)
     rows = [_deviation(d) for d in comparison.deviations]
     others = Table(SIGNALS, rows[listed:], f"{len(rows) - listed} more signals")
+    tables = [Table(SIGNALS, rows[:listed]), others]
     figures = [_figure(d, outcome, recording, reference) for d in shown]
     return [
         _view(outcome, shown, views),
-        Part(
-            "Signals, worst first",
-            [Table(SIGNALS, rows[:listed]), others],
-            comparison.scope,
-            figures,
-        ),
+        Part("Signals, worst first", tables, comparison.scope, figures),
         _changes("Parameters, models, versions, FMUs", comparison.causes),
         _changes("Metrics", metrics, f"{len(metrics)} that differ"),
     ]

@@ -137,10 +137,6 @@ def _names(value: object) -> tuple[str, ...]:
     return tuple(Line()(str(name)) for name in names)
 
 
-def _sorted(varied: dict[str, Distribution]) -> dict[str, Distribution]:
-    return dict(sorted(varied.items()))  # their order in the file means nothing
-
-
 @checked
 class Sweep:
     """Which values vary, how they are drawn, and which recordings are kept.
@@ -155,7 +151,7 @@ class Sweep:
     scenario: Annotated[tuple[str, ...], PlainValidator(_names)]
     vary: Annotated[
         dict[str, Annotated[Distribution, PlainValidator(read_distribution)]],
-        AfterValidator(_sorted),
+        AfterValidator(lambda varied: dict(sorted(varied.items()))),  # their order means nothing
     ] = field(default_factory=dict)
     design: Annotated[str, Choice(DESIGNS)] = "sobol"
     samples: Annotated[int, Whole(0, MAX_SAMPLES)] = 0

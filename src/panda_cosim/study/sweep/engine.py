@@ -32,6 +32,8 @@ from .store import Store, origin, schema
 FLUSH_SHARE: Final = 0.1
 FLUSH_RANGE: Final = (0.2, 30.0)
 
+Progress = Callable[[int, int], None]  # called with how many rows are there, and will be
+
 
 @dataclass(frozen=True)
 class SweepResult:
@@ -165,11 +167,7 @@ def _content(
 
 
 def _fill(
-    store: Store,
-    definition: Sweep,
-    design: Design,
-    rows: Backend,
-    progress: Callable[[int, int], None],
+    store: Store, definition: Sweep, design: Design, rows: Backend, progress: Progress
 ) -> None:
     """Run the missing rows; those done are in the table, whatever ends this."""
     there = store.done()

@@ -94,10 +94,8 @@ def _job_in(folder: Path) -> Job:
 def _run_row(folder: Path, task: Task) -> Done:
     """Run a row, of failures that are kept once more, to have their recording."""
     job = _job_in(folder)
-    writes = job.keep == "all"
-    done = _run(folder, task, writes=writes)
-    failed = done.row["status"] not in ("success", "timeout")
-    if failed and job.keep == "failures" and not writes:
+    done = _run(folder, task, writes=job.keep == "all")
+    if job.keep == "failures" and done.row["status"] not in ("success", "timeout"):
         again = _run(folder, task, writes=True)
         # A full disk is not the row's fault.
         return again if again.row["status"] == done.row["status"] else done
