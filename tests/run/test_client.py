@@ -8,8 +8,10 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -51,8 +53,10 @@ def write(folder: Path, then: str = "leave", duration: float = 10.0, client: str
     return folder
 
 
-def run_words(folder: Path, out: Path) -> list[object]:
-    return ["panda-cosim", "run", folder, *QUIET, "--out", out]
+def begun(folder: Path, out: Path) -> AbstractContextManager[Any]:
+    """Begin a run in a process of its own."""
+    words = ["panda-cosim", "run", folder, *QUIET, "--out", out]
+    return running(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
 
 
 def line_with(text: str, process: "subprocess.Popen[str]") -> str:
@@ -110,8 +114,7 @@ def test_the_end_of_the_scenario_ends_the_program_and_what_it_has_started(tmp_pa
 
 
 def test_ctrl_c_ends_a_run_that_waits_for_its_program(tmp_path):
-    words = run_words(write(tmp_path / "fill", "hang"), tmp_path / "r")
-    with running(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+    with begun(write(tmp_path / "fill", "hang"), tmp_path / "r") as process:
         printed = line_with("sleeping", process)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 128 + signal.SIGINT
@@ -124,8 +127,7 @@ def test_ctrl_c_ends_a_run_that_waits_for_its_program(tmp_path):
 
 
 def test_a_killed_run_takes_its_program_with_it(tmp_path):
-    words = run_words(write(tmp_path / "fill", "hang"), tmp_path / "r")
-    with running(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+    with begun(write(tmp_path / "fill", "hang"), tmp_path / "r") as process:
         line_with("sleeping", process)
         process.kill()
     wait_until(lambda: not processes_with("filler.py", "hang"))
@@ -147,8 +149,7 @@ def test_fmus_wait_only_so_long_unless_somebody_is_asked_to_come(tmp_path, monke
 
 def test_without_a_client_a_run_says_where_it_waits_for_one(tmp_path):
     folder = write(tmp_path / "alone", client=ALONE)
-    words = run_words(folder, tmp_path / "r")
-    with running(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+    with begun(folder, tmp_path / "r") as process:
         waits = "tank waits for a program at 127.0.3.1, port 14337; Ctrl-C ends the run\n"
         assert line_with("waits", process) == waits
         program = [sys.executable, folder / "filler.py", "127.0.3.1", 200, "leave"]

@@ -40,11 +40,12 @@ from .startup import meanwhile
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from ..run.execution import Progress
+
 PLOTTING, TILING = "Drawing the plot ...", "Drawing the contact sheet ..."
 STYLES = {"wrong": "bold red", "refused": "bold red", "bad": "bold red", "hint": "yellow",
           "warn": "yellow", "good": "green"}  # fmt: skip
 LEVELS = {"bad": "bold red", "plain": "bold", "good": "bold green"}  # of a verdict
-Progress = Callable[[int, int], None]  # completed and total steps
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ..fmus.interface.tables import TABLE_FILE, TRAJECTORY, Connection
 from ..fmus.interface.types import type_of
 from ..fmus.interface.variables import Interface, Variable
 from ..fmus.master.fmu_file import read_fmu
-from ..fmus.master.wiring import Array
+from ..fmus.master.wiring import Array, Name
 from ..fmus.sources.targets import Target, build_fmu, build_trajectory
 from ..task.scenario import Scenario
 from .options import Options
@@ -80,42 +80,35 @@ class Player:
     def __init__(self, prepared: Prepared) -> None:
         self._prepared, assembly = prepared, prepared.assembly
         constant = {name for name, driven in assembly.driven.items() if len(driven.values) == 1}
-        self.played = [name for name in assembly.external if name not in constant]
-        counts = Counter(name for _, name in self.played)
-        self._outputs = [name if counts[name] == 1 else f"{i}.{name}" for i, name in self.played]
+        ends = [end for end in assembly.external if end not in constant]
+        counts = Counter(name for _, name in ends)
+        self.played = {name if counts[name] == 1 else f"{i}.{name}": (i, name) for i, name in ends}
         self._guarded = prepared.inputs().guarded
-        signals = sorted(self._guarded.signals)
-        self._felt = [split("", signal, assembly.interfaces) for signal in signals]
+        self._felt: dict[Name, Variable] = {}
+        for signal in sorted(self._guarded.signals):
+            instance, name = split("", signal, assembly.interfaces)
+            self._felt[instance, name] = replace(
+                assembly.interfaces[instance].variable(name), causality="input",
+                variability="continuous", start=0.0, on_request=False, source="",
+            )  # fmt: skip
 
     def connections(self, player: str) -> list[Connection]:
         """Connections from and to the FMU of this name."""
-        ends = zip(self._outputs, self.played, strict=True)
         felt = [
             Connection((instance, scalar), (player, scalar))
-            for (instance, _), variable in zip(self._felt, self._inputs(), strict=True)
+            for (instance, _), variable in self._felt.items()
             for scalar in variable.names()
         ]
-        return [*(Connection((player, name), end) for name, end in ends), *felt]
-
-    def _inputs(self) -> list[Variable]:
-        interfaces = self._prepared.assembly.interfaces
-        return [
-            replace(
-                interfaces[instance].variable(name), causality="input", variability="continuous",
-                start=0.0, on_request=False, source="",
-            )
-            for instance, name in self._felt
-        ]  # fmt: skip
+        return [*(Connection((player, name), end) for name, end in self.played.items()), *felt]
 
     def make(self, target: Target | None = None) -> Path:
         """Build it."""
         rows = self._rows()
         ours = [name for v in TRAJECTORY.of("output") for name in v.names()]
-        if self._outputs == ours and not self._felt:
+        if [*self.played] == ours and not self._felt:
             return build_trajectory(rows, target=target)
-        interface = Interface(
-            TRAJECTORY.model, "Plays a scenario's inputs", (*self._inputs(), *self._variables())
-        )
+        variables = (*self._felt.values(), *self._variables())
+        interface = Interface(TRAJECTORY.model, "Plays a scenario's inputs", variables)
         content, options = {"table": rows}, [("table", TABLE_FILE)]
         if self._felt:
             guards = self._guarded.packed(len(rows))
@@ -132,18 +125,17 @@ class Player:
         if self._felt:  # rows after the end are played once others have ended early
             ticks = max(scenario.ticks, math.ceil(scenario.rows[-1].time / scenario.step))
             scenario = replace(scenario, duration=round(ticks * scenario.step, 9))
-        columns = [external.index(name) for name in self.played]
+        columns = [external.index(end) for end in self.played.values()]
         return self._prepared.inputs(scenario)[: scenario.ticks + 1][:, columns]
 
     @property
     def _moving(self) -> str:
         """The last output that moves with the table; pushes, which do not, are the first."""
         stay = () if self._prepared.scenario.inputs_move else self._prepared.assembly.driven
-        moving = zip(self._outputs, self.played, strict=True)
-        return [name for name, end in moving if end not in stay][-1]
+        return [name for name, end in self.played.items() if end not in stay][-1]
 
     def _variables(self) -> Iterator[Variable]:
-        for name, end in zip(self._outputs, self.played, strict=True):
+        for name, end in self.played.items():
             scalar = self._prepared.assembly.scalars[end]
             if (kind := type_of(scalar.variable)) != "Float64":
                 raise InputError(

@@ -9,7 +9,7 @@ from pathlib import Path
 from ...fmus.errors import InputError
 from ...fmus.master.step import Coupling, Stepper
 from ...fmus.sources.targets import Kind
-from ...run.execution import Execution
+from ...run.execution import Execution, Progress
 from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
@@ -37,7 +37,7 @@ from ..options import (
     find_scenario,
     values_of,
 )
-from ..outcome import Output, Progress, draw_view, perform
+from ..outcome import Output, draw_view, perform
 
 
 def command(  # noqa: PLR0913 - one for each option
