@@ -211,11 +211,6 @@ def code_blocks(kind: str, text: str = README) -> list[str]:
     return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
-def test_every_command_is_in_the_table():
-    page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
-    assert all(f"| `panda-cosim {name}" in page for name in COMMANDS)
-
-
 def test_the_example_scenario_can_be_read(tmp_path):
     (tmp_path / "scenario.toml").write_text(code_blocks("toml", SCENARIO)[0], encoding="utf-8")
     (tmp_path / "trajectory.csv").write_text(code_blocks("csv", SCENARIO)[0], encoding="utf-8")

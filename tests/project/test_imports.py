@@ -77,7 +77,6 @@ def test_the_packages_themselves_cost_nothing():
 
 # No test waits without an end: one process that hangs would hold up all tests.
 
-
 FILES = sorted(Path(__file__).parents[1].rglob("*.py"))
 RUNS = ("subprocess.run", "subprocess.check_output", "subprocess.check_call")
 WAITS = ("wait", "communicate", "join")  # without arguments: without an end

@@ -218,7 +218,6 @@ def test_a_figure_is_the_same_file_each_time_with_its_font_and_may_be_replaced(t
         ("plant.qpso", None, "did you mean 'plant.qpos'"),
         ("plant.qpos - plant.noise", None, "plant.qpos has 4 and plant.noise has 1 elements"),
         ("plant.qpos", "3 km", "must be a number from 30 to 1000 mm"),
-        ("plant.qpos", "nan", "must be a number from 30 to 1000 mm"),
         ("", "88mm", "--signals: is missing"),
         ("plant.qpos,", None, "--signals: value ''"),
     ],

@@ -226,7 +226,6 @@ def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path):
         ({"width": 63}, r"width: value 63 px; must be even"),
         ({"height": 0}, r"height: value 0 px; must be even, from 16"),
         ({"fps": 0.0}, r"fps: value 0.0; must be a number from 1 to 240"),
-        ({"fps": float("nan")}, r"fps: value nan; must be"),
         ({"path": "video.avi"}, r"video.avi: a video's name must end in .mp4"),
         ({"width": 10000}, r"width: value 10000 px; must be even, from 16 to 8192 px"),
     ],
@@ -272,7 +271,6 @@ def no_backend(monkeypatch, tmp_path):
         ("egl", ["EGL", "GL"], r"egl says 'its process ended with code 7'"),
         ("osmesa", [], r"tried osmesa\): .*apt-get install libosmesa6"),
         ("off", [], r"switches drawing off"),
-        ("vulkan", [], r"vulkan says"),
     ],
 )
 def test_mujoco_gl_is_honoured_and_what_is_missing_named(monkeypatch, backend, libraries, message):

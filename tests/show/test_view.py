@@ -80,11 +80,8 @@ def test_a_long_run_keeps_its_ends_and_every_extreme(rows):
 def test_uneven_instants_are_kept_as_they_are():
     time = np.array([0.0, 0.001, 0.5, 0.501])
     assert np.allclose(decoded(columns.describe_time(time)["block"])[0], time, atol=1e-6)
-    assert columns.describe_time(0.5 + 0.001 * np.arange(9)) == {
-        "start": 0.5,
-        "step": pytest.approx(0.001),
-        "rows": 9,
-    }
+    even = {"start": 0.5, "step": pytest.approx(0.001), "rows": 9}
+    assert columns.describe_time(0.5 + 0.001 * np.arange(9)) == even
 
 
 def test_the_model_has_all_shapes_and_reduces_textures():
@@ -189,12 +186,7 @@ def source(tmp_path_factory):
     folder = tmp_path_factory.mktemp("build") / "view" / "source"
     shutil.copytree(VIEW / "source", folder, ignore=shutil.ignore_patterns("node_modules"))
     shutil.copy(VIEW.parent / "palette.json", folder.parents[1])
-    command = ["npm", "ci", "--prefer-offline"]
-    done = ran(command, cwd=folder, code=None)
-    unreachable = ("ENOTFOUND", "EAI_AGAIN", "ECONNREFUSED", "ETIMEDOUT", "ENETUNREACH")
-    if done.returncode and any(word in done.stderr for word in unreachable):
-        pytest.skip("npm reaches no registry from here")
-    assert done.returncode == 0, done.stderr
+    ran(["npm", "ci", "--prefer-offline"], cwd=folder)
     return folder
 
 
