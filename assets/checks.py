@@ -68,10 +68,13 @@ def start_place_measure(away: Array, limits: RobotLimits) -> Measure:
 
 def rate_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
     """Yield the three derivatives of the joints' positions."""
-    q, velocity, acceleration, jerk = rates
-    yield "joint_velocity", velocity, limits.speed(q, velocity), 0.0
-    yield "joint_acceleration", acceleration, limits.acceleration, 0.0
-    yield "joint_jerk", jerk, limits.jerk, 0.0
+    bounds = limits.speed(*rates[:2]), limits.acceleration, limits.jerk
+    return _derivatives("joint", rates[1:], bounds)
+
+
+def _derivatives(what: str, rates: Iterable[Array], bounds: Iterable[Array]) -> Iterator[Measure]:
+    for name, rate, bound in zip(DERIVATIVES, rates, bounds, strict=True):
+        yield f"{what}_{name}", rate, bound, 0.0
 
 
 def joint_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
@@ -85,18 +88,15 @@ def elbow_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:
     """Yield what is commanded of the elbow, of which joint 3 is the angle (n, 1)."""
     middle: Array = 0.5 * (limits.q_min[2:3] + limits.q_max[2:3])
     yield "elbow_position", rates[0] - middle, limits.q_max[2:3] - middle, middle
-    for name, rate, bound in zip(DERIVATIVES, rates[1:], limits.elbow, strict=True):
-        yield f"elbow_{name}", rate, bound, 0.0
+    yield from _derivatives("elbow", rates[1:], limits.elbow)
 
 
 def hand_measures(
     moving: Sequence[Array], turning: Sequence[Array], limits: RobotLimits
 ) -> Iterator[Measure]:
     """Yield the three derivatives of the end effector's position and orientation (n, 3)."""
-    for name, rate, bound in zip(DERIVATIVES, moving, limits.translation, strict=True):
-        yield f"translation_{name}", lengths(rate), bound, 0.0
-    for name, rate, bound in zip(DERIVATIVES, turning, limits.rotation, strict=True):
-        yield f"rotation_{name}", lengths(rate), bound, 0.0
+    yield from _derivatives("translation", map(lengths, moving), limits.translation)
+    yield from _derivatives("rotation", map(lengths, turning), limits.rotation)
 
 
 def end_measures(rates: Rates, limits: RobotLimits) -> Iterator[Measure]:

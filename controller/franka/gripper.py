@@ -48,7 +48,7 @@ class Gripper:
     service: Service
 
     def __init__(self) -> None:
-        self._job: Job | None = None
+        self.job: Job | None = None  # that goes on
         self.target = self._width = OPENING_MAX  # [m]
         self._state = np.zeros(1, GRIPPER_STATE)[0]
         self._state["max_width"], self._state["temperature"] = OPENING_MAX, TEMPERATURE
@@ -56,11 +56,6 @@ class Gripper:
     def start(self, fingers: Vector) -> None:
         """Begin where the fingers (2,) [m] are."""
         self.target = self._width = float(fingers.sum())
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether a command goes on."""
-        return self._job is not None
 
     # What a program asks for.
 
@@ -92,22 +87,22 @@ class Gripper:
 
     def leave(self) -> None:
         """End the command that goes on."""
-        if self._job is not None:
-            self._job.request.answer(GripperStatus.ABORTED)
-        self._job = None
+        if self.job is not None:
+            self.job.request.answer(GripperStatus.ABORTED)
+        self.job = None
 
     def _begin(self, job: Job) -> None:
         if not (0.0 <= job.goal <= OPENING_MAX and job.speed > 0.0):
             job.request.answer(GripperStatus.FAIL)
             return
         self.leave()
-        self._job, self._state["is_grasped"] = job, 0
+        self.job, self._state["is_grasped"] = job, 0
 
     # What follows in each tick.
 
     def tick(self, fingers: Vector) -> None:
         """Move the target, and end a command if the fingers (2,) [m] are at rest."""
-        width, before, job = float(fingers.sum()), self._width, self._job
+        width, before, job = float(fingers.sum()), self._width, self.job
         self._width = width
         if job is None:
             return
@@ -123,7 +118,7 @@ class Gripper:
 
     def _end(self, job: Job) -> None:
         is_successful = job.low < self._width < job.high
-        self._job, self._state["is_grasped"] = None, is_successful and job.force < math.inf
+        self.job, self._state["is_grasped"] = None, is_successful and job.force < math.inf
         self.send_state()
         job.request.answer(GripperStatus.SUCCESS if is_successful else GripperStatus.UNSUCCESSFUL)
 

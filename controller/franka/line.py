@@ -39,7 +39,7 @@ class Service:
 
     def __init__(self, protocol: Protocol, owner: Any, address: str, port: int) -> None:
         self._protocol, self._owner, self.place = protocol, owner, f"{address}:{port}"
-        self._tcp: socket.socket | None = None
+        self.program: socket.socket | None = None  # its connection
         self._port, self._data = 0, b""  # where packets go; of a request that is not complete
         try:
             self._listener = socket.create_server((address, port))
@@ -51,28 +51,23 @@ class Service:
         self.udp.setblocking(False)
 
     @property
-    def is_connected(self) -> bool:
-        """Whether there is a program."""
-        return self._tcp is not None
-
-    @property
     def sockets(self) -> list[socket.socket]:
         """What may have a connection or a request."""
-        return [self._listener, *([self._tcp] if self._tcp else [])]
+        return [self._listener, *([self.program] if self.program else [])]
 
     def serve(self, ready: Container[socket.socket]) -> int:
         """Take what has come on sockets; return the number of requests."""
         count = 0
-        if self._tcp and self._tcp in ready:
-            count = self._read(self._tcp)
+        if self.program and self.program in ready:
+            count = self._read(self.program)
         if self._listener in ready:
             tcp, _ = self._listener.accept()
-            if self._tcp:  # a robot has one program
+            if self.program:  # a robot has one program
                 tcp.close()
             else:
                 tcp.settimeout(SEND_TIMEOUT)
                 tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._tcp, self._data = tcp, b""
+                self.program, self._data = tcp, b""
         return count
 
     def _read(self, tcp: socket.socket) -> int:
@@ -81,7 +76,7 @@ class Service:
             received = tcp.recv(RECEIVED)
         if not received:
             tcp.close()
-            self._tcp, self._port = None, 0
+            self.program, self._port = None, 0
             self._owner.leave()
         self._data += received
         for number, identity, size, body in self._protocol.split(self._data):
@@ -100,8 +95,8 @@ class Service:
         """Answer `connect`: the program speaks our version, or it leaves."""
         version, port = request.body.item()
         if version == self._protocol.version:
-            assert self._tcp is not None
-            self.udp.connect((self._tcp.getpeername()[0], port))
+            assert self.program is not None
+            self.udp.connect((self.program.getpeername()[0], port))
             self._port = port
         answer = np.array(self._protocol.version, "<u2").tobytes()
         request.answer(version != self._protocol.version, answer)
@@ -164,7 +159,7 @@ class Line:
             if number != signal.SIGCHLD:
                 raise EndedError(f"{signal.Signals(number).name} while it waited for the program")
         self.count(sum(service.serve(ready) for service in self._services))
-        if any(service.is_connected for service in self._services):
+        if any(service.program for service in self._services):
             self._since, self._was_connected = time.monotonic(), True
         elif not ready:
             self._check()

@@ -219,7 +219,7 @@ class Robot:
 
     def _wait(self) -> Message | None:
         """Wait for a motion's command, or until there is something else to do."""
-        while not (self._move or self._braking or self._gripper.is_busy):
+        while not (self._move or self._braking or self._gripper.job):
             self._tell()
             self._line.serve(PAUSE)
         if self._move:
