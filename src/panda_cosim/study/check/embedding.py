@@ -6,7 +6,7 @@ See `experiments` for the format.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu
 from ...fmus.master.system import in_units, multiples_of, read_fmus
 from ...run.options import Options
 from ...run.prepare import LISTENING, prepare
-from ...task.files import csv_text
+from ...task.input_table import InputTable
 from ...task.scenario import Scenario
 from .diagnosis import rehearse
 from .experiments import (
@@ -124,13 +124,10 @@ def add_experiment(path: Path, experiment: Experiment | None = None) -> None:
 def series_text(fmu: Fmu, series: Series) -> bytes:
     """Format values as CSV, by the FMU's own names; an array of FMI 3.0 is one column."""
     # Its elements that have no values keep their start value.
-    arrays = by_array(fmu.variables.values())
-    columns: list[Iterable[str]] = [map(repr, series.times.tolist())]
-    names = dict.fromkeys(fmu.variables[name].variable.name for name in series.values)
-    for scalars in (arrays[name] for name in names):
+    arrays, columns = by_array(fmu.variables.values()), {}
+    for name in dict.fromkeys(fmu.variables[name].variable.name for name in series.values):
         values = ((s, series.values.get(s.name, np.full(len(series.times), s.start)))
-                  for s in scalars)  # fmt: skip
+                  for s in arrays[name])  # fmt: skip
         texts = [[literal(scalar, value) for value in each.tolist()] for scalar, each in values]
-        columns.append(map(" ".join, zip(*texts, strict=True)))
-    head = ",".join(f'"{name}"' for name in ("time", *names))
-    return f"{head}\n{csv_text(zip(*columns, strict=True))}".encode()
+        columns[name] = tuple(map(" ".join, zip(*texts, strict=True)))
+    return InputTable(tuple(series.times.tolist()), columns).text.encode()

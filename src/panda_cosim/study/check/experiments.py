@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.build.description import literal
-from ...fmus.errors import InputError, refuse
+from ...fmus.errors import InputError, located, refuse
 from ...fmus.interface.variables import Scalar, Value, by_array
 from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
 from ...fmus.reading import file_inside, finite_number, read_xml
@@ -42,6 +42,7 @@ MOST_JUDGED: Final = 10  # outputs that a scenario of an experiment judges
 _ON_TICK: Final = 1e-6  # of a step, by which a reference may be off an instant
 _SWITCHES: Final = {"true": "1", "false": "0"}
 IT: Final = "fmu"  # the instance
+TABLES: Final = ("Stimuli", "References")  # of an experiment
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,16 +237,14 @@ def _listed(fmu: Fmu, file: Path) -> Iterator[Experiment]:
     for element in _read(fmu, file).iter("Experiment"):
         files = {part.tag: _member(fmu, file, source)
                  for part in element if (source := part.get("source"))}  # fmt: skip
-        stimuli, references = (
-            _series(fmu, files[name]) if name in files else Series()
-            for name in ("Stimuli", "References")
-        )
+        tables = {tag: _series(fmu, files[tag]) for tag in TABLES if tag in files}
         settings = {**element.attrib}
         for transient in element.iter("TransientSimulation"):  # where the newest draft has them
             settings |= transient.attrib
         values = _parameters(fmu, files["Parameters"]) if "Parameters" in files else {}
-        experiment = experiment_of(fmu, element.get("name", ""), settings, references)
-        yield replace(experiment, parameters=values, stimuli=stimuli)
+        name, references = element.get("name", ""), tables.get("References", Series())
+        experiment = experiment_of(fmu, name, settings, references)
+        yield replace(experiment, parameters=values, stimuli=tables.get("Stimuli", Series()))
 
 
 def experiment_of(
@@ -284,11 +283,8 @@ def _series(fmu: Fmu, file: Path) -> Series:
     values: dict[str, Array] = {}
     table = InputTable.read(file, place)
     for name, cells in table.columns.items():
-        try:
+        with located(file.name):  # values of another FMU, or of another version of it
             scalars = scalars_of(fmu, name)
-        except InputError:
-            why = "so that these values are of another FMU, or of another version of it"
-            raise InputError(f"{place}: no variable {name!r}, {why}") from None
         kind, count = scalars[0].variable.kind, len(scalars)
         rows = [cell.split() if count > 1 else [cell.strip()] for cell in cells]
         try:
