@@ -390,8 +390,8 @@ def load_scenario(name_or_folder: Scenario | str | Path) -> Scenario:
     if isinstance(name_or_folder, Scenario):
         return name_or_folder
     shipped, folder = shipped_scenarios(), Path(name_or_folder)
-    if isinstance(name_or_folder, str) and name_or_folder in shipped:
-        return Scenario.read(shipped[name_or_folder])
+    if name_or_folder in shipped:
+        return Scenario.read(shipped[str(name_or_folder)])
     if os.path.isdir(name_or_folder):  # noqa: PTH112 - false for what cannot be a path, too
         return Scenario.read(folder)
     name = str(name_or_folder)

@@ -14,7 +14,7 @@ from ..fmus.interface import controller
 from ..fmus.interface.controller import CONTROLLER
 from . import rotations
 from .fields import Quantity, Vector, checked
-from .table import POSITION, TrajectoryTable
+from .table import FRAMES, POSITION, TrajectoryTable
 
 INTERPOLATIONS = ("linear", "quintic", "spline")
 
@@ -109,11 +109,8 @@ class Trajectory:
             align: Turn offset and orientation of rows of frame `target` about z with the block,
                 by at most 45 deg.
         """
-        origins = {
-            "world": (0.0, 0.0, 0.0),
-            "home": start.hand_position,
-            "target": start.target_position,
-        }
+        starts = ((0.0, 0.0, 0.0), start.hand_position, start.target_position)
+        origins = dict(zip(FRAMES, starts, strict=True))
         columns = (
             (row.time, origins[row.frame], row.position, row.orientation or start.hand_orientation,
              row.opening, row.frame == "target")

@@ -18,7 +18,6 @@ T = TypeVar("T", bound=Callable[..., Any])
 _COUNTS: Final[Mapping[object, Any]] = {
     float: numbers.Real, int: numbers.Integral, Sequence: (Sequence, np.ndarray)
 }  # fmt: skip
-_METHODS: Final = ("__init__", "__getitem__")
 
 
 def typed(target: T) -> T:
@@ -29,7 +28,7 @@ def typed(target: T) -> T:
     """
     if isinstance(target, type):
         for name, member in [*vars(target).items()]:
-            is_public = name[0] != "_" or name in _METHODS
+            is_public = name[0] != "_" or name in ("__init__", "__getitem__")
             if is_public and isinstance(member, FunctionType):
                 setattr(target, name, typed(member))
             elif is_public and isinstance(member, classmethod):

@@ -32,7 +32,6 @@ Level = Literal["wrong", "refused", "hint", "good"]
 Finding = tuple[float, str, str]  # when [s], what is wrong then, and which remedy helps
 
 SINGULAR: Final = "controller.singular"
-SHOWN: Final = 4  # unwanted contacts that are named
 GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
 AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
@@ -66,11 +65,8 @@ def _contacts(recording: Recording, summary: Summary) -> Iterator[Finding]:
     contacts = [Touch(**each) for each in summary.contact.get("unwanted", ())]
     # A task whose criteria all hold with these contacts, such as a peg in its hole, needs them.
     remedy = "" if summary.criteria and summary.success else "contact"
-    for touch in contacts[:SHOWN]:
+    for touch in contacts:
         yield touch.time_s, str(touch), remedy
-    if len(contacts) > SHOWN:
-        more = f"unwanted contacts of {len(contacts) - SHOWN} more pairs"
-        yield contacts[SHOWN].time_s, more, remedy
     peak = summary.contact.get("unwanted_force_N")
     if peak and not contacts:
         at = float(recording.time[recording[UNWANTED].argmax()])

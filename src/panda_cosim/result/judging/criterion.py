@@ -46,14 +46,9 @@ class Criterion:
         vars(self).update(value=value, ok=is_ok, margin=share, reason=reason)
 
     @property
-    def measured(self) -> bool:
-        """Whether there is a value."""
-        return self.value is not None
-
-    @property
     def word(self) -> Word:
         """Its outcome."""
-        return "ok" if self.ok else "missed" if self.measured else "not measured"
+        return "ok" if self.ok else "not measured" if self.value is None else "missed"
 
     @classmethod
     def read(cls, summary: Mapping[str, object]) -> tuple[Self, ...]:

@@ -197,11 +197,11 @@ def check_bodies(criteria: Iterable[BodyCriterion], units: Mapping[str, str]) ->
     posed = [n.removeprefix("plant.").removesuffix(_POSE) for n in units if n.endswith(_POSE)]
     bodies = [name for name in posed if f"plant.{name}_xpos[3]" in units]
     bodies += [BLOCK] if "plant.qpos[16]" in units else []
-    valid = f"one of {', '.join(bodies)}" if bodies else "a body whose pose is recorded"
+    must = f"must be a body whose pose is recorded: {', '.join(bodies) or 'there is none'}"
     for index, criterion in enumerate(criteria, 1):
         if criterion.body not in bodies:
             place = f"[[success.body]] {index}: body"
-            refuse(place, criterion.body, f"must be {valid}", bodies)
+            refuse(place, criterion.body, must, bodies)
 
 
 def judge_bodies(

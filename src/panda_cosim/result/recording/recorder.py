@@ -99,12 +99,10 @@ class MemoryRecorder:
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        """Close it; a present error says more than one of closing."""
-        if error is None:
-            self.close(complete=False, reason="the recording was not closed")
-            return
+        """Close it; an error says more than one of closing."""
+        reason = f"{type(error).__name__}: {error}" if error else "the recording was not closed"
         with suppress(SimulationError):
-            self.close(complete=False, reason=f"{type(error).__name__}: {error}")
+            self.close(complete=False, reason=reason)
 
 
 class Recorder(MemoryRecorder):

@@ -217,7 +217,7 @@ def _judged(criterion: Criterion | None) -> str:
     """Format the measured value and its margin."""
     if criterion is None:
         return DASH
-    if not criterion.measured:
+    if criterion.value is None:
         return f"not measured: {criterion.reason}"
     missed = "" if criterion.ok else ", missed"
     value = quantity(criterion.value, criterion.unit)

@@ -152,10 +152,10 @@ def measured(run: Run) -> Row:
     row: Row = {"status": run.verdict.status, **dict(metrics(summary))}
     if not summary.complete:
         return {**row, "error": summary.reason}
-    unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if not c.measured]
+    unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if c.value is None]
     return {
         **row,
-        "missed": next((c.name for c in criteria if c.measured and not c.ok), None),
+        "missed": next((c.name for c in criteria if c.word == "missed"), None),
         "error": "; ".join(unknown) or None,
         MARGIN: summary.margin,
         **{f"{MARGIN}.{c.name}": c.margin for c in criteria},
