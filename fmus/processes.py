@@ -82,7 +82,8 @@ class Child(_Beside):
 
     def end(self) -> int:
         """Kill it, and return how it ended, as `ended` does; may be called again."""
-        if self._process.returncode is None:  # else its number may be another process's by now
+        # One that has ended may have left what it has started; later, its number may be another's.
+        if self._process.returncode is None or not self.connection.closed:
             self.kill()
         self.connection.close()
         return self._process.wait()
