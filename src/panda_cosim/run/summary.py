@@ -48,9 +48,10 @@ def summarize(
     end: Verdict = ENDED,
 ) -> Summary:
     """Measure a run; `end`: how it ended, if it is not complete."""
+    statistics, about = statistics or RunStatistics(), recording.metadata
     held = find_holds(recording)
     happened = events(recording, held)
-    success, counts = scenario.success, recording.metadata.get("engine", {})
+    success, counts = scenario.success, about.get("engine", {})
     if any(counts.values()) and success.max_engine_warnings is None:
         success = replace(success, max_engine_warnings=0.0)
     measures: dict[str, Callable[[Recording], Metrics]] = {
@@ -84,15 +85,15 @@ def summarize(
         end=end,
         expect=scenario.expect,
         expect_reason=scenario.expect_reason,
-        order=tuple(recording.metadata.get("order", ())),
-        late=tuple(recording.metadata.get("late", ())),
         criteria=criteria,
-        row_ends=tuple(recording.metadata.get("row_ends", ())),
         events=happened,
         first_limit=first_limit(recording),
-        stepped_by=statistics.stepped_by if statistics else None,
-        code=recording.metadata.get("code", {}),
-        profile=statistics.spent if statistics else {},
+        stepped_by=statistics.stepped_by,
+        code=about.get("code", {}),
+        profile=statistics.spent,
+        order=tuple(about.get("order", ())),
+        late=tuple(about.get("late", ())),
+        row_ends=tuple(about.get("row_ends", ())),
         **measured,
     )
 
@@ -147,23 +148,19 @@ def _positive(torque: Array, speed: Array) -> Any:
     return np.maximum(torque[:, :7] * speed[:, :7], 0.0).sum(axis=1)
 
 
-def _timing(recording: Recording, happened: Events, statistics: RunStatistics | None) -> Metrics:
-    time = recording.time
+def _timing(recording: Recording, happened: Events, statistics: RunStatistics) -> Metrics:
+    time, wall = recording.time, statistics.wall_time
     simulated = float(time[-1] - time[0]) if len(time) else 0.0
     is_commanded = all(name in recording for name in COMMAND)
-    timing: Metrics = {
+    return {
         "simulated_s": simulated,
         "cycle_s": (happened["command_end"] or 0.0) if is_commanded else None,
         "steps": max(len(time) - 1, 0),
+        "wall_s": wall,
+        "real_time_factor": simulated / wall if wall else None,
+        "overruns": statistics.overruns,
+        "worst_lateness_s": statistics.worst_lateness,
     }
-    if statistics is not None:
-        timing |= {
-            "wall_s": statistics.wall_time,
-            "real_time_factor": simulated / statistics.wall_time if statistics.wall_time else None,
-            "overruns": statistics.overruns,
-            "worst_lateness_s": statistics.worst_lateness,
-        }
-    return timing
 
 
 def unrecorded(success: Success, recorded: Container[str]) -> Iterator[str]:
