@@ -97,10 +97,12 @@ def writing(place: Path) -> Iterator[None]:
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
     """Make a folder that is removed at the end, and held until then."""
-    with _temporary(parent) as folder:
-        folder.mkdir(mode=0o700)
-        with held(folder):
-            yield folder
+    with ExitStack() as stack:
+        with writing(parent):
+            folder = stack.enter_context(_temporary(parent))
+            folder.mkdir(mode=0o700)
+            stack.enter_context(held(folder))
+        yield folder
 
 
 @contextmanager

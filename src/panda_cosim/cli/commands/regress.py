@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -13,7 +13,7 @@ from pathlib import Path
 import typer
 from rich.text import Text
 
-from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder, writing
+from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
@@ -137,7 +137,7 @@ def command(  # noqa: PLR0913 - one for each option
         check_kept_runs(report / "runs", (each.name for each in (*runs, *swept)))
     announce_python(kind)
     with ExitStack() as stack:
-        place = stack.enter_context(_place(report or cache_folder()))
+        place = stack.enter_context(temporary_folder(report or cache_folder()))  # on one disk
         outcomes = [*_run(suite, place), *(_sweep(each, place, suite.jobs) for each in swept)]
         rows = engine_rows(given, len(engines), outcomes) if engines else []
         outcomes = [*chain.from_iterable(rows)] or outcomes
@@ -151,15 +151,6 @@ def command(  # noqa: PLR0913 - one for each option
     items = chain(items, _of_engines(engines, rows))
     show_result({"scenarios": [*map(_described, outcomes)]}, items, json=json)
     raise typer.Exit(exit_code(outcomes))
-
-
-@contextmanager
-def _place(parent: Path) -> Iterator[Path]:
-    """Make a folder for the runs, on the disk of the report, so that they can be moved."""
-    with ExitStack() as stack:
-        with writing(parent):
-            place = stack.enter_context(temporary_folder(parent))
-        yield place
 
 
 def _qualify(

@@ -44,10 +44,8 @@ def write_mcap(recording: Recording, path: Path, rate: float, *, overwrite: bool
             log.log(message, log_time=at)
         for name, columns in _by_fmu(recording).items():
             channel = foxglove.Channel(f"/{name}", message_encoding="json", context=context)
-            values = {column: recording[f"{name}.{column}"].tolist() for column in columns}
-            for row in rows:
-                at = _nanoseconds(recording.time[row])
-                channel.log({key: value[row] for key, value in values.items()}, log_time=at)
+            for at, message in _values(recording, name, columns, rows):
+                channel.log(message, log_time=at)
         if model is not None:
             scene = channels.SceneUpdateChannel("/scene", context=context)
             scene.log(_shapes(model), log_time=_nanoseconds(recording.time[0]))
@@ -57,6 +55,16 @@ def write_mcap(recording: Recording, path: Path, rate: float, *, overwrite: bool
                 joints.log(states, log_time=at)
                 poses.log(transforms, log_time=at)
     return len(rows)
+
+
+def _values(
+    recording: Recording, fmu: str, columns: Sequence[str], rows: Sequence[int]
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield instant [ns] and values of an FMU's columns."""
+    values = {column: recording[f"{fmu}.{column}"].tolist() for column in columns}
+    for row in rows:
+        message = {column: each[row] for column, each in values.items()}
+        yield _nanoseconds(recording.time[row]), message
 
 
 def _model_of(recording: Recording) -> Any:
