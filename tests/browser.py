@@ -1,29 +1,25 @@
-"""A headless Chromium for tests, spoken to over a pipe: no driver and no package is needed."""
+"""A headless Chromium for tests, spoken to as its own developers' tools do: without a driver."""
 
 import json
-import os
-import select
 import shutil
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from websockets.sync.client import ClientConnection, connect
+
+from bounded import running, wait_until
+
 FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--remote-debugging-pipe",
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--remote-debugging-port=0",
     "--webgl-antialiasing-mode=none",  # software draws here, and smooth edges are dear
     "about:blank",  # instead of the page of a new tab, which has a frame of its own
-)
+)  # fmt: skip
 TIMEOUT = 60.0  # [s] for any answer, on a busy machine
 SRCDOC = "about:srcdoc"  # address of a frame whose page is an attribute
 
@@ -42,9 +38,8 @@ class Page:
         requests: Addresses that it has asked for since then.
     """
 
-    def __init__(self, to_browser: int, from_browser: int) -> None:
-        self._to, self._from = to_browser, from_browser
-        self._buffer = b""
+    def __init__(self, line: ClientConnection) -> None:
+        self._line = line
         self._count = 0
         self._session: str | None = None
         self.errors: list[str] = []
@@ -62,34 +57,14 @@ class Page:
         if self._session is not None:
             message["sessionId"] = self._session
         deadline = time.monotonic() + TIMEOUT  # for the answer, whatever events come before it
-        self._send(json.dumps(message).encode() + b"\0", deadline)
+        self._line.send(json.dumps(message))
         while True:
-            answer = self._receive(deadline)
+            answer = json.loads(self._line.recv(max(deadline - time.monotonic(), 0.0)))
             if answer.get("id") == self._count:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error']}")
                 return answer["result"]
             self._note(answer)
-
-    def _send(self, content: bytes, deadline: float) -> None:
-        while content:
-            _, ready, _ = select.select([], [self._to], [], max(deadline - time.monotonic(), 0))
-            if not ready:
-                raise TimeoutError("the browser reads no commands")
-            content = content[os.write(self._to, content[: select.PIPE_BUF]) :]
-
-    def _receive(self, deadline: float) -> dict[str, Any]:
-        while b"\0" not in self._buffer:
-            ready, _, _ = select.select([self._from], [], [], max(deadline - time.monotonic(), 0))
-            part = os.read(self._from, 1 << 20) if ready else b""
-            if not part:
-                raise TimeoutError("the browser does not answer")
-            self._buffer += part
-        if time.monotonic() > deadline:
-            raise TimeoutError("the browser tells of events, but does not answer")
-        line, _, self._buffer = self._buffer.partition(b"\0")
-        answer: dict[str, Any] = json.loads(line)
-        return answer
 
     def _note(self, event: dict[str, Any]) -> None:
         method, found = event.get("method"), event.get("params", {})
@@ -171,15 +146,14 @@ class Page:
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drag the mouse from one place in the window to another."""
-        for kind, (x, y) in (
-            ("mouseMoved", start),
-            ("mousePressed", start),
-            ("mouseMoved", ((start[0] + end[0]) / 2, end[1])),
-            ("mouseMoved", end),
-            ("mouseReleased", end),
-        ):
-            pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
+        middle = ((start[0] + end[0]) / 2, end[1])
+        for kind, place in (("mouseMoved", start), ("mousePressed", start), ("mouseMoved", middle),
+                            ("mouseMoved", end), ("mouseReleased", end)):  # fmt: skip
+            self._mouse(kind, *place)
+
+    def _mouse(self, kind: str, x: float, y: float) -> None:
+        pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
 
     def click(self, selector: str) -> None:
         """Click with the mouse into the middle of the first element that a selector finds."""
@@ -192,8 +166,7 @@ class Page:
     def click_at(self, x: float, y: float) -> None:
         """Click with the mouse."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
-            pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
+            self._mouse(kind, x, y)
 
     def press(self, key: str) -> None:
         """Press and release a key, named as in JavaScript's `event.key`."""
@@ -216,26 +189,10 @@ class Page:
 @contextmanager
 def browser(profile: Path) -> Iterator[Page]:
     """Start a browser with a profile folder of its own, and give a page."""
-    command_read, command_write = os.pipe()
-    answer_read, answer_write = os.pipe()
-    # The browser reads commands from descriptor 3 and answers on 4.
-    script = f'exec "$@" 3<&{command_read} 4>&{answer_write}'
-    chromium = str(find_browser())
-    process = subprocess.Popen(
-        ["bash", "-c", script, "bash", chromium, *FLAGS, f"--user-data-dir={profile}"],
-        pass_fds=(command_read, answer_write),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(command_read)
-    os.close(answer_write)
-    try:
-        yield Page(command_write, answer_read)
-    finally:
-        os.close(command_write)
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(10)
-        if process.poll() is None:
-            process.kill()
-            process.wait(10)
-        os.close(answer_read)
+    command = [str(find_browser()), *FLAGS, f"--user-data-dir={profile}"]
+    with running(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL):
+        place = profile / "DevToolsActivePort"  # has its port, and a path
+        wait_until(lambda: place.is_file() and "/" in place.read_text())
+        port, path = place.read_text().split()
+        with connect(f"ws://127.0.0.1:{port}{path}", max_size=None, compression=None) as line:
+            yield Page(line)

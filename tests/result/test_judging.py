@@ -15,11 +15,10 @@ from panda_cosim import InputError, Recording, Scenario, SignalCriterion, Succes
 from panda_cosim.result.judging.criterion import (
     Criterion,
     missed_text,
-    quantity,
     smallest_margin,
     verdict_of,
 )
-from panda_cosim.result.judging.signals import REDUCE, check_signals, judge_signals
+from panda_cosim.result.judging.signals import REDUCE, judge_signals
 from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.start import check_criteria
 from panda_cosim.run.system.assembly import assemble
@@ -267,19 +266,3 @@ def test_a_written_scenario_reads_back_the_same(tmp_path):
     )
     write_scenario(scenario, tmp_path / "push")
     assert replace(Scenario.read(tmp_path / "push"), folder=scenario.folder) == scenario
-
-
-def test_signals_of_foreign_systems_are_checked_against_their_columns():
-    units = {"time": "s", "ball.h": "m"}
-    check_signals([SignalCriterion("ball.h", "min", above=0.0)], units)
-    with pytest.raises(InputError, match=r"did you mean 'ball\.h'"):
-        check_signals([SignalCriterion("ball.x", "min", above=0.0)], units)
-
-
-@pytest.mark.parametrize(
-    ("value", "is_bound", "text"),
-    [(4.89e-10, False, "0 mm"), (1.2344e-3, False, "1.234 mm"), (2.6e-7, False, "0.0003 mm"),
-     (1e-9, True, "1e-06 mm")],
-)  # fmt: skip
-def test_measured_lengths_are_rounded_and_bounds_are_not(value, is_bound, text):
-    assert quantity(value, "m", is_bound=is_bound) == text

@@ -297,6 +297,8 @@ def test_the_pandas_fast_cycle_asks_too_much_acceleration_of_fr3(fast):
     assert max(told["joint_velocity_share"]) < 1.0
     first = next(each for each in told["findings"] if each["interface"] == "joint")
     assert first["error"] == "joint_motion_generator_velocity_discontinuity"
+    criterion = next(each for each in fast[0]["criteria"] if each["name"] == "max_refusals")
+    assert (criterion["value"], criterion["ok"]) == (1, False)
 
 
 def refused_after(q: Array, at: int, count: int) -> int | None:
@@ -453,11 +455,6 @@ def test_a_robot_accepts_its_own_cycle(name, robot):
     done = command("check", f"scenarios/{name}", "--robot", robot, code=0)
     assert f"{robot} refuses nothing over the joint interface" in done.stdout
     assert ("recommends" in done.stdout) == (robot == "fer")  # the other ends at rest
-
-
-def test_refusals_are_a_criterion(fast):
-    criterion = next(each for each in fast[0]["criteria"] if each["name"] == "max_refusals")
-    assert (criterion["value"], criterion["ok"]) == (1, False)
 
 
 def test_what_retime_writes_for_a_robot_is_accepted_by_it(tmp_path):

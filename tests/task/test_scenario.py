@@ -80,12 +80,6 @@ def test_a_bad_scenario_is_refused_in_one_line_that_says_where_and_why(tmp_path,
     assert len(message) < 440 + len(str(folder))
 
 
-def test_a_bad_table_is_reported_with_its_own_name(tmp_path):
-    folder = write(tmp_path / "mine", table=TABLE.replace("home", "hoem"))
-    with pytest.raises(InputError, match=r"mine/trajectory\.csv: line 2: .*did you mean 'home'"):
-        load_scenario(folder)
-
-
 @pytest.mark.parametrize("missing", ["scenario.toml", "trajectory.csv"])
 def test_a_folder_without_one_of_its_files_is_refused(tmp_path, missing):
     folder = write(tmp_path / "mine")
