@@ -62,7 +62,9 @@ class Controller:
         }
         self._touch = Touch(self._x, self._y, self._state.touch, period)
         self.gains = gains or Gains()
-        self.reset()
+        for values in (self.input_values, self.output_values, self.state_values):
+            values[:] = 0.0
+        self.outputs["ctrl"] = [*self._gains.base_ctrl, CTRL_OPEN]
 
     @property
     def gains(self) -> Gains:
@@ -75,12 +77,6 @@ class Controller:
         self._law, self._law_number = self._laws[gains.law], 1 + list(LAWS).index(gains.law)
         self._law.set_gains(gains)
         self._touch.set_gains(gains)
-
-    def reset(self) -> None:
-        """Forget everything but the gains; inputs and outputs become 0, the gripper opens."""
-        for values in (self.input_values, self.output_values, self.state_values):
-            values[:] = 0.0
-        self.outputs["ctrl"] = [*self._gains.base_ctrl, CTRL_OPEN]
 
     def update(self) -> None:
         """Compute the outputs of one period from the inputs."""

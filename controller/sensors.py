@@ -45,13 +45,13 @@ class Sensors:
     def set_errors(self, errors: SensorErrors) -> None:
         """Change the errors, all but seed, delay and robot; allowed between any two updates."""
         self._errors = as_arrays(errors)
-        self._is_noisy = any(errors.joint_noise) or any(errors.velocity_noise)
         cos, sin = np.cos(errors.block_yaw_error), np.sin(errors.block_yaw_error)
         self._turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
     def update(self) -> None:
         """Take one reading, once per tick of 1 ms."""
         self._now_values[:] = self.truth_values
+        self._draw()
         self._measure_joints()
         if self._errors.hand_pose_source == "model":
             self._model_hand()
@@ -68,18 +68,14 @@ class Sensors:
         self.readings["mass_matrix"] = self._arm.inertia(self.readings["qpos"])
 
     def _measure_joints(self) -> None:
-        """Offset, noise and quantisation of the encoders, where there are any."""
-        now, errors = self._now, self._errors
+        """Offset, noise and quantisation of the encoders."""
+        now, errors, noise = self._now, self._errors, self._normals[self._tick % _DRAWN]
         now.qpos += errors.joint_offset
-        if self._is_noisy:
-            self._draw()
-            noise = self._normals[self._tick % _DRAWN]
-            now.qpos += errors.joint_noise * noise[:7]
-            now.qvel += errors.velocity_noise * noise[7:]
+        now.qpos += errors.joint_noise * noise[:7]
+        now.qvel += errors.velocity_noise * noise[7:]
         step = errors.joint_quantisation
-        if step.any():
-            steps = np.where(step > 0.0, step, 1.0)
-            now.qpos[:] = np.where(step > 0.0, steps * np.round(now.qpos / steps), now.qpos)
+        steps = np.where(step > 0.0, step, 1.0)
+        now.qpos[:] = np.where(step > 0.0, steps * np.round(now.qpos / steps), now.qpos)
 
     def _model_hand(self) -> None:
         """Pose, Jacobian and bias force of the robot's own model at the measured joints."""
@@ -102,11 +98,9 @@ class Sensors:
                 self._line[:] = arrived  # the robot has been at rest before
             place = self._line[self._tick % len(self._line)]
             arrived, place[:] = place.copy(), arrived
-        if self._tick > 0 and self._errors.dropout:  # the first one always arrives
-            self._draw()
-            if self._chances[self._tick % _DRAWN] < self._errors.dropout:
-                return
-        self._sent[:] = arrived
+        is_lost = self._chances[self._tick % _DRAWN] < self._errors.dropout
+        if self._tick == 0 or not is_lost:  # the first one always arrives
+            self._sent[:] = arrived
 
     def _draw(self) -> None:
         """Draw the numbers of the ticks around this one, normal and uniform ones."""

@@ -10,8 +10,6 @@ import pytest
 from panda_cosim.assets import ASSETS, SCENES, TORQUE_DRIVEN, scene_file
 from panda_cosim.assets.franka import TORQUE_MAX
 
-HOME_POSITION = (0.554499478, 0.0, 0.624502429)  # hand in the world [m]
-HOME_QUATERNION = (0.0, 0.7071, 0.7071, 0.0)  # hand in the world, w x y z
 BODIES = [*(f"link{i}" for i in range(8)), "hand"]
 FINGERS = ("left_finger", "right_finger")
 FINGERTIP = 0.1034  # centre of the fingertips along z of the hand [m]
@@ -19,7 +17,6 @@ GRASP_HEIGHT = 0.015  # fingertips above the block's centre in a grasp [m]
 
 MENAGERIE = os.environ.get("MENAGERIE_ROOT")
 ARM_TOLERANCE = 1e-9  # relative to the quantity's largest entry [1]
-POSITION_TOLERANCE = 1e-9  # [m]
 CREEP_BOUND = 1e-6  # of a block at rest, over 2 s [m]
 
 
@@ -76,16 +73,6 @@ def test_scene_has_the_tasks_sizes_and_options(scene):
     assert scene.opt.disableflags == bits.mjDSBL_AUTORESET | bits.mjDSBL_MIDPHASE
     assert scene.vis.global_.offwidth >= 1920
     assert scene.vis.global_.offheight >= 1080
-
-
-def test_keyframe_and_hand_pose_at_home_are_the_tasks(scene):
-    posture = [0, 0, 0, -1.57079, 0, 1.57079, -0.7853]
-    key = scene.key("home")
-    assert key.qpos.tolist() == [*posture, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0]
-    assert key.ctrl.tolist() == [*posture, 255]
-    data = at_home(scene)
-    np.testing.assert_allclose(data.body("hand").xpos, HOME_POSITION, atol=POSITION_TOLERANCE)
-    np.testing.assert_allclose(data.body("hand").xquat, HOME_QUATERNION, atol=1e-4)
 
 
 def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop():

@@ -151,15 +151,6 @@ def test_a_restored_state_replays_bit_for_bit(gains, instant):
     assert np.array_equal(replay(original, INPUT_ROWS[instant:]), expected)
 
 
-@pytest.mark.parametrize("gains", ALL_GAINS)
-def test_a_reset_controller_is_a_new_one(gains):
-    controller = Controller(gains)
-    first = replay(controller, INPUT_ROWS)
-    controller.reset()
-    assert np.array_equal(controller.get_state(), Controller(gains).get_state(), equal_nan=True)
-    assert np.array_equal(replay(controller, INPUT_ROWS), first)
-
-
 @pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
 def test_the_reference_covers_the_commanded_way_at_any_period(period):
     """A command that speeds up evenly is followed as far as it went, with no feedback."""
