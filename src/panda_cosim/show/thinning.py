@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..assets.fields import Array
 
 ALL_ROWS: Final = 30_001  # 30 s at 1 ms
 POSES: Final = 120_000  # of a longer run

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ..thinning import NOISE
 
-Array = NDArray[np.float64]
 Json = dict[str, object]  # what `source/src/data/types.ts` gives a type
 
 LEVEL: Final = 1  # of deflate; 4 takes twice as long for a fifth less

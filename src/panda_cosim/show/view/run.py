@@ -10,8 +10,8 @@ from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError
 from ...fmus.master.order import shown
 from ...result.judging.summary import Summary
@@ -34,8 +34,6 @@ from .facts import (
     shown_curves,
     waypoints,
 )
-
-Array = NDArray[np.float64]
 
 POSE_STEP: Final = 1e-6  # [rad], [m], [1] rounding step of qpos
 CLEAR: Final = 20  # rounding steps of a reference from which a difference is no noise

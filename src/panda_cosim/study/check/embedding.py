@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.build.description import literal, render
 from ...fmus.build.native import add_members
 from ...fmus.build.ssp import Component, parameter_set
@@ -35,8 +35,6 @@ from .experiments import (
     answer,
     experiment_of,
 )
-
-Array = NDArray[np.float64]
 
 # More values of a stimulus are thinned; rows of references.
 MOST_CELLS, MOST_REFERENCES = 60_000, 200

@@ -18,6 +18,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.build.description import literal
 from ...fmus.errors import InputError, located, refuse
 from ...fmus.interface.variables import Scalar, Value, by_array
@@ -32,8 +33,6 @@ from ...task.files import as_argument, check_new
 from ...task.input_table import InputTable
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ...task.writer import check_name, write_scenario
-
-Array = NDArray[np.float64]
 
 FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST: Final = "fmi-ls-manifest.xml"

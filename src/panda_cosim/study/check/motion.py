@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
-from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...assets.checks import ARMS, CHECKS
+from ...assets.fields import Array
 from ...assets.franka import JOINT_DAMPING
 from ...controller.model import ArmModel
 from ...controller.touch import ROTOR
@@ -30,8 +30,6 @@ from ...result.recording.logs import MCAP, TIME, messages, read_columns
 from ...task.files import csv_text
 from ...task.scenario import MAX_DURATION
 from .diagnosis import Diagnostic
-
-Array = NDArray[np.float64]
 
 JOINTS: Final = tuple(f"q{joint}" for joint in range(1, 8))
 SPEEDS: Final = tuple(f"qd{joint}" for joint in range(1, 8))

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, did_you_mean, excerpt
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
@@ -32,8 +32,6 @@ from .differences import LEAST_SHARE, Row
 from .reference import Reference, column_digest
 from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, widths
 from .wording import instant, measure, multiple, precise, signal_names
-
-Array = NDArray[np.float64]
 
 
 def verdict_problems(summary: Summary, reference: Reference) -> list[str]:

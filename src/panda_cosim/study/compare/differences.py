@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, excerpt
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, flattened, signal_of
 from .tubes import TIME_SLACK, distances, widths
 from .wording import instant, measure, numbers, unit_of
-
-Array = NDArray[np.float64]
 
 SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
 LONG: Final = 40  # characters of a text, such as a digest

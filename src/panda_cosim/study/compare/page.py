@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import TEXT_LENGTH, legible, shown
 from ...show.thinning import drawn_rows
 from ...task.tolerances import signal_of
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from .differences import SignalRow
     from .regress import Outcome
 
-Array = NDArray[np.float64]
 T = TypeVar("T", "Deviation", "SignalRow")
 
 TEMPLATE: Final = Path(__file__).with_name("page_template.html")

@@ -20,8 +20,8 @@ from typing import Any, Final, Self
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, excerpt, one_line
 from ...result.judging.summary import Summary
 from ...result.recording import Column, Recording
@@ -40,7 +40,6 @@ from ...task.tolerances import Tolerances
 from ..work import processor
 from .tubes import widths
 
-Array = NDArray[np.float64]
 Models = Mapping[str, Any]  # mjModel of each FMU that is made of one, by its name
 
 FORMAT: Final = 2  # that is written, and alone is read

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...result.recording import Recording
 from ...task.tolerances import (
     EQUAL,
@@ -19,7 +20,6 @@ from ...task.tolerances import (
     signal_of,
 )
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 TIME_SLACK: Final = 1e-6  # of a step: rounding of k * dt

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Final, Self
 
 import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
-from numpy.typing import NDArray
 from pydantic import AfterValidator, PlainValidator
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, excerpt, located, refuse
 from ...fmus.interface.parameters import literal
 from ...task.fields import (
@@ -30,8 +30,6 @@ from ...task.fields import (
 from ...task.files import read_toml
 from ...task.scenario import shipped_scenarios
 from ...task.typed import typed
-
-Array = NDArray[np.float64]
 
 DESIGNS: Final = ("grid", "random", "latin-hypercube", "sobol", "list", "search")
 SAMPLED: Final = ("random", "latin-hypercube", "sobol")  # designs whose rows are random samples

@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, located
 from ...fmus.extras import needing
 from ...fmus.interface.parameters import ParameterValue, literal
@@ -32,7 +32,6 @@ from .packed import Loaded
 from .row import Done, Row, Task, margin_column
 from .store import Store
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers, or a list
 Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list

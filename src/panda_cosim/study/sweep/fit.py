@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
-from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, located
 from ...result.recording import Recording
 from ...result.recording.logs import open_log
@@ -26,8 +26,6 @@ from ...task.scenario import Scenario, load_scenario
 from .definition import Sweep
 from .design import check_keys
 from .results import Z
-
-Array = NDArray[np.float64]
 
 STEP: Final = 1e-3  # of a range, by which slopes are measured
 ROUNDS: Final = 3  # in which the signals' noise is estimated anew

@@ -16,11 +16,11 @@ import numpy as np
 import scipy  # its modules are loaded as they are used, which takes time
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ..compare.wording import numbers
 from .row import MARGIN
 from .store import Store
 
-Array = NDArray[np.float64]
 Labels = Mapping[str, Sequence[str]]
 
 CONFIDENCE: Final = 0.95
