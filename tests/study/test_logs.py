@@ -19,26 +19,15 @@ from panda_cosim.study.compare.between_runs import compare
 SECONDS = 0.2
 HOME = np.array([0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853])
 JOINTS = range(1, 8)
-TRAJECTORY = """std_msgs/Header header
-string[] joint_names
+TRAJECTORY = """string[] joint_names
 trajectory_msgs/JointTrajectoryPoint[] points
-===
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
 ===
 MSG: trajectory_msgs/JointTrajectoryPoint
 float64[] positions
 float64[] velocities
-float64[] accelerations
-float64[] effort
 builtin_interfaces/Duration time_from_start
 ===
 MSG: builtin_interfaces/Duration
-int32 sec
-uint32 nanosec
-===
-MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
@@ -142,16 +131,15 @@ def test_a_bag_with_joint_trajectories_is_checked_as_a_table_is(tmp_path):
     rows = np.array([np.r_[at, HOME + 0.1 * at * np.eye(7)[0]] for at in (0.0, 0.25, 1.5)])
     order = [3, 1, 0, 2, 6, 5, 4]  # of names, which say what is what
     points = [
-        {"positions": row[1:][order].tolist(), "velocities": [], "accelerations": [], "effort": [],
+        {"positions": row[1:][order].tolist(), "velocities": [],
          "time_from_start": {"sec": int(row[0]), "nanosec": int(row[0] % 1 * 1e9)}}
         for row in rows
     ]  # fmt: skip
-    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     names = [f"fer_joint{joint + 1}" for joint in order]
     with (tmp_path / "bag.mcap").open("wb") as file:
         bag = writer.Writer(file)
         schema = bag.register_msgdef("trajectory_msgs/msg/JointTrajectory", TRAJECTORY)
-        content = {"header": header, "joint_names": names, "points": points}
+        content = {"joint_names": names, "points": points}
         bag.write_message("/arm/trajectory", schema, content, log_time=10**18)
         bag.finish()
     (motion,) = motions(tmp_path / "bag.mcap")

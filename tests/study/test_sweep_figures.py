@@ -62,7 +62,6 @@ CASES: dict[str, tuple[dict[str, Any], Outcome, range | tuple[()]]] = {
     "list": ({"design": "list"}, heavy, ()),
     "random": ({"design": "random", "vary": SMALL, "samples": 300}, heavy, ()),
     "unfinished random": ({"design": "random", "vary": SMALL, "samples": 300}, heavy, range(200)),
-    "sobol": ({"design": "sobol", "vary": SMALL, "samples": 256}, heavy, ()),
     "words": ({"design": "sobol", "samples": 200} | WORDS, worn, ()),
     "no verdict": ({"design": "random", "vary": SMALL, "samples": 150}, partly, ()),
     "two scenarios": (
@@ -72,7 +71,6 @@ CASES: dict[str, tuple[dict[str, Any], Outcome, range | tuple[()]]] = {
     ),
     "expected failure": ({"design": "random", "vary": SMALL, "samples": 90}, contrary, ()),
     "search": ({"design": "search", "vary": SMALL, "samples": 60}, partly, ()),
-    "few": ({"design": "random", "vary": SMALL, "samples": 5}, heavy, ()),
 }
 
 
@@ -173,8 +171,6 @@ def test_influences_are_rank_correlations_of_random_samples_alone(case):
             here = np.array([v is not None for v in report.column[margin]])
         lowest = [-1e9 if v is None or math.isnan(v) else v for v in report.column[margin][here]]
         ranks, count = rankdata(lowest), len(lowest)
-        if count < 10:
-            assert each == []
         for key, value, low, high in each:
             column = report.names(key)[here]
             if column.dtype.kind in "fi":

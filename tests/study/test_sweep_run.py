@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -21,8 +20,6 @@ from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.study.sweep.again import promote_row, show_row
 from panda_cosim.study.sweep.backend import Local
-from panda_cosim.study.sweep.definition import load_sweep
-from panda_cosim.study.sweep.design import Design
 from panda_cosim.study.sweep.report import write_report
 from panda_cosim.study.sweep.row import Task
 from panda_cosim.study.sweep.store import Store
@@ -69,26 +66,12 @@ def test_a_table_has_a_row_for_each_sample(whole):
             assert Recording.open(folder).sha256() == row["recording_sha256"]
 
 
-def test_the_command_repeats_a_row_bit_for_bit(whole, tmp_path):
-    row = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
+def test_the_command_repeats_a_row_in_memory_bit_for_bit(whole, tmp_path):
+    row = next(row for row in rows_of(whole / "out") if row["status"] == "success")
     program, *words = shlex.split(row["command"])
     assert program == "panda-cosim"
-    command(*words, *QUIET, "--out", tmp_path, code=3)
+    command(*words, *QUIET, "--out", tmp_path, code=0)
     assert Recording.open(tmp_path).sha256() == row["recording_sha256"]
-
-
-def test_a_row_in_memory_has_the_bits_of_a_run_in_a_folder(fmus):
-    definition = replace(load_sweep("random_box"), design="random", samples=2, seed=11)
-    design = Design(definition)
-    tasks = [Task(i, 0, design.values(i)) for i in range(2)]
-    rows: dict[str, dict[int, dict[str, object]]] = {"none": {}, "all": {}}
-    for keep, found in rows.items():
-        with Local(job(definition, fmus, keep=keep), 1) as local:
-            for done in filter(None, local.run(tasks)):
-                assert bool(done.files) == (keep == "all")
-                found[done.task.index] = {k: v for k, v in done.row.items() if k != "wall_s"}
-    assert len(rows["none"]) == 2
-    assert rows["none"] == rows["all"]
 
 
 def test_a_sweep_is_judged_by_its_success_rate(whole, tmp_path):
