@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmu_support import in_process, members, pack
+from fmu_support import in_process
 from forked import command
 from panda_cosim import Options, Push, analyze, load_scenario, run_scenario
 from panda_cosim.fmus.master import kernel
-from panda_cosim.run.prepare import prepare
 from panda_cosim.study.analysis.margins import frequencies
 from panda_cosim.task.mismatch import Mismatch
 from refusals import refused
@@ -283,16 +282,6 @@ def test_what_cannot_be_analysed_is_refused_in_one_line(slide):
     assert "from 0 to 0.1 s" in refused(analyze, slide, 0.2)
     assert "at: no grasp in this run" in refused(analyze, slide, "grasp")
     assert "isolate" in refused(analyze, slide, options=Options(isolate=True))
-
-
-@pytest.mark.own_process
-def test_an_fmu_that_cannot_go_back_is_named(slide):
-    content = members(prepare(load_scenario(slide)).assembly.system.fmus["plant"])
-    text = content["modelDescription.xml"].replace(b'canGetAndSetFMUstate="true"', b"")
-    pack(slide / "slide.fmu", content | {"modelDescription.xml": text})
-    (slide / "scenario.toml").write_text(SYSTEM.replace("slide.xml", "slide.fmu"))
-    message = refused(analyze, slide)
-    assert "slide.fmu: plant cannot restore its state; its FMU must have " in message
 
 
 def test_the_command_writes_what_python_control_takes(slide, tmp_path):

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from ...fmus.errors import InputError, SimulationError, did_you_mean
+from ...fmus.errors import InputError, SimulationError, refuse
 from ...fmus.master.perturbed import Change, PerturbedSystem
 from ...fmus.master.wiring import Array, Name
 from ...run.inputs import Inputs
@@ -140,11 +140,8 @@ def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
     chosen = chosen if loop else [t for t in fed if t[0] == "plant"]
     if not chosen:
         valid = list(dict.fromkeys(map(signal_of, names.values())))
-        what = f"--loop {loop}: no FMU feeds it" if loop else "no FMU is named `plant`"
-        raise InputError(
-            f"{what}; --loop must name a connected input: {', '.join(valid) or 'none'}"
-            f"{did_you_mean(loop, valid)}"
-        )
+        must = f"must be an input that an FMU feeds: {', '.join(valid) or 'there is none'}"
+        refuse("--loop", loop or "plant", must, valid)
     return chosen
 
 
