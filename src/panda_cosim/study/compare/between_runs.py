@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError
 from ...result.judging.criterion import Criterion, bound_text, margin_text, quantity
 from ...result.judging.summary import Summary
@@ -26,7 +27,7 @@ from ...run.result import Run
 from ...task.typed import typed
 from . import differences
 from .differences import Extent, SignalRow
-from .page import Array, Figure, Page, Part, Section, Table, curve, render, varied
+from .page import Figure, Page, Part, Section, Table, curve, render, varied
 from .wording import DASH, multiple, precise, short
 
 Names = tuple[str, ...]
