@@ -66,8 +66,9 @@ def unpack(path: Path) -> tuple[Path, str]:
             try:
                 with zipfile.ZipFile(BytesIO(content)) as archive:
                     _check_size(path, archive, len(content))
-                    _check_names(path, archive)
-                    archive.extractall(folder)  # also of ../evil or /evil, which it takes as evil
+                    for member in archive.infolist():  # some are named as on Windows
+                        member.filename = member.filename.replace("\\", "/")
+                        archive.extract(member, folder)  # also ../evil or /evil, taken as evil
             except Exception as error:  # zipfile raises ten types for damaged archives
                 # Of the cache, unless it has no number (bz2) or is EINVAL (a wild offset).
                 disk = getattr(error, "errno", None) not in (None, errno.EINVAL)
@@ -92,16 +93,6 @@ def _check_size(path: Path, archive: zipfile.ZipFile, packed: int) -> None:
             f"{path}: its {packed / 1e6:.3g} MB would be {unpacked / 1e6:.0f} MB unpacked; must be "
             f"at most {most / 1e6:.0f} MB"
         )
-
-
-def _check_names(path: Path, archive: zipfile.ZipFile) -> None:
-    """Refuse names with backslashes, by which Windows alone finds folders."""
-    for name in archive.namelist():
-        if "\\" in name:
-            raise InputError(
-                f"{path}: its member {name!r} is named with backslashes; must be with slashes, as "
-                "zip archives are: unpack it on Windows, and pack it again"
-            )
 
 
 def file_inside(folder: Path, source: str, root: Path, label: str) -> Path:

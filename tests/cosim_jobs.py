@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from couple_support import panda_system
+from master_support import all_rows
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.cli.commands.bench import tables
 from panda_cosim.fmus.interface.tables import INTERFACES
@@ -50,13 +51,12 @@ def over_fmus(scenario: Scenario) -> tuple[Array, list[str]]:
     values = start_values(scenario)
     commands = resolve(scenario, values).sample(instants(scenario))
     asked = [f"{i}.{v.name}" for i, t in INTERFACES.items() for v in t.of("output") if v.on_request]
-    rows: list[Array] = []
     with open_system(
         panda_system(asked), values, stop=scenario.duration, coupling=scenario.coupling
     ) as session:
-        session.master.run(scenario.ticks, commands, lambda block: rows.append(block.copy()))
+        rows = all_rows(session.master, scenario.ticks, commands)
         names = ["time", *(".".join(column) for column in session.master.columns)]
-    return np.concatenate(rows), names
+    return rows, names
 
 
 def memory_of_runs(steps: list[int]) -> list[float]:
@@ -71,7 +71,9 @@ def memory_of_runs(steps: list[int]) -> list[float]:
     for count in [steps[0], *steps]:
         still = np.broadcast_to(command, (count + 1, command.shape[1]))
         with open_system(panda_system(), values, stop=count * STEP_SIZE) as session:
-            session.master.run(count, still, lambda _rows: None)
+            session.master.begin(lambda _rows: None)
+            session.master.step(count, still)
+            session.master.end(still[count:])
         peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     return peaks[1:]
 

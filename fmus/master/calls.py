@@ -37,14 +37,21 @@ _logs: WeakValueDictionary[int, MessageLog] = WeakValueDictionary()
 _numbers = count(1)
 
 
+def unheard(_instance: str, _status: str, _text: str, /) -> None:
+    """Take a message that nobody wants to hear."""
+
+
 def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
     """Pass a message on to the log of its instance, found by environment or name."""
     log = _logs.get(number or 0)
     if log is None:  # the FMU does not hand back its environment
-        called = (name or b"").decode("utf-8", "replace")
-        log = next((each for each in list(_logs.values()) if each.instance == called), None)
+        log = next((each for each in list(_logs.values()) if each.instance == _text(name)), None)
     if log is not None:
-        log.take(status, (text or b"").decode("utf-8", "replace").strip())
+        log.take(status, _text(text).strip())
+
+
+def _text(value: str | bytes | None) -> str:
+    return value if isinstance(value, str) else (value or b"").decode("utf-8", "replace")
 
 
 def without_traceback(message: str) -> str:
@@ -63,14 +70,13 @@ def without_traceback(message: str) -> str:
 class MessageLog:
     """The messages of one instance; all are passed on."""
 
-    def __init__(self, instance: str, on_message: OnMessage | None = None) -> None:
-        self.instance = instance
+    def __init__(self, instance: str, on_message: OnMessage) -> None:
+        self.instance, self._on_message = instance, on_message
         self.worst = OK
         self.number = next(_numbers)  # environment pointer that the FMU hands back
         self.calls = 0  # that Python has made
         self.in_c: Callable[[], tuple[float, ...]] = tuple  # which call C makes
         self._last: deque[tuple[object, str]] = deque(maxlen=LAST_MESSAGES)  # by call
-        self._on_message = on_message
         _logs[self.number] = self
 
     @property
@@ -89,8 +95,7 @@ class MessageLog:
         if status > OK:
             self.worst = max(self.worst, status)
             self._last.append((self._call, message))
-        if self._on_message is not None:
-            self._on_message(self.instance, STATUS[min(max(status, OK), 5)], message)
+        self._on_message(self.instance, STATUS[min(max(status, OK), 5)], message)
 
 
 class Caller:
@@ -102,7 +107,7 @@ class Caller:
     enumeration: ClassVar[str]  # in the names of functions
     has_events = False  # whether it is run with event mode
 
-    def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
+    def __init__(self, name: str, fmu: Fmu, on_message: OnMessage = unheard) -> None:
         self.name, self.fmu, self.log = name, fmu, MessageLog(name, on_message)
         self.spent: Spent = defaultdict(float)
         self.no_going_back = True  # argument of fmiDoStep: whether no earlier state is restored
@@ -146,10 +151,7 @@ class Caller:
         size = [sum(array.variable.size for array in arrays)] if self.fmu.fmi == 3 else []
         values = self._call_typed("get", arrays, *size)
         if kind == "String":
-            texts = (
-                v if isinstance(v, str) else (v or b"").decode("utf-8", "replace") for v in values
-            )
-            return list(texts)
+            return [*map(_text, values)]
         return [v or b"" for v in values] if kind == "Binary" else list(values)
 
     def set_lists(self, arrays: Sequence[Scalar], values: Sequence[Any]) -> None:

@@ -21,8 +21,9 @@ except OSError:  # on ARM
 
 from ..errors import SimulationError
 from ..interface.variables import Value
-from .calls import DISCARD, OK, WARNING, StepCall, receive
+from .calls import DISCARD, OK, WARNING, OnMessage, StepCall, receive, unheard
 from .fmu import FmuSlave
+from .fmu_file import Fmu
 from .wiring import Array, Exchange
 
 MOST_UPDATES: Final = 1000  # of discrete states at one event
@@ -239,3 +240,8 @@ class Fmi3Slave(FmuSlave):
             last[:] = values
 
         return exchange
+
+
+def open_slave(name: str, fmu: Fmu, on_message: OnMessage = unheard) -> FmuSlave:
+    """Instantiate an FMU of FMI 2.0 or 3.0."""
+    return (Fmi3Slave if fmu.fmi == 3 else Fmi2Slave)(name, fmu, on_message)

@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 import ctypes
-import inspect
 import math
 import os
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import chdir, contextmanager, suppress
 from itertools import accumulate
 from pathlib import Path
 from threading import Lock
@@ -24,7 +22,7 @@ import numpy as np
 from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
 from ..processes import run
-from .calls import ERROR, FATAL, WARNING, Access, Caller, Lists, OnMessage
+from .calls import ERROR, FATAL, WARNING, Access, Caller, Lists, OnMessage, unheard
 from .fmu_file import Fmu
 from .wiring import Array, Exchange, Moved, together
 
@@ -46,13 +44,6 @@ def return_to(folder: Path) -> None:
     """Restore the working directory, which an FMU may have changed for the whole process."""
     with _loading, suppress(OSError):
         os.chdir(folder)
-
-
-@cache
-def _keep_signatures(fmpy_class: type) -> None:
-    """Keep the signatures of FMPy's methods, which it would find out again for each instance."""
-    for _, method in inspect.getmembers(fmpy_class, inspect.isfunction):
-        method.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]
 
 
 def check_libraries(fmu: Fmu) -> None:
@@ -81,7 +72,7 @@ class FmuSlave(Caller, ABC):
     be known without running an FMU's code is told by `Fmu`.
     """
 
-    def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
+    def __init__(self, name: str, fmu: Fmu, on_message: OnMessage = unheard) -> None:
         super().__init__(name, fmu, on_message)
         self._states: dict[int, ctypes.c_void_p] = {}  # that were kept, by place
         self.stop = math.inf  # [s] up to which it can be stepped
@@ -174,23 +165,19 @@ class FmuSlave(Caller, ABC):
 
     def _open(self) -> Any:
         """Load the library and make the instance."""
-        here = Path.cwd()
-        _keep_signatures(self.fmpy_class)
         try:
-            instance = self.fmpy_class(
-                guid=self.fmu.guid,
-                unzipDirectory=str(self.fmu.folder),
-                libraryPath=str(self.fmu.library),
-                modelIdentifier=self.fmu.description.coSimulation.modelIdentifier,
-                instanceName=self.name,
-            )
+            with chdir("."):  # FMPy does not go back if the library cannot be loaded
+                instance = self.fmpy_class(
+                    guid=self.fmu.guid,
+                    unzipDirectory=str(self.fmu.folder),
+                    libraryPath=str(self.fmu.library),
+                    modelIdentifier=self.fmu.description.coSimulation.modelIdentifier,
+                    instanceName=self.name,
+                )
         except Exception as error:  # not a library, or one that lacks FMI functions
             missing = _MISSING.search(str(error))
             why = _lack(missing[1]) if missing else one_line(error)
             raise InputError(f"{self.fmu.label}: {why}") from error
-        finally:
-            with suppress(OSError):
-                os.chdir(here)  # FMPy does not go back if the library cannot be loaded
         try:
             self._instantiate(instance)
         except Exception as error:  # FMPy raises plain Exceptions

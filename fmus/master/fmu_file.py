@@ -213,16 +213,13 @@ def _parsed(variable: Variable, text: str) -> Value:
     text = text.strip()
     if variable.kind == "Boolean":
         return {"true": True, "1": True, "false": False, "0": False}[text.lower()]  # Python's True
-    if variable.kind == "Enumeration" and text in variable.choices:
-        return text
+    if variable.choices:
+        numbers = {variable.number_of(choice): choice for choice in variable.choices}
+        return text if text in variable.choices else numbers[int(text)]
     if "_" in text or not text.isascii():  # which Python takes, but not XML
         raise ValueError(text)
-    if variable.kind == "Real":
-        is_whole = variable.fmi_type in INTEGERS and text.lstrip("+-").isdigit()
-        return int(text) if is_whole else float(text)
-    if variable.kind == "Enumeration" and variable.choices:
-        return {variable.number_of(choice): choice for choice in variable.choices}[int(text)]
-    return int(text)
+    is_whole = variable.fmi_type in INTEGERS and text.lstrip("+-").isdigit()
+    return int(text) if is_whole or variable.kind != "Real" else float(text)
 
 
 @cache
@@ -345,9 +342,9 @@ def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
         "parameter" if is_structural else described.causality,
         cast("Variability", "fixed" if is_structural else described.variability or ""),
         described.description or "",
-        minimum=bound("min") if kind in (*_NUMBERS, "Enumeration") else None,
-        maximum=bound("max") if kind in (*_NUMBERS, "Enumeration") else None,
-        nominal=bound("nominal") if kind == "Real" else None,
+        minimum=bound("min"),
+        maximum=bound("max"),
+        nominal=bound("nominal"),
         kind=cast("Kind", kind),
         has_start=_has_start(described),
         choices=tuple(item.name for item in items),

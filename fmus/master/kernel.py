@@ -84,14 +84,13 @@ class Kernel:
     the columns whose values must be finite before followers read a row.
     """
 
-    def __init__(  # noqa: PLR0913 - what a course has
+    def __init__(
         self,
         step: Step,
         rows: Array,
         start: float,
         stop: ctypes.c_int32,
         checked: Sequence[int] = (),
-        timed: bool = False,  # whether `spent` of the FMUs is to be known
     ) -> None:
         self._step, self._rows = step, rows
         self._keep: list[object] = [stop]
@@ -114,7 +113,7 @@ class Kernel:
         self._calls = (_Call * len(self._list))(*self._list)
         self._course = _Course(
             ctypes.addressof(self._calls), len(self._calls), rows.ctypes.data, rows.shape[1],
-            start, step.size, ctypes.addressof(stop), timed=timed,
+            start, step.size, ctypes.addressof(stop), timed=True,
         )  # fmt: skip
         for call in filter(None, self._made_by):  # a call of a tick, for the messages in it
             if isinstance(call.slave, Caller):

@@ -39,6 +39,7 @@ from .wiring import (
     Slave,
     SlowSlave,
     bind,
+    nothing,
 )
 
 Sink = Callable[[Array], None]
@@ -126,7 +127,6 @@ class Master:
         ]
         self._bound = bind(self.slaves, self.columns, self.external, connections, rows)
         self._stop = ctypes.c_int32()
-        self._is_timed = False
         self._kernel: Kernel | None = None
         self._set_coupling(coupling)
         self.statistics = RunStatistics()
@@ -164,12 +164,11 @@ class Master:
     def begin(self, sink: Sink) -> None:
         """Read all outputs at t_0; the slaves have just been initialized."""
         self.statistics, self._flush_at = RunStatistics(), 0.0
-        for times in self._times().values():
-            times.clear()
         self._buffer.begin(sink)
         with self._rows_kept():
-            for slave in self._bound:
-                slave.get_outputs(0)
+            for bound in self._bound:
+                bound.slave.spent.clear()
+                bound.get_outputs(0)
         self._buffer.set_ahead(self._ahead(), 0)
 
     def step(
@@ -178,7 +177,7 @@ class Master:
         external: ExternalInputs,
         *,
         pace: Callable[[int], None] | None = None,
-        progress: Progress | None = None,
+        progress: Progress = nothing,
     ) -> int:
         """Take n communication steps, or fewer if `stop_requested` is set."""
         first = self.steps
@@ -195,7 +194,7 @@ class Master:
         return self.steps - first
 
     def _take_steps(
-        self, count: int, pace: Callable[[int], None] | None, progress: Progress | None
+        self, count: int, pace: Callable[[int], None] | None, progress: Progress
     ) -> None:
         """Take steps within the buffer's rows; pace, flush and report progress after each."""
         end = self.steps + count
@@ -205,8 +204,7 @@ class Master:
                 pace(self.steps)
             if clock.perf_counter() >= self._flush_at:  # in each tick, since a tick may be slow
                 self.flush()
-                if progress is not None:
-                    progress(self.steps)
+                progress(self.steps)
                 self._flush_at = clock.perf_counter() + FLUSH_INTERVAL
 
     def _advance(self, count: int) -> None:
@@ -261,20 +259,6 @@ class Master:
                 self._buffer.complete(self._row)
             self.flush()
 
-    def run(
-        self,
-        steps: int,
-        external: ExternalInputs,
-        sink: Sink,
-    ) -> RunStatistics:
-        """Run from t_0 to the end, or until `stop_requested` is set."""
-        self.begin(sink)
-        if self.step(steps, external) == steps:
-            self.end(external[steps : steps + 1])
-        else:
-            self.flush()
-        return self.statistics
-
     # Between steps.
 
     def couple(self, coupling: Coupling) -> None:
@@ -294,21 +278,11 @@ class Master:
                 ahead[self._multiples.get(leader.slave.name, 1)] += leader.outputs
         return {**ahead}
 
-    def time_calls(self) -> None:
-        """Have the calls that are made in C timed, too; those of Python always are."""
-        self._is_timed = True
-        self._set_coupling(self.coupling)
-
     def spent(self) -> dict[str, dict[str, float]]:
         """Wall time since `begin` by FMU and call [s]."""
         if self._kernel is not None:
             self._kernel.account()
-        return {name: dict(times) for name, times in self._times().items()}
-
-    def _times(self) -> dict[str, dict[str, float]]:
-        """Times of those slaves that are FMUs, as they are kept."""
-        slaves = (each.slave if isinstance(each, SlowSlave) else each for each in self.slaves)
-        return {slave.name: slave.spent for slave in slaves if hasattr(slave, "spent")}
+        return {slave.name: dict(slave.spent) for slave in self.slaves}
 
     def save(self, place: int) -> Array:
         """Keep the slaves' states in a place; returns the present row, which `restore` takes."""
@@ -362,13 +336,11 @@ class Master:
         self._step = kind(self._bound, coupling, self.step_size, buffer.rows, buffer.complete)
         self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
-        self._kernel = (
-            make_kernel(
-                self._step, buffer.rows, self.start, self._stop, self.checked, self._is_timed
+        self._kernel = None
+        if self._stepper == "kernel":
+            self._kernel = make_kernel(
+                self._step, buffer.rows, self.start, self._stop, self.checked
             )
-            if self._stepper == "kernel"
-            else None
-        )
 
     @contextmanager
     def _rows_kept(self) -> Iterator[None]:

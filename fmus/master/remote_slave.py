@@ -19,6 +19,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partialmethod
 from pathlib import Path
 from time import perf_counter
 from types import SimpleNamespace
@@ -26,11 +27,11 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from ..errors import CosimError, InputError, SimulationEndedError, SimulationError
+from ..errors import CosimError, InputError, SimulationError
 from ..interface.variables import Value
 from ..processes import Child, listen
-from .calls import OnMessage, Spent
-from .fmu import REALS, FmuSlave
+from .calls import OnMessage, Spent, unheard
+from .fmu import REALS
 from .fmu_file import Fmu
 from .kernel import GONE, LATE, STEPPED, Kernel, make_kernel
 from .step import Step
@@ -44,9 +45,7 @@ HEARD, ENDED_AT_END, FAILED = range(1, 4)  # as in stepper.c
 # A new interpreter, not a fork: after a fork, locks of this process's threads would stay locked.
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from panda_cosim.fmus.master.system import open_slave; "
-    "from panda_cosim.fmus.master.remote_slave import serve; "
-    "serve(*map(int, sys.argv[2:]), open_slave)"
+    "from panda_cosim.fmus.master.remote_slave import serve; serve(*map(int, sys.argv[2:]))"
 )
 # In which Python handles a signal that came while C waited.
 _INTERRUPTED: Final = ctypes.CFUNCTYPE(None)(lambda: None)
@@ -65,7 +64,7 @@ class RemoteSlave:
         self,
         name: str,
         fmu: Fmu,
-        on_message: OnMessage | None = None,
+        on_message: OnMessage = unheard,
         step_timeout: float | None = None,
     ) -> None:
         if not hasattr(os, "memfd_create"):
@@ -98,18 +97,6 @@ class RemoteSlave:
         self.step.in_c = self.call("open", self.name, str(self.fmu.path.absolute()), self.fmu.sizes)
         self.call("enter_initialization", dict(values), start, stop, tolerance)
 
-    def exit_initialization(self) -> None:
-        """Leave initialization mode, see `FmuSlave.exit_initialization`."""
-        self.call("exit_initialization")
-
-    def set_values(self, values: Mapping[str, Value]) -> None:
-        """Set variables once, see `FmuSlave.set_values`."""
-        self.call("set_values", dict(values))
-
-    def read(self, names: Sequence[str]) -> list[Any]:
-        """Read variables once, see `FmuSlave.read`."""
-        return list(self.call("read", names))
-
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make the function that reads the outputs into a row, see `FmuSlave.bind_get`."""
         return self._bind("bind_get", names, block, ORDER + len(self.fmu.variables))
@@ -125,14 +112,6 @@ class RemoteSlave:
             place, memory = -1, np.zeros(len(names), np.object_)
         self.step.in_c = self.call(method, list(names), place)
         return Shared(self, block, memory, reads=method == "bind_get")
-
-    def save_state(self, place: int = 0) -> None:
-        """Keep the present state, see `FmuSlave.save_state`."""
-        self.call("save_state", place)
-
-    def restore_state(self, place: int = 0) -> None:
-        """Go back to the state that was kept there."""
-        self.call("restore_state", place)
 
     def close(self) -> None:
         """Free the instance and end the process, in any state. May be called twice."""
@@ -158,12 +137,18 @@ class RemoteSlave:
         except (EOFError, OSError):
             self.fail_gone()
         self._waiting = False
-        if self._on_message is not None:
-            for message in messages:
-                self._on_message(*message)
+        for message in messages:
+            self._on_message(*message)
         if error is not None:
             raise error
         return result
+
+    # As of `FmuSlave`.
+    exit_initialization = partialmethod(call, "exit_initialization")
+    set_values = partialmethod(call, "set_values")
+    read = partialmethod(call, "read")
+    save_state = partialmethod(call, "save_state")
+    restore_state = partialmethod(call, "restore_state")
 
     def fail_late(self, limit: float) -> NoReturn:
         """Raise the error of a process that does not answer for a time [s]."""
@@ -233,22 +218,18 @@ class RemoteStep:
             self._remote.heard = 0
             self.slave.call("told")
 
-    def fail(self, status: int, time: float) -> None:
+    def fail(self, status: int, time: float) -> NoReturn:
         """Raise the error of a step."""
         self.slave.time = time
         if status == LATE:
             self.slave.fail_late(self.slave.step_timeout or 0.0)
         if status == GONE:
             self.slave.fail_gone()
-        self.slave.call("told")
+        raise self.slave.call("told")
 
-    def ending(self, time: float, reached: float) -> SimulationEndedError:
+    def ending(self, _time: float, _reached: float) -> Any:
         """What says that the FMU has ended the simulation."""
-        try:
-            self.slave.call("told")
-        except SimulationEndedError as ended:
-            return ended
-        return SimulationEndedError("ended", reached=reached, time=time, instance=self.slave.name)
+        return self.slave.call("told")
 
 
 def _mapped(file: int) -> Array:
@@ -258,12 +239,12 @@ def _mapped(file: int) -> Array:
 # In the FMU's process.
 
 
-def serve(file: int, descriptor: int, parent: int, open_slave: Callable[..., FmuSlave]) -> None:
+def serve(file: int, descriptor: int, parent: int) -> None:
     """Serve requests until the other side closes the connection."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection
     connection = listen(descriptor, parent)
-    host = _Host(open_slave, _mapped(file), socket.socket(fileno=os.dup(descriptor)))
+    host = _Host(_mapped(file), socket.socket(fileno=os.dup(descriptor)))
     os.close(file)
     with suppress(EOFError, OSError):
         while True:
@@ -286,10 +267,8 @@ def _tried(call: Callable[..., Any], *arguments: Any) -> tuple[CosimError | None
 class _Host:
     """Executes requests, and takes steps."""
 
-    def __init__(
-        self, open_slave: Callable[..., FmuSlave], memory: Array, asked: socket.socket
-    ) -> None:
-        self._open_slave, self._memory, self._socket = open_slave, memory, asked
+    def __init__(self, memory: Array, asked: socket.socket) -> None:
+        self._memory, self._socket = memory, asked
         self._rows = memory.reshape(1, -1)
         self._messages: list[tuple[str, ...]] = []
         self._wants_answer = ctypes.c_int32()  # set by a message, so that C returns
@@ -310,10 +289,9 @@ class _Host:
                 self._error, answer = self._step.ended, ENDED_AT_END
             self._socket.send(bytes([answer]))
 
-    def told(self) -> None:
-        """Raise the error of the last step in C, if it has one."""
-        if self._error is not None:
-            raise self._error
+    def told(self) -> CosimError | None:
+        """Return the error of the last step in C, if it has one."""
+        return self._error
 
     def said(self) -> list[tuple[str, ...]]:
         """Return the messages since it was last asked."""
@@ -335,8 +313,10 @@ class _Host:
 
     def open(self, name: str, path: str, sizes: Mapping[str, int]) -> bool:
         """Make the slave; returns, as the next two, whether C can take its steps."""
+        from .fmi import open_slave  # noqa: PLC0415 - FMPy takes 0.2 s
+
         fmu = Fmu(Path(path)).restructured(sizes)
-        self._slave = self._open_slave(name, fmu, self.hear)
+        self._slave = open_slave(name, fmu, self.hear)
         self._bound.step = self._slave.step
         self._step.leaders = [self._bound]
         return self._make_kernel()

@@ -44,13 +44,13 @@ class Parameters:
         self._number = 0
         # What a parameter sets, by its name from the whole system; two elements may share a name.
         self._targets: dict[str, list[list[End]]] = defaultdict(list)
-        for element, names in structure.items.items() if structure.bindings else ():
+        for element, names in structure.items.items():
             for name, items in names.items():
                 ends = [(element, item) for item in items]
                 self._targets[_full_name(element, name)].append(ends)
         for binding, owner in structure.bindings:
             self._read(binding, owner)
-        for instance, fmu in structure.fmus.items() if self._given else ():
+        for instance, fmu in structure.fmus.items():
             for name in fmu.variables:
                 chain = structure.chain((instance, name))
                 given = [

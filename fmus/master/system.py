@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -19,18 +19,16 @@ from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
 from ..interface.units import PLAIN, conversion, doubt
 from ..interface.variables import Scalar, Value, by_array
-from .calls import OnMessage
+from .calls import OnMessage, unheard
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
+from .remote_slave import RemoteSlave
 from .step import Coupling, Stepper
 from .wiring import Array, Name
 
-if TYPE_CHECKING:
-    from .remote_slave import RemoteSlave
-
 SHOWN: Final = 4  # connections of an FMU that a warning names
-Instance: TypeAlias = "FmuSlave | RemoteSlave"
+Instance: TypeAlias = FmuSlave | RemoteSlave
 
 
 @dataclass(frozen=True)
@@ -58,14 +56,6 @@ class OpenSystem:
     master: Master
     slaves: Mapping[str, Instance]
     fmus: Mapping[str, Fmu]
-
-
-def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuSlave:
-    """Instantiate an FMU of FMI 2.0 or 3.0."""
-    from .fmi import Fmi2Slave, Fmi3Slave  # noqa: PLC0415 - FMPy takes 0.2 s
-
-    slave = Fmi3Slave if fmu.fmi == 3 else Fmi2Slave
-    return slave(name, fmu, on_message)
 
 
 def read_fmus(
@@ -202,24 +192,34 @@ def notes(fmus: Mapping[str, Fmu], system: System, step_size: float) -> Iterator
     multiples = multiples_of(fmus, system, step_size)
     yield from _doubts(fmus, system)
     for instance, fmu in fmus.items():
-        interface, experiment = fmu.description.coSimulation, fmu.description.defaultExperiment
-        named = interface.fixedInternalStepSize or (experiment and experiment.stepSize)
-        own, size = float(named or 0.0), multiples.get(instance, 1) * step_size
         if fmu.clocked:
             yield instance, f"clocks are not supported; left out: {', '.join(fmu.clocked)}"
-        single = f"supports a single step size, {own:g} s"
-        if instance in multiples and instance not in system.steps:
-            yield instance, f"{single}: {multiples[instance]} system steps"
-        is_whole = not 0.0 < own < math.inf or abs(size - round(size / own) * own) <= 1e-9 * size
-        if not is_whole and fmu.is_model:
-            text = f"steps itself by {own:g} s, so that after steps of {size:g} s its outputs may "
-            yield instance, text + "be older than their row; must be a whole multiple"
-        elif not (is_whole or interface.canHandleVariableCommunicationStepSize):
-            yield instance, f"{single}; steps of {size:g} s may be refused"
+        multiple, is_asked = multiples.get(instance, 1), instance in system.steps
+        if text := _note_on_steps(fmu, multiple, step_size, is_asked=is_asked):
+            yield instance, text
     loop = _loop(tuple(fmus.items()), tuple(system.connections))
     if loop:
         text = f"algebraic loop {' -> '.join(map('.'.join, loop))}: each step uses values of the "
         yield loop[0][0], text + 'step before, unless coupling = "iterated"'
+
+
+def _note_on_steps(fmu: Fmu, multiple: int, step_size: float, *, is_asked: bool) -> str:
+    """Warn of steps that an FMU does not name; "" if there is no reason to."""
+    interface, experiment = fmu.description.coSimulation, fmu.description.defaultExperiment
+    named = interface.fixedInternalStepSize or (experiment and experiment.stepSize)
+    own, size = float(named or 0.0), multiple * step_size
+    single = f"supports a single step size, {own:g} s"
+    if multiple > 1 and not is_asked:
+        return f"{single}: {multiple} system steps"
+    if not 0.0 < own < math.inf or abs(size - round(size / own) * own) <= 1e-9 * size:
+        return ""
+    if fmu.is_model:
+        return (
+            f"steps itself by {own:g} s, so that after steps of {size:g} s its outputs may be "
+            "older than their row; must be a whole multiple"
+        )
+    is_fixed = not interface.canHandleVariableCommunicationStepSize
+    return f"{single}; steps of {size:g} s may be refused" if is_fixed else ""
 
 
 @lru_cache(maxsize=4)  # rows of a sweep have the same system
@@ -251,7 +251,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     start: float = 0.0,
     step_size: float = STEP_SIZE,
     coupling: Coupling = "gauss-seidel",
-    on_message: OnMessage | None = None,
+    on_message: OnMessage = unheard,
     isolate: bool = False,
     step_timeout: float | None = None,
     stepper: Stepper = "kernel",
@@ -259,18 +259,18 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     tolerance: float = 0.0,  # relative, of FMUs that integrate; 0: as their descriptions say
 ) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end."""
+    from .fmi import open_slave  # noqa: PLC0415 - FMPy takes 0.2 s
+
     fmus = read_fmus(system, start_values, coupling, isolate=isolate)
-    if on_message is not None:
-        for instance, text in notes(fmus, system, step_size):
-            on_message(instance, "Warning", text)
+    for instance, text in notes(fmus, system, step_size):
+        on_message(instance, "Warning", text)
     multiples = multiples_of(fmus, system, step_size)
-    types = {end: type_of(fmus[end[0]].variable(end[1]).variable)
-             for end in (*system.external, *system.read)}  # fmt: skip
+    ends = ((fmus[end[0]].variable(end[1]), end) for end in (*system.external, *system.read))
     with ExitStack() as stack:
         here = working_directory()
         stack.callback(return_to, here)
         slaves: dict[str, Instance] = {}
-        make = partial(_isolated, step_timeout) if isolate else open_slave
+        make = partial(RemoteSlave, step_timeout=step_timeout) if isolate else open_slave
         for name, fmu in fmus.items():
             slaves[name] = make(name, fmu, on_message)
             stack.callback(slaves[name].close)
@@ -287,7 +287,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             step_size,
             coupling,
             start=start,
-            objects=[end for end, kind in types.items() if kind in OBJECTS],
+            objects=[end for scalar, end in ends if type_of(scalar.variable) in OBJECTS],
             multiples=multiples,
             stepper=stepper,
             not_finite=system.not_finite,
@@ -301,21 +301,12 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         yield OpenSystem(master, slaves, fmus)
 
 
-def _isolated(
-    step_timeout: float | None, name: str, fmu: Fmu, on_message: OnMessage | None
-) -> Instance:
-    """Open an FMU in a process of its own."""
-    from .remote_slave import RemoteSlave  # noqa: PLC0415 - loads multiprocessing
-
-    return RemoteSlave(name, fmu, on_message, step_timeout)
-
-
-def _settle(master: Master, external: Array, on_message: OnMessage | None) -> None:
+def _settle(master: Master, external: Array, on_message: OnMessage) -> None:
     """Exchange values in initialization mode until they agree, or warn that they do not."""
     try:
         unsettled = master.initialize(external)
     except SimulationError as error:  # nothing is recorded yet
         raise InputError(f"initialization: {error}") from error
-    if unsettled and on_message is not None:
+    if unsettled:
         text = f"{unsettled[1]} does not settle between FMUs; start values are used"
         on_message(unsettled[0], "Warning", f"initialization: {text}")

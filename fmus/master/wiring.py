@@ -25,6 +25,7 @@ class Slave(Protocol):
 
     name: str
     stop: float  # [s] up to which it can be stepped
+    spent: defaultdict[str, float]  # [s] wall time by name of a call
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that reads variables into a row of a block (n, len(names))."""
@@ -77,7 +78,7 @@ class SlowSlave:
     """A slave that is stepped once in some ticks: a leader in the first, others in the last."""
 
     def __init__(self, slave: Slave, multiple: int) -> None:
-        self.slave, self.name, self.stop = slave, slave.name, slave.stop
+        self.slave, self.name, self.stop, self.spent = slave, slave.name, slave.stop, slave.spent
         self.leads = False  # its outputs act within the step, see step.py
         self._multiple = multiple
         self._tick = 0  # of the present step

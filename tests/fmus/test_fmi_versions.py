@@ -9,12 +9,14 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from fmu_support import initialize, needs_compiler
+from master_support import all_rows
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.interface.variables import Variable
+from panda_cosim.fmus.master.fmi import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu, described_interface, read_value
-from panda_cosim.fmus.master.system import System, open_slave, open_system
+from panda_cosim.fmus.master.system import System, open_system
 from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [
@@ -134,11 +136,8 @@ def couple(first: Path, second: Path, isolate: bool = False) -> Any:
     ]
     system = System({"a": first, "b": second}, wires, [("a", "u[1,1]")], {"a": Y, "b": Y})
     start = {"a": {"k": 0.5}, "b": {"flip": True}}
-    blocks: list[Any] = []
     with open_system(system, start, stop=1.0, isolate=isolate) as session:
-        external = np.arange(301.0).reshape(-1, 1)
-        session.master.run(300, external, lambda rows: blocks.append(rows.copy()))
-    return np.vstack(blocks)
+        return all_rows(session.master, 300, np.arange(301.0).reshape(-1, 1))
 
 
 def test_versions_are_coupled_and_agree(tmp_path):

@@ -12,6 +12,7 @@ import fmpy
 import numpy as np
 import pytest
 
+from master_support import all_rows
 from panda_cosim.fmus.build.container import write_container
 from panda_cosim.fmus.build.ssp import write_ssp
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -43,7 +44,6 @@ def outputs(ssp: Path) -> dict[str, int]:
 def ours(ssp: Path, coupling: Coupling = "jacobi") -> Any:
     """The plant's outputs after each step, by our master."""
     coupled = system_from_ssp(ssp)
-    blocks: list[Any] = []
     with open_system(
         coupled.system,
         coupled.start_values,
@@ -52,9 +52,7 @@ def ours(ssp: Path, coupling: Coupling = "jacobi") -> Any:
         coupling=coupling,
     ) as session:
         columns = [session.master.columns.index(("plant", n)) + 1 for n in outputs(ssp)]
-        empty = np.zeros((TICKS + 1, 0))
-        session.master.run(TICKS, empty, lambda rows: blocks.append(rows.copy()))
-    return np.concatenate(blocks)[1:, columns]
+        return all_rows(session.master, TICKS)[1:, columns]
 
 
 def check(ssp: Path, rows: Any) -> None:

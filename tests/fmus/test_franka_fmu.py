@@ -16,6 +16,7 @@ from fmpy.validation import validate_fmu
 from fmu_instance import DISCARD, ERROR, OK, Instance, unpacked
 from franka_support import PLANT as PARAMETERS
 from franka_support import claimed_address, client, couple, needs_clients
+from master_support import all_rows
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.franka import FRANKA
 from panda_cosim.fmus.interface.plant import PLANT
@@ -134,10 +135,7 @@ def coupled(address: str, fmi: int = 2, **options: Any) -> Iterator[OpenSystem]:
 
 def run(opened: OpenSystem) -> Any:
     """Run it to its end; return the rows."""
-    rows: list[Any] = []
-    empty = np.empty((MOST_STEPS + 1, 0))
-    opened.master.run(MOST_STEPS, empty, lambda block: rows.append(np.array(block)))
-    return np.concatenate(rows)
+    return all_rows(opened.master, MOST_STEPS)
 
 
 @needs_clients

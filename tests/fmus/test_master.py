@@ -1,6 +1,7 @@
 """The master's algorithm, with slaves that are small linear systems."""
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import panda_cosim.fmus.master.master
+from master_support import all_rows
 from panda_cosim.fmus.errors import InputError, SimulationEndedError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master, RealtimePacer, RunStatistics
@@ -31,6 +33,7 @@ class FakeSlave:
         self.inputs: dict[str, float] = {}
         self.outputs = dict(outputs)
         self.times: list[float] = []
+        self.spent = defaultdict[str, float](float)
         self._law = law
         self._log = log if log is not None else []
         self._kept: dict[int, tuple[dict[str, float], dict[str, float]]] = {}
@@ -105,14 +108,11 @@ def begun(master: Master) -> list[Array]:
     return rows
 
 
-def run(master: Master, steps: int, external: Array | None = None, **options: Any) -> Array:
-    """Run, and return all rows."""
-    rows: list[Array] = []
-    inputs = references(steps) if external is None else external
-    statistics = master.run(steps, inputs, lambda block: rows.append(block.copy()), **options)
-    assert statistics.steps == steps
-    whole: Array = np.concatenate(rows)
-    return whole
+def run(master: Master, steps: int, external: Array | None = None) -> Array:
+    """Run to the end, and return all rows."""
+    rows = all_rows(master, steps, references(steps) if external is None else external)
+    assert master.statistics.steps == steps
+    return rows
 
 
 def references(steps: int) -> Array:
@@ -353,10 +353,14 @@ def fail(_outputs: dict[str, float]) -> None:
 
 
 def collect(master: Master, steps: int) -> tuple[SimulationError, Array]:
-    rows: list[Array] = [np.zeros((0, 6))]
+    def to_the_end() -> None:
+        master.step(steps, references(steps))
+        master.end(references(steps)[steps:])
+
+    rows = begun(master)
     with pytest.raises(SimulationError) as caught:
-        master.run(steps, references(steps), lambda block: rows.append(block.copy()))
-    return caught.value, np.concatenate(rows)
+        to_the_end()
+    return caught.value, np.concatenate([np.zeros((0, 6)), *rows])
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -413,20 +417,19 @@ def test_a_run_stops_on_request_after_whole_steps():
         master.stop_requested = True
 
     master = loop(laws=(drive, breaks(9, ask)))
-    rows: list[Array] = []
-    statistics = master.run(100, references(100), lambda block: rows.append(block.copy()))
-    assert statistics.steps == 10
-    np.testing.assert_array_equal(np.concatenate(rows), in_a_plain_loop(100, delayed=False)[:10])
+    rows = all_rows(master, 100, references(100))
+    np.testing.assert_array_equal(rows, in_a_plain_loop(100, delayed=False)[:10])
 
 
 def test_an_error_of_the_sink_ends_the_run():
     def full(_rows: Array) -> None:
         raise SimulationError("disk full")
 
-    external = references(BLOCK_ROWS + 5)
+    master, external = loop(), references(BLOCK_ROWS + 5)
     external[BLOCK_ROWS] = math.nan  # which nobody has used yet
+    master.begin(full)
     with pytest.raises(SimulationError, match="disk full"):
-        loop().run(BLOCK_ROWS + 5, external, full)
+        master.step(BLOCK_ROWS + 5, external)
 
 
 def test_an_unknown_coupling_is_named():

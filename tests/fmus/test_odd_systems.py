@@ -345,18 +345,14 @@ def test_a_library_that_another_one_lacks_is_named(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_an_archive_with_backslashes_is_told(tmp_path):
+def test_an_archive_with_backslashes_is_read(tmp_path):
     folder = toy_scenario(tmp_path / "toys", "")
     with zipfile.ZipFile(folder / "toy.fmu") as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     with zipfile.ZipFile(folder / "toy.fmu", "w") as archive:
         for name, content in members.items():
             archive.writestr(zipfile.ZipInfo(name.replace("/", "\\")), content)
-    for name in ("run", "check"):
-        done = command(name, folder)
-        assert done.returncode == 2
-        told = done.stdout + done.stderr
-        assert r"its member 'binaries\\linux64\\toy.so' is named with backslash" in told
+    command("run", folder, "--out", tmp_path / "run", "--no-video", code=0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

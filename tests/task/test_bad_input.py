@@ -12,8 +12,8 @@ from fmu_support import initialize, members, pack
 from panda_cosim.cli.app import app
 from panda_cosim.fmus.atomic import replacing
 from panda_cosim.fmus.errors import InputError, nearest
+from panda_cosim.fmus.master.fmi import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.sources.targets import Target, build
 
 Change = Callable[[dict[str, bytes]], None]

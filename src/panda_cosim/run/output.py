@@ -36,9 +36,6 @@ class Output:
         self, prepared: Prepared, system: OpenSystem, folder: Path, *, writes: bool, journals: bool
     ) -> None:
         self.system, self._prepared, self._writes = system, prepared, writes
-        self._profiles = prepared.options.profile
-        if self._profiles:
-            system.master.time_calls()
         self._place = folder.absolute()  # an FMU may change the working directory
         self._journal = self._place / JOURNAL_FILE if journals else None
         columns = prepared.assembly.recorded(prepared.scenario.coupling)
@@ -103,7 +100,8 @@ class Output:
         recording = self.in_memory or Recording.open(self._place)
         statistics, fmus = self.system.master.statistics, self.system.fmus.values()
         costs_in_python = any(fmu.code == "python" for fmu in fmus)
-        if self._profiles or (self.system.master.coupling == "iterated" and costs_in_python):
+        is_iterated = self.system.master.coupling == "iterated"
+        if self._prepared.options.profile or (is_iterated and costs_in_python):
             statistics.spent = self.system.master.spent()
         summary = summarize(recording, self._prepared.scenario, statistics, end)
         if self._writes:
