@@ -18,7 +18,7 @@ from panda_cosim.fmus.build.libraries import SOURCES, includes
 from panda_cosim.fmus.build.platforms import PLATFORMS
 from panda_cosim.fmus.interface.controller import COMMANDS
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
-from panda_cosim.fmus.master.system import System
+from panda_cosim.fmus.master.wiring import System
 from panda_cosim.fmus.sources.targets import Kind, Target, build, build_trajectory
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.start import StartValues, instants, resolve, start_values

@@ -23,11 +23,9 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from ...assets import STEP_SIZE
 from ..errors import SimulationEndedError, SimulationError
-from ..interface.tables import Connection
 from .kernel import Kernel, make_kernel
 from .step import ITERATIONS, Coupling, IteratedStep, Step, Stepper, settle
 from .wiring import (
@@ -38,6 +36,7 @@ from .wiring import (
     RowBuffer,
     Slave,
     SlowSlave,
+    System,
     bind,
     nothing,
 )
@@ -97,35 +96,30 @@ class Master:
 
     columns: list[Name]  # of a row after the time: external inputs, then outputs, as given
 
-    def __init__(  # noqa: PLR0913 - a coupled system has this many parts
+    def __init__(  # noqa: PLR0913 - a run has this many sides
         self,
         slaves: Sequence[Slave],  # in the order of stepping
-        outputs: Mapping[str, Sequence[str]],  # to read, by the slave's name
-        connections: Sequence[Connection],
-        external: Sequence[Name] = (),  # inputs that the caller gives for each tick
+        system: System,  # whose values go along its connections as they are converted there
         step_size: float = STEP_SIZE,  # communication step size [s]
         coupling: Coupling = "gauss-seidel",
         *,
         start: float = 0.0,  # t_0 [s]
         objects: Collection[Name] = (),  # columns of values that a float64 cannot hold
-        multiples: Mapping[str, int] = MappingProxyType({}),  # ticks of a slave's step, if not one
         stepper: Stepper = "kernel",
-        not_finite: Collection[Name] = (),  # outputs that may be NaN or infinite
         at_end: Collection[str] = (),  # slaves whose outputs belong to the end of their step
     ) -> None:
         self.step_size, self.start = step_size, start
-        self.external = tuple(external)
-        read = [(instance, name) for instance, names in outputs.items() for name in names]
-        self.columns = [*external, *read, *([ITERATIONS] if coupling == "iterated" else [])]
-        self._buffer = RowBuffer(self.columns, len(external), start, step_size, objects, not_finite)
-        rows = self._buffer.rows
-        self.connections, self._stepper = connections, stepper
-        self._multiples, self._at_end = multiples, at_end
+        self.system, self._stepper, self._at_end = system, stepper, at_end
+        self.columns = [*system.external, *system.read]
+        if coupling == "iterated":
+            self.columns.append(ITERATIONS)
+        self._buffer = RowBuffer(self.columns, system, start, step_size, objects)
+        steps = system.steps
         self.slaves = [
-            SlowSlave(slave, multiple) if (multiple := multiples.get(slave.name, 1)) > 1 else slave
-            for slave in slaves
+            SlowSlave(each, steps[each.name]) if steps.get(each.name, 1) > 1 else each
+            for each in slaves
         ]
-        self._bound = bind(self.slaves, self.columns, self.external, connections, rows)
+        self._bound = bind(self.slaves, self.columns, system, self._buffer.rows)
         self._stop = ctypes.c_int32()
         self._kernel: Kernel | None = None
         self._set_coupling(coupling)
@@ -275,7 +269,7 @@ class Master:
         ahead = defaultdict[int, list[int]](list)
         for leader in self._step.leaders:
             if leader.slave.name in self._at_end:
-                ahead[self._multiples.get(leader.slave.name, 1)] += leader.outputs
+                ahead[self.system.steps.get(leader.slave.name, 1)] += leader.outputs
         return {**ahead}
 
     def spent(self) -> dict[str, dict[str, float]]:

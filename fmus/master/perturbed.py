@@ -33,14 +33,13 @@ class PerturbedSystem:
         self.columns = [("", "time"), *master.columns]  # of a row
         self._rows = np.zeros((len(external) + 1, len(self.columns)))
         self._back = [_save(slave) for slave in master.slaves]  # before the kernel is made
-        fed = {each.target: each for each in master.connections}
+        fed = {each.target: each for each in master.system.connections}
         self._fed = [fed[target] for target in targets]
         self.fed_by = [self.columns.index(each.source) for each in self._fed]
         # Values are added as offsets of the connections, which `run` changes in place.
         varied = fed | {each.target: replace(each, offset=math.nan) for each in self._fed}
-        bound = bind(
-            master.slaves, master.columns, master.external, list(varied.values()), self._rows
-        )  # fmt: skip
+        system = replace(master.system, connections=list(varied.values()))
+        bound = bind(master.slaves, master.columns, system, self._rows)
         linear = {(b.slave.name, name): pair for b in bound for name, pair in b.linear.items()}
         self._linear = [linear[target] for target in targets]
         self._step = Step(bound, master.coupling, master.step_size, self._rows, lambda _row: None)
@@ -48,7 +47,7 @@ class PerturbedSystem:
         stop, self._tick = ctypes.c_int32(), master.steps
         self._kernel = make_kernel(self._step, self._rows, master.start, stop, ())
         self._rows[0] = master.latest()
-        self._rows[:-1, 1 : 1 + len(master.external)] = external
+        self._rows[:-1, 1 : 1 + len(system.external)] = external
         ticks = self._tick + np.arange(len(self._rows))
         self._rows[:, 0] = master.start + ticks * master.step_size
         self._start = self._rows.copy()

@@ -110,7 +110,7 @@ class RemoteSlave:
         are_reals = all(self.fmu.variable(name).variable.fmi_type in REALS for name in names)
         if not (are_reals or block.dtype == np.float64):
             place, memory = -1, np.zeros(len(names), np.object_)
-        self.step.in_c = self.call(method, list(names), place)
+        self.step.in_c = self.call("bind", method, list(names), place)
         return Shared(self, block, memory, reads=method == "bind_get")
 
     def close(self) -> None:
@@ -312,7 +312,7 @@ class _Host:
         return getattr(self if hasattr(self, method) else self._slave, method)(*arguments)
 
     def open(self, name: str, path: str, sizes: Mapping[str, int]) -> bool:
-        """Make the slave; returns, as the next two, whether C can take its steps."""
+        """Make the slave; returns, as `bind`, whether C can take its steps."""
         from .fmi import open_slave  # noqa: PLC0415 - FMPy takes 0.2 s
 
         fmu = Fmu(Path(path)).restructured(sizes)
@@ -321,21 +321,16 @@ class _Host:
         self._step.leaders = [self._bound]
         return self._make_kernel()
 
-    def bind_set(self, names: list[str], place: int) -> bool:
-        """Bind inputs to the shared memory from a place on, or, at -1, to a block of their own."""
-        self._inputs = self._block(names, place)
-        self._bound.set_inputs = self._slave.bind_set(names, self._inputs)
-        return self._make_kernel()
-
-    def bind_get(self, names: list[str], place: int) -> bool:
-        """Bind outputs likewise."""
-        self._outputs = self._block(names, place)
-        self._bound.get_outputs = self._slave.bind_get(names, self._outputs)
-        return self._make_kernel()
-
-    def _block(self, names: list[str], place: int) -> Array:
+    def bind(self, method: str, names: list[str], place: int) -> bool:
+        """Bind to the shared memory from a place on, or, at -1, to a block of its own."""
         shared = self._rows[:, place : place + len(names)]
-        return shared if place >= 0 else np.zeros((1, len(names)), np.object_)
+        block: Array = shared if place >= 0 else np.zeros((1, len(names)), np.object_)
+        exchange = getattr(self._slave, method)(names, block)
+        if method == "bind_set":
+            self._inputs, self._bound.set_inputs = block, exchange
+        else:
+            self._outputs, self._bound.get_outputs = block, exchange
+        return self._make_kernel()
 
     def _make_kernel(self) -> bool:
         self._kernel = make_kernel(self._step, self._rows, 0.0, self._wants_answer)

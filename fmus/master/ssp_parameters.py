@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 from ..build.ssp import PREFIXES
@@ -70,11 +71,8 @@ class Parameters:
                 target = _full_name(owner, entry.get("target", ""))
                 place = f"{label}: parameter {target}"
                 for ends in self._targets.get(target, ()):
-                    if len(texts) != len(ends):
-                        count = f"{len(ends)} values" if len(ends) > 1 else "one value"
-                        raise InputError(f"{place}: has {len(texts)} values; must be {count}")
                     self._number += 1
-                    for end, text in zip(ends, texts, strict=True):
+                    for end, text in _paired(place, ends, texts):
                         self._given[end] = _Given(self._number, place, text, unit, entry)
                 if target not in self._targets:
                     unused.append(target)
@@ -89,15 +87,11 @@ class Parameters:
         structure, (instance, name), given = self._structure, chain[-1], self._given[chain[0]]
         scalar = structure.fmus[instance].variable(name)
         kind, causality = scalar.variable.kind, scalar.variable.causality
-        change, linear, text = choice(given.entry), PLAIN, given.text
         if causality not in ("parameter", "input") and not scalar.variable.has_start:
             must = "parameter or input, or initial exact or approx"
             raise InputError(f"{given.place}: causality {causality}; must be {must}")
-        if change is not None and local(change) == "LinearTransformation":
-            linear = self._document.linear(change)
-        elif change is not None:
-            text = _mapped(change, text, given.place)
-        value = read_value(f"{given.place} =", scalar.variable, text)
+        value = read_value(f"{given.place} =", scalar.variable, given.text)
+        linear = self._document.linear(given.place, given.entry)
         first = Link(("", ""), linear, converts_units(given.entry))
         links = [(chain[0], first), *((end, structure.links[end]) for end in chain[1:])]
         factor, offset = structure.linear(given.place, given.unit, links)
@@ -131,9 +125,7 @@ def read_parameters(file: Path, interfaces: Mapping[str, Interface]) -> dict[str
         place = f"{file}: parameter {name}"
         if name not in targets:
             refuse(f"{file}: parameter", name, "must be a variable, as FMU.NAME", targets)
-        if len(texts) != len(targets[name]):
-            refuse(f"{place}: number of values", len(texts), f"must be {len(targets[name])}")
-        for text, (instance, scalar) in zip(texts, targets[name], strict=True):
+        for (instance, scalar), text in _paired(place, targets[name], texts):
             value = read_value(f"{place} =", scalar.variable, text)
             units = (*unit, scalar.unit, interfaces[instance].units or OUR_UNITS)
             values[f"{instance}.{scalar.name}"] = _converted(place, value, units)
@@ -149,18 +141,15 @@ def _converted(place: str, value: Value, units: tuple[str, Units, str, Units]) -
     return value if linear == PLAIN else linear[0] * float(value) + linear[1]
 
 
+def _paired(place: str, targets: list[Any], texts: list[str]) -> Iterator[tuple[Any, str]]:
+    """What a parameter sets, and its values, which must be as many."""
+    if len(texts) != len(targets):
+        refuse(f"{place}: number of values", len(texts), f"must be {len(targets)}")
+    return zip(targets, texts, strict=True)
+
+
 def _full_name(element: str, name: str) -> str:
     return shown((element.replace("/", "."), name))
-
-
-def _mapped(change: ET.Element, text: str, place: str) -> str:
-    """What a mapping makes of a value."""
-    words = {"1": "true", "0": "false"} if local(change).startswith("Boolean") else {}
-    entries = change.findall("ssc:MapEntry", PREFIXES)
-    table = {words.get(e.get("source", ""), e.get("source", "")): e for e in entries}
-    if words.get(text, text) not in table:
-        raise InputError(f"{place} = {text!r}; must be one of {', '.join(table)}, which are mapped")
-    return table[words.get(text, text)].get("target", "")
 
 
 def _rows(

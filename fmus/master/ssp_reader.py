@@ -14,7 +14,7 @@ from ..interface.variables import Value
 from .order import stepping_order
 from .ssp_parameters import Parameters
 from .ssp_structure import End, Structure
-from .system import System
+from .wiring import System
 
 DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
 # Where a file may say the master's step size.

@@ -75,10 +75,15 @@ class Document:
             self.refuse(f"{place} = {text!r}", "a finite number")
         return number
 
-    def linear(self, element: ET.Element) -> tuple[float, float]:
-        """Factor and offset of a transformation."""
+    def linear(self, place: str, element: ET.Element) -> tuple[float, float]:
+        """Factor and offset of the transformation that a connection or a mapping has."""
+        change = choice(element)
+        if change is None:
+            return PLAIN
+        if local(change) != "LinearTransformation":
+            raise InputError(f"{place}: {local(change)}; must be a LinearTransformation, or none")
         factor, offset = (
-            self.number(f"{local(element)}: {key}", element.get(key, default))
+            self.number(f"{local(change)}: {key}", change.get(key, default))
             for key, default in (("factor", "1"), ("offset", "0"))
         )
         return factor, offset
@@ -187,14 +192,11 @@ class Structure:
             self.document.refuse(f"{place}: dimensions {shape} and {other}", "the same")
         if also_gives:
             sources, targets = targets, sources
-        change = choice(connection)
-        if change is not None and local(change) != "LinearTransformation":
-            self.document.refuse(f"{place}: {local(change)}", "a LinearTransformation, or none")
-        linear = PLAIN if change is None else self.document.linear(change)
+        linear = self.document.linear(f"{self.document.label}: {place}", connection)
+        is_asked = choice(connection) is not None
         for source, target in zip(sources, targets, strict=True):
             if target in self.links:
                 self.document.refuse(f"{place}: {shown(target)} is fed twice", "fed once")
-            is_asked = change is not None
             self.links[target] = Link(source, linear, converts_units(connection), is_asked)
 
     def _end(

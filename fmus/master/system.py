@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from graphlib import CycleError, TopologicalSorter
-from pathlib import Path
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -25,28 +24,10 @@ from .fmu_file import Fmu, read_fmu
 from .master import Master
 from .remote_slave import RemoteSlave
 from .step import Coupling, Stepper
-from .wiring import Array, Name
+from .wiring import Array, Name, System
 
 SHOWN: Final = 4  # connections of an FMU that a warning names
 Instance: TypeAlias = FmuSlave | RemoteSlave
-
-
-@dataclass(frozen=True)
-class System:
-    """The FMUs of a system, and their connections."""
-
-    fmus: Mapping[str, Path]  # by instance, in the order of stepping
-    connections: Sequence[Connection]
-    external: Sequence[Name] = ()  # external inputs, set at each tick
-    outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)  # to read, by instance
-    steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
-    not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
-    labels: Mapping[str, str] = field(default_factory=dict)  # what messages call files, not paths
-
-    @property
-    def read(self) -> list[Name]:
-        """All outputs to read."""
-        return [(instance, name) for instance, names in self.outputs.items() for name in names]
 
 
 @dataclass(frozen=True)
@@ -279,18 +260,15 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             more = multiples.get(name, 1) * step_size if fmus[name].is_ours else 0.0
             own = tolerance or fmus[name].tolerance
             slave.enter_initialization(start_values.get(name, {}), start, stop + more, own)
+        converted = [in_units(fmus, connection) for connection in system.connections]
         master = Master(
             list(slaves.values()),
-            system.outputs,
-            [in_units(fmus, connection) for connection in system.connections],
-            system.external,
+            replace(system, connections=converted, steps=multiples),
             step_size,
             coupling,
             start=start,
             objects=[end for scalar, end in ends if type_of(scalar.variable) in OBJECTS],
-            multiples=multiples,
             stepper=stepper,
-            not_finite=system.not_finite,
             at_end=[name for name, fmu in fmus.items() if fmu.answers_at_end],
         )
         if external is not None or not system.external:

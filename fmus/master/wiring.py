@@ -1,9 +1,11 @@
-"""The slave protocol, and slaves bound to the rows of the recording, which are kept here."""
+"""Systems, the slave protocol, and slaves bound to the rows of the recording, kept here."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -18,6 +20,24 @@ Exchange = Callable[[int], None]  # of one row, by its index
 Name = tuple[str, str]  # instance and scalar variable
 Feed = tuple[int, tuple[float, float]]  # column of a value; factor and offset on its way
 ROUNDING: Final = 1e-9  # relative, of a time
+
+
+@dataclass(frozen=True)
+class System:
+    """The FMUs of a system, and their connections."""
+
+    fmus: Mapping[str, Path]  # by instance, in the order of stepping
+    connections: Sequence[Connection]
+    external: Sequence[Name] = ()  # external inputs, set at each tick
+    outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)  # to read, by instance
+    steps: Mapping[str, int] = field(default_factory=dict)  # of FMUs, in the system's
+    not_finite: Sequence[Name] = ()  # outputs that may be NaN or infinite
+    labels: Mapping[str, str] = field(default_factory=dict)  # what messages call files, not paths
+
+    @property
+    def read(self) -> list[Name]:
+        """All outputs to read."""
+        return [(instance, name) for instance, names in self.outputs.items() for name in names]
 
 
 class Slave(Protocol):
@@ -65,9 +85,13 @@ class BoundSlave:
             block = rows[:, self.outputs[0] : self.outputs[-1] + 1]
             self.get_outputs = slave.bind_get(list(outputs), block)
         if fed:
-            self.set_inputs = _bind_inputs(slave, fed, rows)
-            if isinstance(self.set_inputs, Moved) and self.set_inputs.linear is not None:
-                self.linear = dict(zip(fed, self.set_inputs.linear, strict=True))
+            # In the order of the connections, which is probably that of the inputs in the slave.
+            values = np.zeros((1, len(fed)), rows.dtype)
+            put = slave.bind_set(list(fed), values)
+            columns, linear = zip(*fed.values(), strict=True)
+            self.set_inputs = moved = Moved(put, values, range(len(fed)), rows, columns)
+            if {*linear} != {PLAIN}:
+                self.linear = dict(zip(fed, moved.convert(linear), strict=True))
 
     def feeds(self, other: BoundSlave) -> bool:
         """Whether an output of this slave is an input of another."""
@@ -130,22 +154,18 @@ def can_step(slave: Slave, time: float, size: float) -> bool:
 
 
 def bind(
-    slaves: Sequence[Slave],
-    columns: Sequence[Name],
-    external: Sequence[Name],
-    connections: Sequence[Connection],
-    rows: Array,
+    slaves: Sequence[Slave], columns: Sequence[Name], system: System, rows: Array
 ) -> list[BoundSlave]:
     """Bind slaves to the rows of a recording."""
     index = {name: i for i, name in enumerate(columns, start=1)}
     fed: dict[str, dict[str, Feed]] = defaultdict(dict)  # inputs, in the order of the connections
-    for instance, variable in external:
+    for instance, variable in system.external:
         fed[instance][variable] = index[instance, variable], PLAIN
-    for each in connections:
+    for each in system.connections:
         instance, variable = each.target
         fed[instance][variable] = index[each.source], (each.factor, each.offset)
     outputs: dict[str, dict[str, int]] = defaultdict(dict)
-    for instance, variable in columns[len(external) :]:
+    for instance, variable in system.read:
         outputs[instance][variable] = index[instance, variable]
     return [BoundSlave(slave, fed[slave.name], outputs[slave.name], rows) for slave in slaves]
 
@@ -154,21 +174,10 @@ def nothing(_row: int, /) -> None:
     """Do nothing: a slave without inputs, or without outputs."""
 
 
-def _bind_inputs(slave: Slave, fed: Mapping[str, Feed], rows: Array) -> Exchange:
-    """Make a function that sets inputs from a row; without a copy if they are consecutive there."""
-    columns, linear = zip(*fed.values(), strict=True)
-    first, last, converts = min(columns), max(columns), {*linear} != {PLAIN}
-    if sorted(columns) == list(range(first, last + 1)) and not converts:
-        names = sorted(fed, key=lambda name: fed[name][0])
-        return slave.bind_set(names, rows[:, first : last + 1])
-    # In the order of the connections, which is probably that of the inputs in the slave.
-    values = np.zeros((1, len(fed)), rows.dtype)
-    put = slave.bind_set(list(fed), values)
-    return Moved(put, values, range(len(fed)), rows, columns, linear=linear if converts else None)
-
-
 class Moved:
     """Exchanges columns of rows, in any order, through the one row of values that a call takes."""
+
+    linear: Array | None = None  # factor and offset of each value
 
     def __init__(  # noqa: PLR0913 - both sides of the move
         self,
@@ -179,13 +188,15 @@ class Moved:
         columns: Sequence[int],
         *,
         reads: bool = False,
-        linear: Sequence[tuple[float, float]] | None = None,  # factor and offset of each value
     ) -> None:
         self.call, self.values, self.rows, self._reads = call, values, rows, reads
         self.places, self.columns = np.array(places, np.intp), np.array(columns, np.intp)
-        self.linear = None if linear is None else np.array(linear)
-        if self.linear is not None:
-            self._converted = np.flatnonzero((self.linear != PLAIN).any(axis=1))
+
+    def convert(self, linear: Sequence[tuple[float, float]]) -> Array:
+        """Apply a factor and an offset to each value; returns them, which may be changed."""
+        self.linear = np.array(linear)
+        self._converted = np.flatnonzero((self.linear != PLAIN).any(axis=1))
+        return self.linear
 
     def __call__(self, row: int) -> None:
         """Exchange the values of a row."""
@@ -264,21 +275,20 @@ class RowBuffer:
     filled: int  # number of complete rows
     checked: list[int]  # columns whose values must be finite
 
-    def __init__(  # noqa: PLR0913 - what a row holds
+    def __init__(
         self,
         columns: Sequence[Name],
-        external: int,
+        system: System,
         start: float,
         step_size: float,
         objects: Collection[Name] = (),
-        unchecked: Collection[Name] = (),
     ) -> None:
         dtype = object if objects else np.float64
         self.rows = np.zeros((BLOCK_ROWS + 1, 1 + len(columns)), dtype)
-        free = {*objects, *unchecked}
+        free = {*objects, *system.not_finite}
         self.checked = [0, *(i for i, name in enumerate(columns, 1) if name not in free)]
         self._columns = columns
-        self.external = external
+        self.external = len(system.external)
         self._start, self._step_size = start, step_size
         self.first = self.filled = self._flushed = 0
         self.set_held([])

@@ -16,7 +16,8 @@ from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.interface.variables import Variable
 from panda_cosim.fmus.master.fmi import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu, described_interface, read_value
-from panda_cosim.fmus.master.system import System, open_system
+from panda_cosim.fmus.master.system import open_system
+from panda_cosim.fmus.master.wiring import System
 from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [

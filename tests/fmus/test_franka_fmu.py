@@ -22,7 +22,8 @@ from panda_cosim.fmus.interface.franka import FRANKA
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
-from panda_cosim.fmus.master.system import OpenSystem, System, open_system
+from panda_cosim.fmus.master.system import OpenSystem, open_system
+from panda_cosim.fmus.master.wiring import System
 from panda_cosim.fmus.sources.targets import Target, build
 
 MOST_STEPS = 5000

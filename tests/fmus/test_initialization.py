@@ -14,7 +14,8 @@ from panda_cosim import Options, load_scenario
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.master.order import stepping_order
-from panda_cosim.fmus.master.system import System, open_system
+from panda_cosim.fmus.master.system import open_system
+from panda_cosim.fmus.master.wiring import System
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import rehearse
 from toy_fmu import library

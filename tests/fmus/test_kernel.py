@@ -19,7 +19,8 @@ from panda_cosim import Options, SimulationError, load_scenario, shipped_scenari
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.kernel import load_stepper
 from panda_cosim.fmus.master.step import Stepper
-from panda_cosim.fmus.master.system import System, open_system
+from panda_cosim.fmus.master.system import open_system
+from panda_cosim.fmus.master.wiring import System
 from panda_cosim.run.execution import Execution
 from panda_cosim.run.prepare import prepare
 from panda_cosim.run.stopping import StopRequest

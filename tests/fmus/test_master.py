@@ -3,6 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from panda_cosim.fmus.errors import InputError, SimulationEndedError, Simulation
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master, RealtimePacer, RunStatistics
 from panda_cosim.fmus.master.step import Coupling
-from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange, SlowSlave
+from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange, SlowSlave, System
 from panda_cosim.task.rotations import Array
 
 H = 0.001
@@ -86,7 +87,12 @@ def follow(inputs: dict[str, float], outputs: dict[str, float]) -> None:
     outputs["v"] = inputs["u"]
 
 
-LOOP = (Connection(("c", "u"), ("p", "u")), Connection(("p", "x"), ("c", "x")))
+WIRED = System(
+    {},
+    (Connection(("c", "u"), ("p", "u")), Connection(("p", "x"), ("c", "x"))),
+    external=[("c", "r")],
+    outputs={"p": ["x", "v"], "c": ["u", "twice"]},
+)
 
 
 def loop(
@@ -97,8 +103,7 @@ def loop(
 ) -> Master:
     c = FakeSlave("c", laws[0], {"twice": 0.5, "u": 0.25}, log)
     p = FakeSlave("p", laws[1], {"x": 1.0, "v": 0.0}, log)
-    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
-    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling, **options)
+    return Master([c, p], WIRED, H, coupling, **options)
 
 
 def begun(master: Master) -> list[Array]:
@@ -215,7 +220,8 @@ def test_an_earlier_leader_hears_a_later_one_a_tick_later():
         Connection((source, "y"), (target, f"from_{source}"))
         for source, target in ("ab", "bc", "ca", "ba")
     ]
-    rows = run(Master(slaves, {n: ["y"] for n in "abc"}, wires, (), H), 600, np.zeros((601, 0)))
+    system = System({}, wires, outputs={name: ["y"] for name in "abc"})
+    rows = run(Master(slaves, system), 600, np.zeros((601, 0)))
     a = b = c = 0.0
     expected = []
     for k in range(601):
@@ -242,7 +248,8 @@ def test_iterations_take_inputs_from_outside_at_the_step_s_end_as_connected_ones
     source, steps = FakeSlave("source", count, {"y": 0.0}), 2 * BLOCK_ROWS + 1
     outputs = {"own": ["x"], "fed": ["x"], "source": ["y"]}
     wires = [Connection(("source", "y"), ("fed", "u"))]
-    master = Master([own, fed, source], outputs, wires, [("own", "u")], H, "iterated")
+    system = System({}, wires, [("own", "u")], outputs)
+    master = Master([own, fed, source], system, H, "iterated")
     rows = run(master, steps, np.arange(steps + 1.0)[:, np.newaxis])
     np.testing.assert_array_equal(rows[:, 2], np.cumsum(np.arange(steps + 1.0)))
     np.testing.assert_array_equal(rows[:, 3], rows[:, 2])
@@ -263,7 +270,7 @@ def test_what_is_no_real_number_takes_part_in_iterations(first):
     slaves = [FakeSlave("reader", read, {"x": first}), FakeSlave("source", say, {"y": first})]
     ends, names = [Connection(("source", "y"), ("reader", "u"))], [("reader", "x"), ("source", "y")]
     outputs = {"reader": ["x"], "source": ["y"]}
-    master = Master(slaves, outputs, ends, (), H, "iterated", objects=names)
+    master = Master(slaves, System({}, ends, (), outputs), H, "iterated", objects=names)
     rows = run(master, 2, np.zeros((3, 0)))
     assert rows[:, 1].tolist() == rows[:, 2].tolist() == [first, *[following[first]] * 2]
 
@@ -276,9 +283,7 @@ def test_a_leader_is_never_stepped_beyond_its_stop(multiple):
         c = FakeSlave("c", drive, {"twice": 0.5, "u": 0.25})
         c.stop = stop
         p = FakeSlave("p", follow, {"x": 1.0, "v": 0.0})
-        outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
-        multiples = {"c": multiple}
-        master = Master([c, p], outputs, LOOP, [("c", "r")], H, multiples=multiples)
+        master = Master([c, p], replace(WIRED, steps={"c": multiple}))
         rows = run(master, 6)
         assert (rows[-1, -1] == rows[-2, -1]) == (stop == 6 * H or multiple > 1)
         ticks.append([round(time / H) for time in c.times])
@@ -318,9 +323,11 @@ def test_a_slave_may_end_the_simulation(by, reached):
     laws[by] = breaks(2, end, laws[by])
     master = loop(laws=(laws["c"], laws["p"]))
     if by == "alone":
-        master = Master([FakeSlave("alone", laws[by], {"y": 1.0})], {"alone": ["y"]}, (), (), H)
+        master = Master(
+            [FakeSlave("alone", laws[by], {"y": 1.0})], System({}, (), outputs={"alone": ["y"]})
+        )
     rows = begun(master)
-    inputs = references(9)[:, : len(master.external)]
+    inputs = references(9)[:, : len(master.system.external)]
     assert master.step(9, inputs) == (3 if reached == 3 * H else 2)
     master.end(inputs[:1])
     assert master.ended is not None
@@ -434,7 +441,7 @@ def test_an_error_of_the_sink_ends_the_run():
 
 def test_an_unknown_coupling_is_named():
     with pytest.raises(InputError, match="'gauss'; valid: gauss-seidel, jacobi"):
-        Master([], {}, (), (), H, "gauss")  # type: ignore[arg-type]
+        Master([], System({}, ()), H, "gauss")  # type: ignore[arg-type]
 
 
 class Clock:

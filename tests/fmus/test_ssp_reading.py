@@ -199,7 +199,7 @@ def test_a_parameter_set_for_any_fmus_is_read_in_their_units(tmp_path):
     ("text", "told"),
     [
         (value("a.w", "1"), "parameter: value 'a.w'; must be a variable, as FMU.NAME"),
-        (value("a.k", "1 2"), "parameter a.k: number of values: value 2; must be 1"),
+        (value("a.k", "1 2"), "a.k: number of values: value 2; must be 1"),
         (value("a.mode", "3", "Enumeration"), "parameter a.mode = '3'; must be of type Enum"),
         (value("a.u[1,1]", "1", more='unit="s"'), "parameter a.u[1,1]: unit: value 's'; must be N"),
         (value("a.u[1,1]", "1", more='unit="lbf"'), "unit: value 'lbf'; must be N, or defined"),
@@ -293,27 +293,14 @@ def test_parameters_of_higher_levels_and_later_bindings_take_precedence(tmp_path
 
 
 def test_parameter_mappings_rename_and_transform(tmp_path):
-    words = '<ssc:EnumerationMappingTransformation><ssc:MapEntry source="double" target="twice"/>' \
-            "</ssc:EnumerationMappingTransformation>"  # fmt: skip
-    inverse = (
-        '<ssc:BooleanMappingTransformation><ssc:MapEntry source="true" target="false"/>'
-        '<ssc:MapEntry source="false" target="true"/></ssc:BooleanMappingTransformation>'
-    )
     entries = mapping(
         entry("gain", "k", linear(2.0, -1.0)),
         entry("load", "u[1,1]", linear(2.0, 1.0)),
         entry("load", "u[1,2]", linear(2.0), 'suppressUnitConversion="true"'),
-        entry("kind", "mode", words),
-        entry("right", "flip", inverse),
     )
-    values = (
-        value("gain", "3") + value("load", "0.5", more='unit="kN"') + value("k", "100")
-        + value("kind", "double", "Enumeration") + value("right", "0", "Boolean")
-    )  # fmt: skip
+    values = value("gain", "3") + value("load", "0.5", more='unit="kN"') + value("k", "100")
     coupled = read(tmp_path, ssd(toy("a", more=parameters(values, mapping=entries))))
-    assert coupled.start_values == {
-        "a": {"k": 5.0, "u[1,1]": 1001.0, "u[1,2]": 1.0, "mode": "twice", "flip": True}
-    }
+    assert coupled.start_values == {"a": {"k": 5.0, "u[1,1]": 1001.0, "u[1,2]": 1.0}}
     assert not coupled.warnings  # what is not mapped is not applied
 
 
@@ -340,6 +327,8 @@ def test_arrays_of_parameters_are_lists(tmp_path):
     assert coupled.start_values == {"a": dict(zip(names, map(float, range(1, 7)), strict=True))}
 
 
+MAPS = '<ssc:BooleanMappingTransformation><ssc:MapEntry source="true" target="true"/>' \
+       "</ssc:BooleanMappingTransformation>"  # fmt: skip
 A, B = toy("a", "u[1,1] y[1,1]"), toy("b", "u[1,1] y[1,1]")
 MASS = '<ssd:Connectors><ssd:Connector name="v" kind="input"><ssc:Real unit="s"/></ssd:Connector>' \
        "</ssd:Connectors>" + parameters(value("v", "1"))  # fmt: skip
@@ -351,15 +340,17 @@ MASS = '<ssd:Connectors><ssd:Connector name="v" kind="input"><ssc:Real unit="s"/
         (ssd(A + B, wire("a:y[1,1]", "b:y[1,1]")), "y[1,1]; must be from an output to an input"),
         (ssd(A + B, wire("a:y[1,1]", "b:u[1,1]") * 2), "b.u[1,1] is fed twice; must be fed once"),
         (ssd(A + B, wire("v", "b:u[1,1]"), MASS), "unit 's' feeds unit 'N'; must be the same"),
-        (ssd(A, wire("a:y[1,1]", "a:u[1,1]", "<ssc:BooleanMappingTransformation><ssc:MapEntry "
-                     'source="true" target="true"/></ssc:BooleanMappingTransformation>')),
+        (ssd(A, wire("a:y[1,1]", "a:u[1,1]", MAPS)),
          "a.u[1,1]: BooleanMappingTransformation; must be a LinearTransformation"),
+        (ssd(toy("a", more=parameters(value("k", "1"), mapping=mapping(entry("k", "flip", MAPS))))),
+         "a.flip: BooleanMappingTransformation; must be a LinearTransformation"),
         (ssd('<ssd:SignalDictionaryReference name="d" dictionary="x"/>' + A),
          "SignalDictionaryReference 'd' of type"),
         (ssd(A.replace(TYPE, "application/x-ssp-package")), "ssp-package', implementation 'any'"),
         (ssd(A.replace(" source", ' implementation="ModelExchange" source')),
          "implementation 'ModelExchange'; must be a System, or a Comp"),
-        (ssd(toy("a", more=parameters(value("k", "1 2")))), "has 2 values; must be one value"),
+        (ssd(toy("a", more=parameters(value("k", "1 2")))),
+         "a.k: number of values: value 2; must be 1"),
         (ssd(toy("a", more=parameters(value("k", "1", more='unit="s"')))), None),
         (ssd(toy("a", more=parameters(value("u[1,1]", "1", more='unit="s"')))),
          "parameter a.u[1,1]: unit 's' feeds unit 'N'; must be the same"),

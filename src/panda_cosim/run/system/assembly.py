@@ -21,8 +21,7 @@ from ...fmus.interface.variables import Interface, Scalar, Value
 from ...fmus.master.fmu_file import described_interface, read_fmu
 from ...fmus.master.order import late, shown, stepping_order
 from ...fmus.master.step import ITERATIONS
-from ...fmus.master.system import System
-from ...fmus.master.wiring import Array, Name
+from ...fmus.master.wiring import Array, Name, System
 from ...fmus.sources.targets import Kind
 from ...result.recording import Column
 from ...task.fields import check_keys

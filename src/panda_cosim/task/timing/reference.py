@@ -18,7 +18,8 @@ from ...controller.model import ArmModel
 from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST, POSTURE_COMMANDS
 from ...fmus.interface.parameters import expand
 from ...fmus.interface.variables import Interface
-from ...fmus.master.system import System, open_system
+from ...fmus.master.system import open_system
+from ...fmus.master.wiring import System
 from ...fmus.sources.targets import Target, build_fmu, own_fmu
 from ..trajectory import Trajectory
 
