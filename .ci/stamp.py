@@ -41,7 +41,7 @@ COMPARED = {  # by these tests, in `tests`
         "fmus/test_kernel.py::test_both_end_alike",
         "fmus/test_kernel.py::test_both_end_at_a_value_that_is_not_finite",
         "fmus/test_kernel.py::test_both_allow_the_same_values_that_are_not_finite",
-        # A quarter of the scenarios; the suite has the others.
+        # An eighth of the scenarios; the suite has the others.
         "fmus/test_kernel.py::test_both_give_the_same_bits_over_all_shipped_scenarios[0]",
     ),
 }

@@ -24,11 +24,8 @@ def needing(package: str, extra: str, what: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        missing = f"{what}: needs {package}"
-        if reason := no_release(package):
-            raise InputError(f"{missing}, {reason}") from None
-        found = f", which is not installed ({error})"
-        raise InputError(f"{missing}{found}; pip install 'panda-cosim[{extra}]'") from None
+        get = f"which is not installed ({error}); pip install 'panda-cosim[{extra}]'"
+        raise InputError(f"{what}: needs {package}, {no_release(package) or get}") from None
 
 
 def no_release(package: str) -> str:

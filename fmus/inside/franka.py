@@ -25,11 +25,10 @@ class FrankaSlave(SharedSlave):
         """Make the robot; it listens once initialization has ended."""
         self.terminate()
         given = self.parameters(f.name for f in fields(Settings))
+        self._robot = Robot(Settings(**given), self._inputs, self._outputs, self._warn)
 
-        def warn(text: str) -> None:
-            self.messages.append((WARNING, text))
-
-        self._robot = Robot(Settings(**given), self._inputs, self._outputs, warn)
+    def _warn(self, text: str) -> None:
+        self.messages.append((WARNING, text))
 
     def initialized(self) -> None:
         """Let programs connect."""

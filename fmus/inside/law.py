@@ -61,7 +61,7 @@ class LawSlave:
     def tune(self) -> None:
         """Set the law's parameters."""
         for name, (view, is_switch) in self._parameters.items():
-            setattr(self._law, name, _value(view, is_switch=is_switch))
+            setattr(self._law, name, bool(view) if is_switch else _value(view))
 
     def advance(self, count: int) -> None:
         """Take internal steps; the law is updated once per period, at the beginning of a step."""
@@ -142,8 +142,6 @@ def _read(value: Any) -> Any:
     return deque(parts, value["longest"]) if kind == "deque" else CONTAINERS[kind](parts)
 
 
-def _value(view: Any, *, is_switch: bool = False) -> Any:
-    """Return a value for the law: a number, a boolean or a copy of an array."""
-    if is_switch:
-        return bool(view)
+def _value(view: Any) -> Any:
+    """Return a value for the law: a number or a copy of an array."""
     return view.copy() if view.shape else float(view)

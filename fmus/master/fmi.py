@@ -142,19 +142,8 @@ class Fmi3Slave(FmuSlave):
         self._sent: list[list[Any]] = []  # last values of discrete inputs
         self._kept: dict[int, list[list[Any]]] = {}  # these, with a state
         self.has_events = bool(self.fmu.description.coSimulation.hasEventMode)
-        instance.component = self._made(instance)
-        if self.has_events and not instance.component:
-            self.has_events = False
-            instance.component = self._made(instance)
-            text = "it refuses the event mode that it declares, and is run without"
-            self.log.take(WARNING, text)
-        if not instance.component:
-            raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
-
-    def _made(self, instance: Any) -> Any:
-        """Make the instance, with event mode or without; None: the FMU refuses."""
         # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.
-        return instance.fmi3InstantiateCoSimulation(
+        instance.component = instance.fmi3InstantiateCoSimulation(
             self.name.encode(),
             self.fmu.guid.encode(),
             f"{self.fmu.folder / 'resources'}/".encode(),
@@ -168,6 +157,8 @@ class Fmi3Slave(FmuSlave):
             _LOGGER3,
             fmi3.fmi3IntermediateUpdateCallback(),
         )
+        if not instance.component:
+            raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
 
     def _set_up(
         self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None

@@ -50,15 +50,11 @@ def check_libraries(fmu: Fmu) -> None:
     """Refuse an FMU whose library needs another one that is not here; no code of it is run."""
     for loader in [*Path("/").glob(LOADERS)][:1]:
         missing = _MISSING.search(run([str(loader), "--list", str(fmu.library)]).stderr)
-        if missing and not _is_loaded(missing[1]):
-            raise InputError(f"{fmu.label}: {_lack(missing[1])}")
-
-
-def _is_loaded(library: str) -> bool:
-    """Whether this process has a library, as it has Python's, which the loader does not find."""
-    with suppress(OSError):
-        return bool(ctypes.CDLL(library))
-    return False
+        if missing:
+            try:  # this process may have it, as it has Python's, which the loader does not find
+                ctypes.CDLL(missing[1])
+            except OSError:
+                raise InputError(f"{fmu.label}: {_lack(missing[1])}") from None
 
 
 def _lack(library: str) -> str:

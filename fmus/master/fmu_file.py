@@ -390,11 +390,9 @@ def described_interface(fmu: Fmu) -> Interface:
     variables: list[Variable] = []
     for _, group in groupby(scalars, key=_array):
         variables += _joined(list(group))
-    description = fmu.description.description or ""
-    name = fmu.description.modelName or fmu.path.stem
     return Interface(
-        name,
-        description,
+        fmu.description.modelName or fmu.path.stem,
+        fmu.description.description or "",
         tuple(variables),
         units=fmu.units,
         is_model=fmu.is_model,

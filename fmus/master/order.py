@@ -26,14 +26,7 @@ def stepping_order(
     fmus: Mapping[str, Fmu | Interface], connections: Sequence[Connection]
 ) -> list[str]:
     """Return the FMUs' names in the order of stepping; no order of the arguments has an effect."""
-    firmness: dict[tuple[str, str], int] = {}  # of what is stepped earlier and later
-    for (source, output), target in ((c.source, c.target[0]) for c in connections):
-        pair, kind = (source, target), OF_INPUT
-        if fmus[source].is_model:
-            pair, kind = (target, source), OF_MODEL
-        elif output in fmus[source].independent:
-            kind = OF_STATE
-        firmness[pair] = max(kind, firmness.get(pair, kind))
+    firmness = _firmness(fmus, connections)
     before: dict[str, set[str]] = {name: set() for name in fmus}
     # Among equals, the pairs that make the last name wait for others are taken first.
     for earlier, later in sorted(firmness, key=lambda p: (firmness[p], *p[::-1]), reverse=True):
@@ -42,6 +35,21 @@ def stepping_order(
                 if name == later or later in before[name]:
                     before[name] |= {earlier, *before[earlier]}
     return sorted(fmus, key=lambda name: (len(before[name]), name))
+
+
+def _firmness(
+    fmus: Mapping[str, Fmu | Interface], connections: Sequence[Connection]
+) -> dict[tuple[str, str], int]:
+    """What gives way when, by what is stepped earlier and later."""
+    firmness: dict[tuple[str, str], int] = {}
+    for (source, output), target in ((c.source, c.target[0]) for c in connections):
+        pair, kind = (source, target), OF_INPUT
+        if fmus[source].is_model:
+            pair, kind = (target, source), OF_MODEL
+        elif output in fmus[source].independent:
+            kind = OF_STATE
+        firmness[pair] = max(kind, firmness.get(pair, kind))
+    return firmness
 
 
 def late(order: Sequence[str], connections: Sequence[Connection], coupling: str) -> list[str]:
@@ -82,8 +90,6 @@ def _indices(name: str) -> list[int]:
 
 def _span(names: list[str]) -> str:
     """Return the ranges of scalar variables' indices, such as [1..7]."""
-    axes = [(min(axis), max(axis)) for axis in zip(*map(_indices, names), strict=True)]
-    ranges = [
-        str(low) if low == high and len(names) == 1 else f"{low}..{high}" for low, high in axes
-    ]
+    axes = zip(_indices(names[0]), _indices(names[-1]), strict=True)
+    ranges = [str(low) if len(names) == 1 else f"{low}..{high}" for low, high in axes]
     return f"[{','.join(ranges)}]" if ranges else ""

@@ -336,10 +336,12 @@ class _Host:
         self._kernel = make_kernel(self._step, self._rows, 0.0, self._wants_answer)
         return self._kernel is not None
 
-    def save_state(self, place: int) -> None:
+    def save_state(self, place: int = 0) -> None:
         """Keep the present state; from the first on, steps say that they may be repeated."""
+        was_final = self._slave.no_going_back
         self._slave.save_state(place)
-        self._make_kernel()
+        if was_final:
+            self._make_kernel()
 
     def step(self, time: float, step_size: float) -> list[Any]:
         """Take a step."""

@@ -134,16 +134,11 @@ def coupled(address: str, fmi: int = 2, **options: Any) -> Iterator[OpenSystem]:
         yield opened
 
 
-def run(opened: OpenSystem) -> Any:
-    """Run it to its end; return the rows."""
-    return all_rows(opened.master, MOST_STEPS)
-
-
 @needs_clients
 def test_fmus_of_either_version_give_the_bits_of_the_objects(fmi):
     with claimed_address() as address, coupled(address, fmi) as opened:
         with client("joint", address):
-            rows = run(opened)
+            rows = all_rows(opened.master, MOST_STEPS)
         assert "the program has left" in str(opened.master.ended)
         first = 1 + opened.master.columns.index(("controller", "ctrl[1]"))  # after the time
     expected = couple("joint").output("ctrl")
@@ -155,7 +150,7 @@ def test_a_signal_ends_the_wait_for_a_program(address):
     signal.signal(signal.SIGINT, lambda number, _: came.append(number))
     with coupled(address) as opened:
         threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
-        run(opened)
+        all_rows(opened.master, MOST_STEPS)
     assert came == [signal.SIGINT]
     assert "SIGINT while it waited for the program" in str(opened.master.ended)
 
@@ -165,7 +160,7 @@ def test_a_step_timeout_ends_the_wait_for_a_program(address):
         coupled(address, isolate=True, step_timeout=1.0) as opened,
         pytest.raises(SimulationError, match="no answer for 1 s"),
     ):
-        run(opened)
+        all_rows(opened.master, MOST_STEPS)
 
 
 def test_pythonfmu_s_wrapper_does_not_hold_it():

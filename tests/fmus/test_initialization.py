@@ -87,7 +87,7 @@ GAINS = st.floats(-3.0, 3.0).filter(lambda g: abs(g) > 1e-2)
 SYSTEMS = st.dictionaries(st.sampled_from(ALL), st.sampled_from(ALL))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     feeds=SYSTEMS,
     gains=st.tuples(*[GAINS] * 4),

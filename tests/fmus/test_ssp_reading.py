@@ -1,6 +1,7 @@
 """What SSP files of other tools may hold: each feature once, with values worked out by hand."""
 
 import zipfile
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from fmu_support import REFERENCE_FMUS, needs_reference_fmus
 from forked import command
 from master_support import all_rows
 from panda_cosim import InputError, Recording
+from panda_cosim.fmus.interface import variables
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu_file import described_interface, read_fmu
 from panda_cosim.fmus.master.ssp_parameters import read_parameters
@@ -110,14 +112,16 @@ def entry(source: str, target: str, change: str = "", more: str = "") -> str:
     )
 
 
+@cache
+def schema() -> etree.XMLSchema:
+    folder = Path(str(find_spec("pyssp_standard").origin)).parent / "resources" / "ssp2"
+    return etree.XMLSchema(etree.parse(folder / "SystemStructureDescription.xsd"))
+
+
 def write(folder: Path, structure: str, **files: str | bytes) -> Path:
     """Write an .ssp; file names have `__` for the dot."""
     if find_spec("pyssp_standard"):
-        schema = Path(str(find_spec("pyssp_standard").origin)).parent / "resources" / "ssp2"
-        document = etree.fromstring(structure.encode())
-        etree.XMLSchema(etree.parse(schema / "SystemStructureDescription.xsd")).assertValid(
-            document
-        )
+        schema().assertValid(etree.fromstring(structure.encode()))
     path = folder / "test.ssp"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("SystemStructure.ssd", structure)
@@ -209,10 +213,9 @@ def test_what_a_parameter_set_cannot_set_is_refused(tmp_path, text, told):
     fmu = described_interface(read_fmu(toy_fmu(tmp_path / "toy.fmu", 2)))
     file = tmp_path / "all.ssv"
     file.write_text(parameter_set(text))
-    with pytest.raises(InputError) as refused:
-        read_parameters(file, {"a": fmu})
-    assert str(refused.value).startswith(f"{file}: ")
-    assert told in str(refused.value)
+    said = refused(read_parameters, file, {"a": fmu})
+    assert said.startswith(f"{file}: ")
+    assert told in said
 
 
 def test_suppressed_conversions_leave_the_numbers(tmp_path):
@@ -225,8 +228,9 @@ def test_suppressed_conversions_leave_the_numbers(tmp_path):
     assert (connection.factor, connection.offset) == (6000.0, 2000.0)
 
 
-@pytest.mark.parametrize("sizes", [["2000", "2000"], ["300000"], ["1000000000"] * 3])
-def test_arrays_of_too_many_elements_are_refused_before_they_are_made(tmp_path, sizes):
+@pytest.mark.parametrize("sizes", [["300"], ["1000000000"] * 3])
+def test_arrays_of_too_many_elements_are_refused_before_they_are_made(tmp_path, monkeypatch, sizes):
+    monkeypatch.setattr(variables, "MOST_ELEMENTS", 500)
     lines = "".join(f'<Dimension start="{n}"/>' for n in sizes)
     two = [f'<Float64 name="{n}" valueReference="5{i}" causality="output">{lines}</Float64>'
            for i, n in enumerate(("r", "s"))]  # fmt: skip
