@@ -17,6 +17,7 @@ import pytest
 
 import forked
 from panda_cosim.fmus.build import libraries
+from panda_cosim.fmus.master.calls import Experiment
 
 # The Reference-FMUs of the Modelica Association.
 REFERENCE_FMUS = Path(os.environ.get("REFERENCE_FMUS", "missing")).absolute()
@@ -85,7 +86,7 @@ def copy_libraries(folder: Path, *left_out: str) -> None:
 
 def initialize(slave: Any, values: Mapping[str, Any]) -> None:
     """Go through initialization, for a second."""
-    slave.enter_initialization(values, 0.0, 1.0)
+    slave.enter_initialization(values, Experiment(None, 0.0, 1.0))
     slave.exit_initialization()
 
 

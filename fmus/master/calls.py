@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import PurePath
 from time import perf_counter
-from typing import Any, ClassVar, Final, NoReturn
+from typing import Any, ClassVar, Final, NamedTuple, NoReturn
 from weakref import WeakValueDictionary
 
 from numpy.typing import NDArray
@@ -35,6 +35,14 @@ _FRAME: Final = re.compile(r'^ +File "([^"\n]*)", line (\d+).*$', re.MULTILINE)
 # By the environment pointer that each instance gets and hands back with its messages.
 _logs: WeakValueDictionary[int, MessageLog] = WeakValueDictionary()
 _numbers = count(1)
+
+
+class Experiment(NamedTuple):
+    """What an FMU is told of its run, in the order of FMI's arguments."""
+
+    tolerance: float | None  # relative, of one that integrates
+    start: float  # [s]
+    stop: float  # [s]
 
 
 def unheard(_instance: str, _status: str, _text: str, /) -> None:

@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from time import perf_counter
 from typing import Any, Final, NoReturn
 
 from fmpy import calloc, fmi2, fmi3, free
@@ -21,7 +20,7 @@ except OSError:  # on ARM
 
 from ..errors import SimulationError
 from ..interface.variables import Value
-from .calls import DISCARD, OK, WARNING, OnMessage, StepCall, receive, unheard
+from .calls import DISCARD, Experiment, OnMessage, StepCall, receive, unheard
 from .fmu import FmuSlave
 from .fmu_file import Fmu
 from .wiring import Array, Exchange
@@ -43,23 +42,8 @@ class _Fmi2Step(StepCall):
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step."""
         slave = self.slave
-        slave.log.calls += 1
-        began = perf_counter()
-        try:
-            status = self._method(slave.component, time, step_size, slave.no_going_back)
-        except FMICallException as error:
-            status = error.status
-        slave.spent[self.name] += perf_counter() - began
-        if not OK <= status <= WARNING:
-            self.fail(status, time)
-
-    def fail(self, status: int, time: float) -> NoReturn:
-        """Raise the error of a status, or the end of the simulation."""
-        instance = self.slave.instance
-        with suppress(FMICallException):
-            if status == DISCARD and instance.getBooleanStatus(fmi2Terminated):
-                raise self.ending(time, instance.getRealStatus(fmi2LastSuccessfulTime))
-        super().fail(status, time)
+        arguments = (slave.component, time, step_size, slave.no_going_back)
+        slave.call(self.name, self._method, *arguments, time=time)
 
 
 class Fmi2Slave(FmuSlave):
@@ -67,6 +51,16 @@ class Fmi2Slave(FmuSlave):
 
     fmpy_class, step_call = FMU2Slave, _Fmi2Step
     prefix, state_name, enumeration = "fmi2", "FMUstate", "Integer"
+
+    def fail(
+        self, what: str, status: int, time: float | None = None, variable: str = ""
+    ) -> NoReturn:
+        """Raise the error of a status, or of a discarded step the end of the simulation."""
+        with suppress(FMICallException):
+            if status == DISCARD and self.instance.getBooleanStatus(fmi2Terminated):
+                reached = self.instance.getRealStatus(fmi2LastSuccessfulTime)
+                raise self.step.ending(time, reached)
+        super().fail(what, status, time, variable)
 
     def _instantiate(self, instance: Any) -> None:
         callbacks = fmi2.fmi2CallbackFunctions()
@@ -78,10 +72,8 @@ class Fmi2Slave(FmuSlave):
             proxies.addLoggerProxy(ctypes.byref(callbacks))
         instance.instantiate(callbacks=callbacks, loggingOn=True)
 
-    def _set_up(
-        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
-    ) -> None:
-        self.call("set up", self.instance.setupExperiment, tolerance, start, stop)
+    def _set_up(self, values: Mapping[str, Value], experiment: Experiment) -> None:
+        self.call("set up", self.instance.setupExperiment, *experiment)
         self._set_arrays(values)
         self.call("enter initialization", self.instance.enterInitializationMode)
 
@@ -160,17 +152,14 @@ class Fmi3Slave(FmuSlave):
         if not instance.component:
             raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
 
-    def _set_up(
-        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
-    ) -> None:
+    def _set_up(self, values: Mapping[str, Value], experiment: Experiment) -> None:
         structural = {n: v for n, v in values.items() if n in self.fmu.structural}
         if structural:
             self.call("enter configuration", self.instance.enterConfigurationMode)
             self._set_arrays(structural)
             self.call("exit configuration", self.instance.exitConfigurationMode)
         self._set_arrays({n: v for n, v in values.items() if n not in structural})
-        enter = self.instance.enterInitializationMode
-        self.call("enter initialization", enter, tolerance, start, stop)
+        self.call("enter initialization", self.instance.enterInitializationMode, *experiment)
 
     def exit_initialization(self) -> None:
         """Leave initialization mode, for event mode if the FMU has it."""

@@ -22,7 +22,7 @@ import numpy as np
 from ..errors import InputError, SimulationError, one_line
 from ..interface.variables import Scalar, Value
 from ..processes import run
-from .calls import ERROR, FATAL, WARNING, Access, Caller, Lists, OnMessage, unheard
+from .calls import ERROR, FATAL, WARNING, Access, Caller, Experiment, Lists, OnMessage, unheard
 from .fmu_file import Fmu
 from .wiring import Array, Exchange, Moved, together
 
@@ -89,9 +89,7 @@ class FmuSlave(Caller, ABC):
         """Make the instance; raises any Exception."""
 
     @abstractmethod
-    def _set_up(
-        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None
-    ) -> None:
+    def _set_up(self, values: Mapping[str, Value], experiment: Experiment) -> None:
         """Set start values and enter initialization mode."""
 
     # The same in FMI 2.0 and 3.0; in 2.0, each array is one scalar.
@@ -181,13 +179,11 @@ class FmuSlave(Caller, ABC):
             raise InputError(f"in FMU {self.name!r}: cannot be instantiated: {cause}") from error
         return instance
 
-    def enter_initialization(
-        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None = None
-    ) -> None:
+    def enter_initialization(self, values: Mapping[str, Value], experiment: Experiment) -> None:
         """Set start values, by scalar variable, and enter initialization mode."""
-        self.start, self.stop = start, stop
+        self.start, self.stop = experiment.start, experiment.stop
         with self._start_values_refused():
-            self._set_up(values, start, stop, tolerance)
+            self._set_up(values, experiment)
 
     def exit_initialization(self) -> None:
         """Leave initialization mode; the FMU can be stepped then."""

@@ -85,7 +85,7 @@ class Fmu:
         place = f"{self.path}: modelDescription.xml"
         root = read_xml(self.folder / "modelDescription.xml", place)
         self.description = _read_description(self.path, self.folder, root)
-        self.fmi = VERSIONS[self.description.fmiVersion]
+        self.fmi, self.guid = VERSIONS[self.description.fmiVersion], str(self.description.guid)
         described = self.description.modelVariables
         self.clocked = [v.name for v in described if v.type == "Clock" or v.clocks]  # left out
         self.structural = {v.name for v in described if v.causality == STRUCTURAL}
@@ -125,21 +125,17 @@ class Fmu:
 
     def restructured(self, values: Mapping[str, object]) -> Fmu:
         """Return the FMU with the arrays' shapes that values of structural parameters give."""
-        numbers = {n: v for n, v in values.items() if n in self.structural}
-        for name, value in numbers.items():
-            self.variables[name].checked(f"{self.label}: {name}", value)
-        if not numbers:
+        sizes = {
+            name: int(self.variables[name].checked(f"{self.label}: {name}", value))
+            for name, value in values.items()
+            if name in self.structural
+        }
+        if not sizes:
             return self
         other = copy(self)
-        other.sizes = {name: int(str(value).removesuffix(".0")) for name, value in numbers.items()}
-        other._described = {}
+        other.sizes, other._described = sizes, {}
         other.variables = other._scalars()
         return other
-
-    @property
-    def guid(self) -> str:
-        """The FMU's GUID; in FMI 3.0, its instantiation token."""
-        return str(self.description.guid)
 
     @property
     def in_python(self) -> bool:
@@ -380,13 +376,13 @@ def _start(place: str, variable: Variable, text: str | None) -> Any:
 def described_interface(fmu: Fmu) -> Interface:
     """Return an FMU's interface; scalars `q[1]`, `q[2]` become one variable `q` of shape (2,)."""
     # Its value references are not those of the FMU.
-    places = {causality: place for place, causality in enumerate((*_SHOWN, *_COMPUTED[1:]))}
+    order = (*_SHOWN, *_COMPUTED[1:])
     scalars = [
         scalar
         for scalar in fmu.variables.values()
         if scalar.variable.causality in _SHOWN or scalar.variable.has_start
     ]
-    scalars.sort(key=lambda scalar: places[scalar.variable.causality])
+    scalars.sort(key=lambda scalar: order.index(scalar.variable.causality))
     variables: list[Variable] = []
     for _, group in groupby(scalars, key=_array):
         variables += _joined(list(group))

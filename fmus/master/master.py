@@ -95,6 +95,7 @@ class Master:
     """
 
     columns: list[Name]  # of a row after the time: external inputs, then outputs, as given
+    checked: list[int]  # columns of a row whose values must be finite
 
     def __init__(  # noqa: PLR0913 - a run has this many sides
         self,
@@ -114,6 +115,7 @@ class Master:
         if coupling == "iterated":
             self.columns.append(ITERATIONS)
         self._buffer = RowBuffer(self.columns, system, start, step_size, objects)
+        self.checked = self._buffer.checked
         steps = system.steps
         self.slaves = [
             SlowSlave(each, steps[each.name]) if steps.get(each.name, 1) > 1 else each
@@ -302,11 +304,6 @@ class Master:
     def flush(self) -> None:
         """Give all complete rows to the sink."""
         self._buffer.flush()
-
-    @property
-    def checked(self) -> list[int]:
-        """Columns of a row whose values must be finite."""
-        return self._buffer.checked
 
     @property
     def steps(self) -> int:

@@ -45,7 +45,7 @@ class PerturbedSystem:
         self._step = Step(bound, master.coupling, master.step_size, self._rows, lambda _row: None)
         self._checked = master.checked
         stop, self._tick = ctypes.c_int32(), master.steps
-        self._kernel = make_kernel(self._step, self._rows, master.start, stop, ())
+        self._kernel = make_kernel(self._step, self._rows, master.start, stop)
         self._rows[0] = master.latest()
         self._rows[:-1, 1 : 1 + len(system.external)] = external
         ticks = self._tick + np.arange(len(self._rows))

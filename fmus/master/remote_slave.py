@@ -30,7 +30,7 @@ import numpy as np
 from ..errors import CosimError, InputError, SimulationError
 from ..interface.variables import Value
 from ..processes import Child, listen
-from .calls import OnMessage, Spent, unheard
+from .calls import Experiment, OnMessage, Spent, unheard
 from .fmu import REALS
 from .fmu_file import Fmu
 from .kernel import GONE, LATE, STEPPED, Kernel, make_kernel
@@ -89,13 +89,11 @@ class RemoteSlave:
         self._connection = self._child.connection
         self.step = RemoteStep(self, self._connection.fileno())
 
-    def enter_initialization(
-        self, values: Mapping[str, Value], start: float, stop: float, tolerance: float | None = None
-    ) -> None:
+    def enter_initialization(self, values: Mapping[str, Value], experiment: Experiment) -> None:
         """Open the FMU, set start values and enter initialization mode."""
-        self.stop = stop
+        self.stop = experiment.stop
         self.step.in_c = self.call("open", self.name, str(self.fmu.path.absolute()), self.fmu.sizes)
-        self.call("enter_initialization", dict(values), start, stop, tolerance)
+        self.call("enter_initialization", dict(values), experiment)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make the function that reads the outputs into a row, see `FmuSlave.bind_get`."""

@@ -55,8 +55,7 @@ class Document:
         self.units = read_units(label, self.root.iterfind("ssd:Units/ssc:Unit", PREFIXES))
         system = self.root.find("ssd:System", PREFIXES)
         if not self.root.tag.endswith("}SystemStructureDescription") or system is None:
-            valid = "ssd:SystemStructureDescription of a system"
-            self.refuse(f"root element {self.root.tag!r}", valid)
+            self.refuse(f"root element {self.root.tag!r}", "one that describes an ssd:System")
         self.system: ET.Element = system
 
     def refuse(self, what: str, valid: str) -> NoReturn:

@@ -18,7 +18,7 @@ from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
 from ..interface.units import PLAIN, conversion, doubt
 from ..interface.variables import Scalar, Value, by_array
-from .calls import OnMessage, unheard
+from .calls import Experiment, OnMessage, unheard
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
@@ -258,8 +258,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         for name, slave in slaves.items():
             # Ours may take a step beyond the end, for the last row.
             more = multiples.get(name, 1) * step_size if fmus[name].is_ours else 0.0
-            own = tolerance or fmus[name].tolerance
-            slave.enter_initialization(start_values.get(name, {}), start, stop + more, own)
+            experiment = Experiment(tolerance or fmus[name].tolerance, start, stop + more)
+            slave.enter_initialization(start_values.get(name, {}), experiment)
         converted = [in_units(fmus, connection) for connection in system.connections]
         master = Master(
             list(slaves.values()),

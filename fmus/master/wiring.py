@@ -290,7 +290,7 @@ class RowBuffer:
         self._columns = columns
         self.external = len(system.external)
         self._start, self._step_size = start, step_size
-        self.first = self.filled = self._flushed = 0
+        self._begin_at(0)
         self.set_held([])
         self._ahead: Mapping[int, Sequence[int]] = {}
         self._before = self.rows[:0]
@@ -313,11 +313,12 @@ class RowBuffer:
         """Start a recording; the sink is called with complete rows (n, columns)."""
         self._sink = sink
         self.rows[:], self._ahead = 0.0, {}
-        self.first = self.filled = self._flushed = 0
-        self._set_times()
+        self._begin_at(0)
 
-    def _set_times(self) -> None:
-        ticks = np.arange(self.first, self.first + len(self.rows))
+    def _begin_at(self, tick: int) -> None:
+        """Have no complete row, and a tick's row as the first."""
+        self.first, self.filled, self._flushed = tick, 0, 0
+        ticks = np.arange(tick, tick + len(self.rows))
         self.rows[:, 0] = self._start + ticks * self._step_size
 
     def set_external(self, row: int, values: Array) -> None:
@@ -333,16 +334,13 @@ class RowBuffer:
         """Reuse the rows after a flush: the last row becomes the first."""
         self.hold(BLOCK_ROWS)
         self.rows[0] = self.rows[BLOCK_ROWS]
-        self.first += BLOCK_ROWS
-        self.filled = self._flushed = 0
-        self._set_times()
+        self._begin_at(self.first + BLOCK_ROWS)
 
     def go_back(self, tick: int, row: Array) -> None:
         """Make a tick's row the first."""
         self.rows[0] = row
         self._before = np.repeat(self.rows[:1], len(self._before), axis=0)
-        self.first, self.filled, self._flushed = tick, 0, 0
-        self._set_times()
+        self._begin_at(tick)
 
     def complete(self, row: int) -> None:
         """Mark a row as complete; raises SimulationError if a value is not finite."""

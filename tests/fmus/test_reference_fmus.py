@@ -178,9 +178,8 @@ def _driven_in_fmpy(values: Mapping[str, list[float]], inputs: Sequence[float]) 
 def inputs(fmi: str) -> dict[str, Sequence[Any]]:
     """A value of each input at each instant, in its type."""
     random, columns = np.random.default_rng(5), {}
-    for variable in fmpy.read_model_description(
-        REFERENCE_FMUS / fmi / "Feedthrough.fmu"
-    ).modelVariables:
+    path = REFERENCE_FMUS / fmi / "Feedthrough.fmu"
+    for variable in fmpy.read_model_description(path).modelVariables:
         if variable.causality == "input":
             columns[variable.name] = _values(random, variable.type)
     return columns
@@ -313,21 +312,11 @@ def test_columns_of_the_trajectory_s_table_drive_inputs(tmp_path):
     assert again["it.Int8_output"].tolist() == recording["it.Int8_output"].tolist()
 
 
-def test_inputs_that_are_set_keep_their_last_digit(tmp_path):
-    name = "it.UInt64_input"
-    recording = run(write(tmp_path, {"it": "fmi3/Feedthrough"}),
-                    "--set", f"inputs.{name}={2**64 - 1}")  # fmt: skip
-    assert recording[name].tolist() == [2**64 - 1] * (TICKS + 1)
-
-
 @pytest.mark.parametrize(
     ("csv_text", "message"),
     [
         ("time,it.Int8_input\n0,200\n", "it.Int8_input: row 1: value 200; must be a who"),
-        (
-            "time,it.Int8_input\n1,1\n0,2\n",
-            "line 3: time: value '0'; must be a number, and not",
-        ),
+        ("time,it.Int8_input\n1,1\n0,2\n", "line 3: time: value '0'; must be a number, and not"),
         ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
         ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no FMU 'that'; valid: it"),
         ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time, and inputs"),
@@ -343,7 +332,7 @@ def test_a_bad_table_of_inputs_is_refused_in_one_line(tmp_path, csv_text, messag
 
 def set_inputs(folder: str) -> list[list[Any]]:
     """Set inputs of all kinds in a session; returns the rows of their outputs."""
-    values = {"Int64": 2**53 + 1, "Boolean": True, "String": "new", "Binary": "ff",
+    values = {"UInt64": 2**64 - 1, "Boolean": True, "String": "new", "Binary": "ff",
               "Enumeration": "Option 2", "Float32_continuous": 0.5}  # fmt: skip
     with Session(Scenario.read(folder), Path(folder) / "session") as session:
         session.step(2)
@@ -357,7 +346,7 @@ def set_inputs(folder: str) -> list[list[Any]]:
 def test_inputs_of_all_types_are_set_in_a_session_and_replayed(tmp_path):
     write(tmp_path, {"it": "fmi3/Feedthrough"})
     outputs = in_process(set_inputs, str(tmp_path))
-    wanted = [("0", 2**53 + 1), ("0.0", 1.0), ("Set me!", "new"), (b"foo", b"\xff"), (1, 2),
+    wanted = [("0", 2**64 - 1), ("0.0", 1.0), ("Set me!", "new"), (b"foo", b"\xff"), (1, 2),
               (0.0, 0.5)]  # fmt: skip
     assert outputs == [[str(old), str(old), str(new), str(new)] for old, new in wanted]
     command("replay", tmp_path / "session", "--out", tmp_path / "again", *QUIET, code=0)
