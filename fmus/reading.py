@@ -52,8 +52,11 @@ def open_regular(path: Path) -> Iterator[BufferedReader]:
         raise InputError(f"{str(path)!a}: cannot be read: {reason}") from error
 
 
-def unpack(path: Path) -> tuple[Path, str]:
-    """Unpack an archive into the cache, unless it is there; returns its folder and its SHA-256."""
+def unpack(path: Path, label: str = "") -> tuple[Path, str]:
+    """Unpack an archive into the cache, unless it is there; returns its folder and its SHA-256.
+
+    Messages about what is in it call it by its label, else by its path.
+    """
     # Its bytes are read once: the folder's name is the hash of what is in it, whoever writes the
     # file meanwhile.
     with open_regular(path) as file:
@@ -65,7 +68,7 @@ def unpack(path: Path) -> tuple[Path, str]:
             folder.mkdir(mode=0o700)
             try:
                 with zipfile.ZipFile(BytesIO(content)) as archive:
-                    _check_size(path, archive, len(content))
+                    _check_size(label or str(path), archive, len(content))
                     for member in archive.infolist():  # some are named as on Windows
                         member.filename = member.filename.replace("\\", "/")
                         archive.extract(member, folder)  # also ../evil or /evil, taken as evil
@@ -75,7 +78,7 @@ def unpack(path: Path) -> tuple[Path, str]:
                 if disk or isinstance(error, InputError):
                     raise
                 reason = one_line(error)
-                raise InputError(f"{path}: not a valid zip archive: {reason}") from error
+                raise InputError(f"{label or path}: not a valid zip archive: {reason}") from error
             try:
                 folder.rename(destination)
             except OSError:
@@ -84,14 +87,14 @@ def unpack(path: Path) -> tuple[Path, str]:
     return destination, sha256
 
 
-def _check_size(path: Path, archive: zipfile.ZipFile, packed: int) -> None:
+def _check_size(label: str, archive: zipfile.ZipFile, packed: int) -> None:
     """Refuse an archive that would fill the disk; zipfile writes no more than a member declares."""
     unpacked = sum(max(member.file_size, _BLOCK) for member in archive.infolist())
     most = min(max(MOST_TIMES * packed, ANY_SIZE), MOST_BYTES)
     if unpacked > most:
         raise InputError(
-            f"{path}: its {packed / 1e6:.3g} MB would be {unpacked / 1e6:.0f} MB unpacked; must be "
-            f"at most {most / 1e6:.0f} MB"
+            f"{label}: its {packed / 1e6:.3g} MB would be {unpacked / 1e6:.0f} MB unpacked; "
+            f"must be at most {most / 1e6:.0f} MB"
         )
 
 

@@ -200,7 +200,7 @@ class Access(InLibrary):
     ) -> None:
         kind, references = arrays[0].variable.fmi_type, [each.value_reference for each in arrays]
         self.slave, self.name = slave, f"{slave.prefix}{verb}{kind}"
-        self.block = self.memory = block
+        self.memory = block
         self.references = (ctypes.c_uint * len(references))(*references)
         size = block.shape[1]
         first, stride, view = block.ctypes.data, block.strides[0], ctypes.c_double * size

@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 
 from ..atomic import cached
 from ..build.identity import code_digest, digest, package_version
-from ..errors import InputError, did_you_mean, excerpt, one_line
+from ..errors import InputError, did_you_mean, excerpt, one_line, refuse
 from ..interface.units import BASES, Unit, Units
 from ..interface.variables import (
     INTEGERS,
@@ -67,11 +67,11 @@ class Fmu:
 
     def __init__(self, path: Path, label: str = "") -> None:
         self.path, self.label = path, label or str(path)
-        self.folder, self.sha256 = unpack(path)
+        self.folder, self.sha256 = unpack(path, self.label)
         kept = self.folder.with_name(f"{self.folder.name}-{_reader()[:16]}.pickle")
         # What the cache holds is code that is run, anyway.
         vars(self).update(pickle.loads(cached(kept, self._read).read_bytes()))  # noqa: S301
-        self.library = library_of(path, self.folder, self.description)
+        self.library = library_of(self.label, self.folder, self.description)
         # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
         if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
             raise InputError(
@@ -82,9 +82,9 @@ class Fmu:
     def _read(self) -> bytes:
         """Read the description, which takes longer than to load what is returned."""
         before = set(vars(self))
-        place = f"{self.path}: modelDescription.xml"
+        place = f"{self.label}: modelDescription.xml"
         root = read_xml(self.folder / "modelDescription.xml", place)
-        self.description = _read_description(self.path, self.folder, root)
+        self.description = _read_description(self.label, self.folder, root)
         self.fmi, self.guid = VERSIONS[self.description.fmiVersion], str(self.description.guid)
         described = self.description.modelVariables
         self.clocked = [v.name for v in described if v.type == "Clock" or v.clocks]  # left out
@@ -101,7 +101,7 @@ class Fmu:
         return pickle.dumps({k: value for k, value in vars(self).items() if k not in before})
 
     def _scalars(self) -> dict[str, Scalar]:
-        place = f"{self.path}: modelDescription.xml"
+        place = f"{self.label}: modelDescription.xml"
         taken = [v for v in self.description.modelVariables if v.name not in self.clocked]
         variables = {}
         for scalar in _scalars(place, taken, self.sizes):
@@ -226,13 +226,13 @@ def _fmpy() -> Any:
     return fmpy
 
 
-def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
+def _read_description(label: str, folder: Path, root: ET.Element) -> Any:
     read_model_description = _fmpy().read_model_description
-    label = f"{path}: modelDescription.xml"
+    place = f"{label}: modelDescription.xml"
     version = root.get("fmiVersion")
     if root.tag != "fmiModelDescription" or version not in VERSIONS:
         raise InputError(
-            f"{label}: {excerpt(root.tag)} of fmiVersion {version!a}; must be a "
+            f"{place}: {excerpt(root.tag)} of fmiVersion {version!a}; must be a "
             "fmiModelDescription of '2.0' or '3.0'"
         )
     try:
@@ -242,17 +242,16 @@ def _read_description(path: Path, folder: Path, root: ET.Element) -> Any:
             description = read_model_description(str(folder), validate=True)
     except Exception as error:
         why = f"{type(error).__name__}: {one_line(error)}"
-        raise InputError(f"{label}: cannot be read: {why}") from error
+        raise InputError(f"{place}: cannot be read: {why}") from error
     if description.coSimulation is None:
-        raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
+        raise InputError(f"{label}: not a co-simulation FMU; it must have a <CoSimulation> element")
     identifier = description.coSimulation.modelIdentifier or ""
     if not _IDENTIFIER.fullmatch(identifier):
-        raise InputError(f"{path}: modelIdentifier {excerpt(identifier)}; must be letters, digits, "
-                         "_ and -")  # fmt: skip
+        refuse(f"{label}: modelIdentifier", identifier, "must be letters, digits, _ and -")
     return description
 
 
-def library_of(path: Path, folder: Path, description: Any) -> Path:
+def library_of(label: str, folder: Path, description: Any) -> Path:
     """Return the FMU's library for this platform."""
     fmpy = _fmpy()
     platforms = [fmpy.platform_tuple]
@@ -262,7 +261,7 @@ def library_of(path: Path, folder: Path, description: Any) -> Path:
     places = [Path("binaries", platform, name) for platform in platforms]
     there = [folder / place for place in places if (folder / place).is_file()]
     if not there:
-        raise InputError(f"{path}: no binary for this platform; {places[0]} is missing")
+        raise InputError(f"{label}: no binary for this platform; {places[0]} is missing")
     return there[0]
 
 
@@ -275,18 +274,19 @@ def _reader() -> str:
 def read_units(place: str, elements: Iterable[ET.Element]) -> Units:
     """Read definitions of units of an FMU or an SSP; a unit may lack its base units."""
     units = {}
-    for name, base in ((each.get("name", ""), each.find("{*}BaseUnit")) for each in elements):
-        if base is None:
-            continue
-        numbers = {key: finite_number(base.get(key, preset)) for key, preset in _ATTRIBUTES.items()}
-        if None in numbers.values() or not numbers["factor"]:
-            raise InputError(
-                f"{place}: BaseUnit of {excerpt(name)}; must have whole exponents, a factor "
-                "other than 0 and an offset"
-            )
-        *exponents, factor, offset = (number or 0.0 for number in numbers.values())
-        units[name] = Unit(tuple(map(int, exponents)), factor, offset)
+    bases = {each.get("name", ""): each.find("{*}BaseUnit") for each in elements}
+    for name, base in bases.items():
+        if base is not None:
+            units[name] = _unit(f"{place}: BaseUnit of {excerpt(name)}", base)
     return units
+
+
+def _unit(place: str, base: ET.Element) -> Unit:
+    numbers = [finite_number(base.get(key, preset)) for key, preset in _ATTRIBUTES.items()]
+    *exponents, factor, offset = (number or 0.0 for number in numbers)
+    if None in numbers or not factor:
+        raise InputError(f"{place}; must have whole exponents, a factor other than 0 and an offset")
+    return Unit(tuple(map(int, exponents)), factor, offset)
 
 
 def _scalars(place: str, described: Sequence[Any], sizes: Mapping[str, int]) -> Iterator[Scalar]:

@@ -148,15 +148,12 @@ class Kernel:
                 caller.slave.spent[caller.name] += call.seconds
                 call.seconds = 0.0
 
-    @property
-    def met_non_finite(self) -> bool:
-        """Whether the last call of `take` ended at a row with a value that is not finite."""
-        return bool(self._course.status == NOT_FINITE)
-
     def check(self, time: float) -> None:
         """Raise the error of the call that ended `take`, in the tick of a time, if one did."""
         course = self._course
         status, reached = course.status, course.reached
+        if status == NOT_FINITE:
+            self._step.complete(course.filled)  # which says what it is
         for caller in self._remote:
             caller.hear()
         if course.ended:
@@ -198,11 +195,8 @@ class Kernel:
             places, exchange = exchange.places, exchange.call
         if not isinstance(exchange, Access | Shared) or exchange.memory.dtype != np.float64:
             raise _NotInCError
-        if columns is None and isinstance(exchange, Shared):
-            columns = self._place(exchange.block)
-            places = np.arange(len(columns))
         if columns is None:
-            moves["column"] = int(self._place(exchange.block)[0])
+            moves["column"] = int(self._place(exchange.memory)[0])
         else:
             moves |= {"values": exchange.memory.ctypes.data, **self._columns(columns, places)}
         self._add(action, exchange, later=later, **moves, size=exchange.memory.shape[-1])

@@ -214,8 +214,6 @@ class Master:
             taken, self._buffer.filled = self._kernel.take(self.steps, row, count)
             statistics.steps += taken
             statistics.in_c += taken
-            if self._kernel.met_non_finite:
-                self._buffer.complete(self._row)  # which says what it is
             self._kernel.check(self.time)
         except SimulationEndedError as ended:
             self._end_within(ended)

@@ -35,7 +35,7 @@ from .fmu import REALS
 from .fmu_file import Fmu
 from .kernel import GONE, LATE, STEPPED, Kernel, make_kernel
 from .step import Step
-from .wiring import Array, Exchange, Shared, nothing
+from .wiring import Array, Moved, Shared, nothing
 
 START_TIMEOUT = 30.0  # [s] for all requests but a step, if there is a step timeout
 CLOSE_TIMEOUT = 5.0  # [s] for freeing the instance
@@ -95,21 +95,16 @@ class RemoteSlave:
         self.step.in_c = self.call("open", self.name, str(self.fmu.path.absolute()), self.fmu.sizes)
         self.call("enter_initialization", dict(values), experiment)
 
-    def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make the function that reads the outputs into a row, see `FmuSlave.bind_get`."""
-        return self._bind("bind_get", names, block, ORDER + len(self.fmu.variables))
-
-    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make the function that writes the inputs from a row, see `FmuSlave.bind_set`."""
-        return self._bind("bind_set", names, block, ORDER)
-
-    def _bind(self, method: str, names: Sequence[str], block: Array, place: int) -> Shared:
-        memory = self.memory[place : place + len(names)]
+    def _bind(self, method: str, names: Sequence[str], block: Array) -> Moved:
+        reads, places = method == "bind_get", range(len(names))
+        first = ORDER + reads * len(self.fmu.variables)
+        memory = self.memory[np.newaxis, first : first + len(names)]
         are_reals = all(self.fmu.variable(name).variable.fmi_type in REALS for name in names)
         if not (are_reals or block.dtype == np.float64):
-            place, memory = -1, np.zeros(len(names), np.object_)
-        self.step.in_c = self.call("bind", method, list(names), place)
-        return Shared(self, block, memory, reads=method == "bind_get")
+            first, memory = -1, np.zeros((1, len(names)), np.object_)
+        self.step.in_c = self.call("bind", method, list(names), first)
+        shared = Shared(self, memory, reads=reads)
+        return Moved(shared, memory, places, block, places, reads=reads)
 
     def close(self) -> None:
         """Free the instance and end the process, in any state. May be called twice."""
@@ -141,7 +136,9 @@ class RemoteSlave:
             raise error
         return result
 
-    # As of `FmuSlave`.
+    # As of `FmuSlave`; all inputs are bound at once, and so are all outputs.
+    bind_get = partialmethod(_bind, "bind_get")
+    bind_set = partialmethod(_bind, "bind_set")
     exit_initialization = partialmethod(call, "exit_initialization")
     set_values = partialmethod(call, "set_values")
     read = partialmethod(call, "read")

@@ -145,11 +145,7 @@ class Structure:
         if local(element) != "Component" or kind != FMU or mode not in ("any", "CoSimulation"):
             what = f"{local(element)} {name!r} of type {kind!r}, implementation {mode!r}"
             document.refuse(what, "a System, or a Component that is an FMU for co-simulation")
-        file = document.member(source)
-        try:
-            fmu = read_fmu(file, f"{self.path}: component {name!r} ({source})")
-        except InputError as error:  # that names the folder which it is unpacked in
-            raise InputError(str(error).replace(str(file), f"{self.path}: {source}")) from error
+        fmu = read_fmu(document.member(source), f"{self.path}: component {name!r} ({source})")
         self.fmus[name], self.connectors[name], items = fmu, {}, self.items.setdefault(name, {})
         for scalar in fmu.variables.values():
             items.setdefault(scalar.variable.name, []).append(scalar.name)

@@ -60,7 +60,7 @@ class Step:
         self.fed_back = _columns(_feeding_back(self.leaders))
         inputs = {column for slave in slaves for column in slave.inputs}
         self._fed = sorted(inputs.intersection(_columns(slaves)))
-        self.size, self._rows, self._complete = size, rows, complete
+        self.size, self._rows, self.complete = size, rows, complete
 
     def take(self, row: int, time: float) -> None:
         """Step from `time` [s]; its row has the external inputs and the followers' outputs."""
@@ -68,7 +68,7 @@ class Step:
             leader.set_inputs(row)
             self._step(leader, time)
             leader.get_outputs(row)
-        self._complete(row)
+        self.complete(row)
         for follower in self.followers:
             follower.set_inputs(row)
         for follower in self.followers:
@@ -105,7 +105,7 @@ class IteratedStep(Step):
 
     def take(self, row: int, time: float) -> None:
         """Step from `time` [s]."""
-        self._complete(row)
+        self.complete(row)
         now, end = self._rows[row], self._rows[row + 1]
         end[self._fed] = now[self._fed]
         for slave in self.followers:

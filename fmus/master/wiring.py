@@ -213,26 +213,26 @@ class Moved:
 
 
 class Shared:
-    """Exchanges rows of a block with an FMU in another process: float64 by memory that both have.
+    """Exchanges a row of values with an FMU in another process: float64 by memory that both have.
 
     Other values go with the requests of `RemoteSlave`.
     """
 
     name = "exchange"
 
-    def __init__(self, slave: Any, block: Array, memory: Array, *, reads: bool) -> None:
-        self.slave, self.block, self.memory, self._reads = slave, block, memory, reads
+    def __init__(self, slave: Any, memory: Array, *, reads: bool) -> None:
+        self.slave, self.memory, self._reads = slave, memory, reads
 
-    def __call__(self, row: int) -> None:
-        """Exchange the values of a row."""
+    def __call__(self, _row: int) -> None:
+        """Exchange the values."""
         slave = self.slave
-        if self._reads:
-            slave.outputs = slave.call("outputs") if slave.outputs is None else slave.outputs
-            self.block[row] = slave.outputs or self.memory
+        if not self._reads:
+            slave.inputs = [] if self.memory.dtype == np.float64 else self.memory[0].tolist()
+            slave.outputs = None
             return
-        self.memory[:] = self.block[row]
-        slave.inputs = [] if self.memory.dtype == np.float64 else self.memory.tolist()
-        slave.outputs = None
+        if slave.outputs is None:
+            slave.outputs = slave.call("outputs")
+        self.memory[0] = slave.outputs or self.memory[0]
 
     def for_c(self) -> dict[str, int | None]:
         """Return what the kernel calls: nothing, as values need only be copied."""

@@ -270,9 +270,9 @@ def test_on_arm_the_library_is_that_for_arm(box, tmp_path, monkeypatch, names, f
         (tmp_path / "binaries" / name / "box.so").touch()
     if found is None:
         with pytest.raises(InputError, match=r"binary .*; binaries/aarch64-linux/box\.so is miss"):
-            library_of(fmu.path, tmp_path, fmu.description)
+            library_of(fmu.label, tmp_path, fmu.description)
     else:
-        library = library_of(fmu.path, tmp_path, fmu.description)
+        library = library_of(fmu.label, tmp_path, fmu.description)
         assert library == tmp_path / "binaries" / found / "box.so"
 
 

@@ -86,7 +86,7 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
     "model exchange": (replace("<CoSimulation", "<ModelExchange"), "not a co-simulation FMU"),
     "identifier is a path": (
         replace('modelIdentifier="PandaPlant"', 'modelIdentifier="../../../evil"'),
-        r"modelIdentifier '../../../evil'; must be letters, digits, _ and -",
+        r"modelIdentifier: value '../../../evil'; must be letters, digits, _ and -",
     ),
     "no binary": (drop(LIBRARY), "no binary for this platform; .* is missing"),
     "binary of another platform": (
