@@ -198,8 +198,7 @@ def _cache_refused(folder: Path, error: OSError) -> InputError:
 
 
 def _cache_place() -> Path:
-    chosen = os.environ.get("PANDA_COSIM_CACHE")
-    if chosen:
+    if chosen := os.environ.get("PANDA_COSIM_CACHE"):
         return Path(chosen).absolute()
     place = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if not place.is_absolute():  # Ref: XDG Base Directory Specification: others are ignored

@@ -10,7 +10,7 @@ from copy import copy
 from dataclasses import replace
 from functools import cache, lru_cache
 from io import StringIO
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, Final, cast
 from xml.etree import ElementTree as ET
@@ -174,8 +174,7 @@ class Fmu:
 
     def variable(self, name: str) -> Scalar:
         """Return a scalar; raises InputError if there is no variable of this name."""
-        scalar = self.variables.get(name) or self._described.get(name)
-        if scalar is not None:
+        if scalar := self.variables.get(name) or self._described.get(name):
             return scalar
         raise InputError(f"{self.label}: no variable {name!r}{did_you_mean(name, self.variables)}")
 
@@ -183,10 +182,7 @@ class Fmu:
 def read_fmu(path: Path, label: str = "") -> Fmu:
     """Read an FMU; one that has been read before is not read again until its file changes."""
     modified = path.stat().st_mtime_ns if path.is_file() else 0
-    known = path.absolute(), label or str(path), modified
-    if not _read_once(*known).library.is_file():  # the cache was cleared meanwhile
-        _read_once.cache_clear()
-    return _read_once(*known)
+    return _read_once(path.absolute(), label or str(path), modified)
 
 
 @lru_cache(maxsize=64)
@@ -383,13 +379,11 @@ def described_interface(fmu: Fmu) -> Interface:
         if scalar.variable.causality in _SHOWN or scalar.variable.has_start
     ]
     scalars.sort(key=lambda scalar: order.index(scalar.variable.causality))
-    variables: list[Variable] = []
-    for _, group in groupby(scalars, key=_array):
-        variables += _joined(list(group))
+    groups = (_joined(list(group)) for _, group in groupby(scalars, key=_array))
     return Interface(
         fmu.description.modelName or fmu.path.stem,
         fmu.description.description or "",
-        tuple(variables),
+        tuple(chain.from_iterable(groups)),
         units=fmu.units,
         is_model=fmu.is_model,
         independent=fmu.independent,

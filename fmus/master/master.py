@@ -24,6 +24,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from ...assets import STEP_SIZE
 from ..errors import SimulationEndedError, SimulationError
 from .kernel import Kernel, make_kernel
@@ -296,8 +298,7 @@ class Master:
     def latest(self) -> Array:
         """Copy of the present row; inputs and leaders' outputs are those of the last tick."""
         self._buffer.hold(self._row)
-        row: Array = self._buffer.rows[self._row].copy()
-        return row
+        return np.array(self._buffer.rows[self._row])
 
     def flush(self) -> None:
         """Give all complete rows to the sink."""
@@ -319,17 +320,15 @@ class Master:
         return self.steps - self._buffer.first
 
     def _set_coupling(self, coupling: Coupling) -> None:
-        buffer = self._buffer
+        buffer, self.coupling = self._buffer, coupling
         self.spent()  # of the kernel that there was
         kind = IteratedStep if coupling == "iterated" else Step
         self._step = kind(self._bound, coupling, self.step_size, buffer.rows, buffer.complete)
-        self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
         self._kernel = None
         if self._stepper == "kernel":
-            self._kernel = make_kernel(
-                self._step, buffer.rows, self.start, self._stop, self.checked
-            )
+            course = (self.start, self._stop, buffer.checked)
+            self._kernel = make_kernel(self._step, buffer.rows, *course)
 
     @contextmanager
     def _rows_kept(self) -> Iterator[None]:

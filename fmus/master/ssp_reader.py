@@ -35,7 +35,6 @@ class CoupledSystem:
     stop_time: float  # [s]
     step_size: float  # [s]
     coupling: str  # one of `COUPLINGS`
-    steps: Mapping[str, int]  # of components, in the system's
     warnings: tuple[str, ...] = ()  # parts of the file that have no effect
 
 
@@ -59,6 +58,7 @@ def system_from_ssp(path: Path) -> CoupledSystem:
             {name: structure.fmus[name].path for name in order},
             connections,
             outputs=_outputs(structure, connections, places),
+            steps={n: max(round(size / step), 1) for n, size in structure.step_sizes.items()},
             labels={name: fmu.label for name, fmu in structure.fmus.items()},
         ),
         parameters.values,
@@ -66,7 +66,6 @@ def system_from_ssp(path: Path) -> CoupledSystem:
         stop,
         step,
         "jacobi" if master is None else master.get("coupling", ""),  # as other tools do
-        {name: max(round(size / step), 1) for name, size in structure.step_sizes.items()},
         tuple(parameters.warnings),
     )
 

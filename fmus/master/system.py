@@ -13,7 +13,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from ...assets import STEP_SIZE
-from ..errors import InputError, SimulationError
+from ..errors import InputError, SimulationError, refuse
 from ..interface.tables import Connection
 from ..interface.types import OBJECTS, can_convert, is_lossless, type_of
 from ..interface.units import PLAIN, conversion, doubt
@@ -67,9 +67,7 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
     for (instance, name), causality in ends.items():
         own = fmus[instance].variable(name).variable.causality
         if own != causality:
-            raise InputError(
-                f"{fmus[instance].label}: {name}: causality {own}; must be {causality}"
-            )
+            refuse(f"{fmus[instance].label}: {name}: causality", own, f"must be {causality}")
     for connection in system.connections:
         source, target = (scalar.variable for _, scalar in _ends(fmus, connection))
         fits = can_convert if connection.converts_types else is_lossless
@@ -218,8 +216,7 @@ def _loop(fmus: tuple[tuple[str, Fmu], ...], connections: tuple[Connection, ...]
     try:
         TopologicalSorter(before).prepare()
     except CycleError as error:
-        cycle: list[Name] = error.args[1]
-        return cycle
+        return list(error.args[1])
     return ()
 
 

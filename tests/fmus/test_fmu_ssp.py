@@ -121,7 +121,7 @@ def test_it_is_read_as_it_was_written(tmp_path, fmi, flat):
     assert coupled.start_values == {name: values for name, values in given.items() if values}
     assert given["plant"].items() >= VALUES.items()
     assert (coupled.name, coupled.stop_time, coupled.step_size) == ("Panda", 6.5, 0.001)
-    assert (coupled.coupling, dict(coupled.steps)) == ("gauss-seidel", {})
+    assert (coupled.coupling, dict(coupled.system.steps)) == ("gauss-seidel", {})
 
 
 def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:

@@ -360,7 +360,7 @@ def system_scenario(path: Path, duration: float | None = None) -> Scenario:
             duration=duration,
             step=coupled.step_size,
             coupling=cast("Coupling", coupled.coupling),
-            steps=coupled.steps,
+            steps=coupled.system.steps,
             system=path.name,
             folder=path.parent.resolve(),
         )
