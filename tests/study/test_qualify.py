@@ -67,7 +67,8 @@ def test_the_command_tells_what_each_change_does_and_fails_below_a_score(tmp_pat
     ]  # fmt: skip
     assert found["changes"][0]["noticed"][0][1].startswith("own.y at ")
     assert found["score"] == 0.5
-    xml = (tmp_path / "report" / "junit.xml").read_text()
+    page, xml = ((tmp_path / "report" / name).read_text() for name in ("report.html", "junit.xml"))
+    assert "own.wide 2 -&gt; 2.1</code></td><td class=num>not noticed</td>" in page
     assert (xml.count("<testcase"), xml.count("<failure")) == (3, 1)
     assert "50% of the changes that have an effect are noticed" in command(*qualify, 0.5).stdout
     red = command(*words, "--qualify", SHARE, "--set", "own.seen=2", code=2)

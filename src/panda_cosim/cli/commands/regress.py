@@ -21,7 +21,7 @@ from ...run.folder import default_folder
 from ...study.compare.engines import engine_rows, variants
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
-from ...study.compare.qualify import NO_EFFECT, Finding, score, write_findings
+from ...study.compare.qualify import NO_EFFECT, score, write_findings
 from ...study.compare.qualify import qualify as find
 from ...study.compare.reference import Reference
 from ...study.compare.regress import (
@@ -164,24 +164,16 @@ def _qualify(
         raise InputError(f"--qualify {share:g}: none of {len(findings)} changes has an effect")
     found = score(findings)
     if files:
-        write_findings(findings, files[-1])
+        write_findings(findings, *files)
     listed = [{**asdict(each), "state": each.state} for each in findings]
     rows = [
-        (each.key, each.change, each.state, _first_notice(each))
+        (each.key, each.change, each.state, each.where)
         for each in sorted(findings, key=lambda it: it.state)
     ]
     items = (table(("Parameter", "change", "state", "by what first, where*"), rows),
              f"{found:.0%} of the changes that have an effect are noticed")  # fmt: skip
     show_result({"score": found, "changes": listed}, items, json=json)
     end(missed=found < least)
-
-
-def _first_notice(finding: Finding) -> str:
-    if not finding.noticed:
-        return f"not by {', '.join(finding.blind)}" if finding.blind else ""
-    scenario, by = finding.noticed[0]
-    more = f"; {len(finding.noticed) - 1} more" if len(finding.noticed) > 1 else ""
-    return f"{by}, {scenario}{more}"
 
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:

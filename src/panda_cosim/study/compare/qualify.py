@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from ...fmus.atomic import write_whole
 from ...fmus.errors import InputError
 from ...result.judging.verdicts import MISSED
 from ...result.recording import Recording
@@ -26,6 +27,7 @@ from ...task.tolerances import signal_of
 from .causes import TABLES
 from .differences import Row
 from .junit import Case, write_cases
+from .page import Page, Part, Section, Table, render
 from .reference import column_digest
 from .regress import Outcome, Suite, run_suite
 
@@ -65,6 +67,15 @@ class Finding:
     def state(self) -> str:
         """Whether it is noticed, is not, or has no effect."""
         return "noticed" if self.noticed else "not noticed" if self.blind else NO_EFFECT
+
+    @property
+    def where(self) -> str:
+        """What notices it first and in which scenario, or in which it is not noticed."""
+        if not self.noticed:
+            return f"not by {', '.join(self.blind)}" if self.blind else ""
+        scenario, by = self.noticed[0]
+        more = f"; {len(self.noticed) - 1} more" if len(self.noticed) > 1 else ""
+        return f"{by}, {scenario}{more}"
 
 
 def changes_of(scenario: Scenario, share: float) -> Iterator[Change]:
@@ -156,15 +167,15 @@ def score(findings: Sequence[Finding]) -> float:
     return sum(finding.state == "noticed" for finding in judged) / max(len(judged), 1)
 
 
-def write_findings(findings: Sequence[Finding], path: Path) -> None:
-    """Write one test case of JUnit for each change: one that is not noticed is a failure."""
+def write_findings(findings: Sequence[Finding], page: Path, junit: Path) -> None:
+    """Write the page, and a test case for each change: one that is not noticed is a failure."""
+    rows = [(f"{each.key} {each.change}", each.state, each.where) for each in findings]
+    table = Table(("Change", "State", "By what first, where"), rows)
+    title = f"{score(findings):.0%} of the changes that have an effect are noticed"
+    sections = [Section("Changes", "", [Part("What notices them", [table])])]
+    write_whole(page, render(Page(title, "", "One parameter at a time", (), sections)))
     cases = [
-        Case(
-            f"{each.key} {each.change}",
-            0.0,
-            ("failure", each.state) if each.state == "not noticed" else None,
-            f"not noticed by {', '.join(each.blind)}",
-        )
-        for each in findings
+        Case(name, 0.0, ("failure", state) if state == "not noticed" else None, where)
+        for name, state, where in rows
     ]
-    write_cases("panda-cosim regress --qualify", cases, path)
+    write_cases("panda-cosim regress --qualify", cases, junit)
