@@ -1,9 +1,6 @@
 """Work that is given to processes: what ends or hangs costs its own call."""
 
 import os
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -82,23 +79,3 @@ def test_the_end_kills_what_runs_and_starts_nothing_more(tmp_path):
     assert not is_alive(int(first.read_text()))
     assert second.done()
     assert not (tmp_path / "second").exists()
-
-
-CALLER = """
-import sys
-from pathlib import Path
-import work_jobs
-from bounded import is_alive, wait_until
-from panda_cosim.study.work import Workers
-with Workers(1) as workers:
-    workers.submit(work_jobs.sleep, Path(sys.argv[1]), died=str, late=str).result()
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, it ends with its call")
-def test_a_process_ends_with_its_caller(tmp_path):
-    mark = tmp_path / "mark"
-    with subprocess.Popen([sys.executable, "-c", CALLER, str(mark)]) as caller:
-        wait_until(lambda: mark.exists() and mark.read_text())
-        caller.send_signal(signal.SIGKILL)
-    wait_until(lambda: not is_alive(int(mark.read_text())))

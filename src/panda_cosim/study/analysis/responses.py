@@ -123,7 +123,7 @@ def _course(answers: Array) -> tuple[float, float]:
 def opened(prepared: Prepared, inputs: Inputs, tick: int, loop: str = "") -> Iterator[Measurement]:
     """Step a system to a tick of the run, from where it is measured; `loop`: see `_targets`."""
     system, step = prepared.assembly.system, prepared.scenario.step
-    targets = _targets([connection.target for connection in system.connections], loop)
+    targets = _targets([connection.target for connection in system.connections], loop or "plant")
     with prepared.open([], longer=WINDOWS[-1] * step) as running:
         running.master.begin(lambda _rows: None)
         running.master.step(tick, inputs)
@@ -134,14 +134,13 @@ def opened(prepared: Prepared, inputs: Inputs, tick: int, loop: str = "") -> Ite
 
 
 def _targets(fed: Sequence[Name], loop: str) -> list[Name]:
-    """Inputs at which the loops are opened: those that are named, else all of the plant."""
+    """Inputs at which the loops are opened: one, those of an array, or all of an instance."""
     names = {target: ".".join(target) for target in fed}
-    chosen = [t for t in fed if loop in (names[t], signal_of(names[t]))]
-    chosen = chosen if loop else [t for t in fed if t[0] == "plant"]
+    chosen = [t for t, name in names.items() if loop in (name, signal_of(name), t[0])]
     if not chosen:
         valid = list(dict.fromkeys(map(signal_of, names.values())))
         must = f"must be an input that an FMU feeds: {', '.join(valid) or 'there is none'}"
-        refuse("--loop", loop or "plant", must, valid)
+        refuse("--loop", loop, must, valid)
     return chosen
 
 
