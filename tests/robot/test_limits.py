@@ -166,15 +166,6 @@ def test_random_moves_end_at_their_goals_within_the_limits():
 
 
 @pytest.mark.long
-def test_joints_that_near_their_ends_hand_over_gradually():
-    """Its joint 7 once braked hard before its end, and the torque rate was 10 times its limit."""
-    (move,) = run_moves(76, only=(76,))
-    assert move.ok
-    assert move.torque_rate <= 5.0
-    assert move.rms <= 5e-5  # m
-
-
-@pytest.mark.long
 def test_a_joint_at_its_end_is_refused():
     (move,) = run_moves(55, only=(55,), timing_share=0.95)
     at_limits = [joint for joint, kind in enumerate(move.limit, 1) if kind]

@@ -3,14 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
 from fmu_support import in_process
 from forked import command
 from panda_cosim import Recording, Scenario, Trajectory, load_scenario, run_scenario
-from panda_cosim.assets import asset_files
 from panda_cosim.assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import ArmModel
@@ -34,19 +32,13 @@ def planned(time: float, end: np.ndarray = END) -> np.ndarray:
 
 
 def rows(end: np.ndarray = END) -> tuple[TableRow, ...]:
-    """A row every 20 ms, with the hand's pose from MuJoCo."""
-    files = asset_files()
-    model = mujoco.MjModel.from_xml_string(files["tabletop.xml"].decode(), assets=files)
-    data, hand, made = mujoco.MjData(model), model.body("hand").id, []
-    for time in np.linspace(0.0, DURATION, round(DURATION / 0.02) + 1):
-        data.qpos[:7] = planned(time, end)
-        mujoco.mj_kinematics(model, data)
-        pose = tuple(data.xpos[hand]), tuple(data.xquat[hand])
-        made.append(
-            TableRow(
-                round(float(time), 3), "world", pose[0], 0.08, pose[1], posture=data.qpos[:7].copy()
-            )
-        )
+    """A row every 20 ms."""
+    arm, made = ArmModel(), []
+    for time in np.linspace(0.0, DURATION, round(DURATION / 0.02) + 1).round(3).tolist():
+        q = planned(time, end)
+        hand = arm.hand(q, np.zeros(7))
+        pose = tuple(hand.position), 0.08, tuple(hand.orientation)
+        made.append(TableRow(time, "world", *pose, posture=q))
     return tuple(made)
 
 
@@ -125,7 +117,10 @@ HEAD = "time,frame,x,y,z,grip,q1,q2,q3,q4,q5,q6,q7\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (HEAD.replace(",q7", "") + "0,home,0,0,0,0,0,0,0,-1,0,1", "q7: missing"),
+        (
+            HEAD.replace(",q7", "") + "0,home,0,0,0,0,0,0,0,-1,0,1",
+            "posture: value .*; must be 7 numbers",
+        ),
         (HEAD + "0,home,0,0,0,0,0,0,0,-1,0,1,", "line 2: column q7: value ''; must be a number"),
         (HEAD + "0,home,0,0,0,0,0,0,0,0.5,0,1,0", "line 2: column q4: value 0.5; must be a .*rad"),
     ],
