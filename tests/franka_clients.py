@@ -35,6 +35,11 @@ def connected(address: str) -> tuple[Any, Any]:
     return pylibfranka, robot
 
 
+def gone(franka: Any, joints: Any, way: Any) -> Any:
+    """Return the command of positions that are so far from others."""
+    return franka.JointPositions((np.array(joints) + way).tolist())
+
+
 def follow(
     control: Any, command: Callable[[Any, int], Any], ticks: int = TICKS, pause: float = 0.0
 ) -> Any:
@@ -63,7 +68,7 @@ def joint(address: str, controller: str = "JointImpedance", pause: float = 0.0) 
     franka, robot = connected(address)
 
     def command(first: Any, tick: int) -> Any:
-        return franka.JointPositions((np.array(first.q_d) + WAVE[tick] * JOINTS).tolist())
+        return gone(franka, first.q_d, WAVE[tick] * JOINTS)
 
     control = robot.start_joint_position_control(getattr(franka.ControllerMode, controller))
     return follow(control, command, pause=pause)
@@ -84,10 +89,7 @@ def soft(address: str) -> Any:
     franka, robot = connected(address)
     robot.set_joint_impedance([300.0] * 7)
     control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
-    return follow(
-        control,
-        lambda first, k: franka.JointPositions((np.array(first.q) + WAVE[k] * JOINTS).tolist()),
-    )
+    return follow(control, lambda first, tick: gone(franka, first.q, WAVE[tick] * JOINTS))
 
 
 def joint_velocity(address: str) -> Any:
@@ -195,7 +197,7 @@ def after_refusal(franka: Any, robot: Any, act: Callable[[], Any]) -> Any:
     short = 0.25 * WAVE[::2, None] * JOINTS
     again = follow(
         robot.start_joint_position_control(franka.ControllerMode.JointImpedance),
-        lambda first, k: franka.JointPositions((np.array(first.q_d) + short[k]).tolist()),
+        lambda first, tick: gone(franka, first.q_d, short[tick]),
         len(short),
     )
     return {"told": told, "modes": modes, "errors": str(state.current_errors),
@@ -335,37 +337,27 @@ def idle(address: str) -> Any:
 
 def with_franky(address: str) -> Any:
     """Move in all of franky's ways."""
-    from franky import (  # noqa: PLC0415 - see above
-        Affine,
-        CartesianMotion,
-        CartesianVelocityWaypoint,
-        CartesianVelocityWaypointMotion,
-        Duration,
-        Gripper,
-        JointMotion,
-        JointVelocityWaypoint,
-        JointVelocityWaypointMotion,
-        RealtimeConfig,
-        ReferenceType,
-        Robot,
-        Twist,
-    )
+    import franky  # noqa: PLC0415 - see above
 
-    robot = Robot(address, realtime_config=RealtimeConfig.Ignore)
+    robot = franky.Robot(address, realtime_config=franky.RealtimeConfig.Ignore)
     robot.relative_dynamics_factor = 0.1
     robot.set_collision_behavior(THRESHOLD, THRESHOLD)
-    robot.move(JointMotion([0.1, 0.1, 0.0, -1.6, 0.0, 1.7, -0.7]))
+    robot.move(franky.JointMotion([0.1, 0.1, 0.0, -1.6, 0.0, 1.7, -0.7]))
     told = [list(robot.state.q), robot.state.O_T_EE.translation.tolist()]
-    robot.move(CartesianMotion(Affine([0.0, 0.05, -0.05]), ReferenceType.Relative))
+    robot.move(
+        franky.CartesianMotion(franky.Affine([0.0, 0.05, -0.05]), franky.ReferenceType.Relative)
+    )
     told.append(robot.state.O_T_EE.translation.tolist())
-    hold = Duration(100)
-    turn = JointVelocityWaypoint([0.1] + [0.0] * 6, hold_target_duration=hold)
-    robot.move(JointVelocityWaypointMotion([turn, JointVelocityWaypoint([0.0] * 7)]))
+    hold = franky.Duration(100)
+    turn = franky.JointVelocityWaypoint([0.1] + [0.0] * 6, hold_target_duration=hold)
+    robot.move(franky.JointVelocityWaypointMotion([turn, franky.JointVelocityWaypoint([0.0] * 7)]))
     told.append(list(robot.state.q))
-    push = CartesianVelocityWaypoint(Twist([0.05, 0.0, 0.0]), hold_target_duration=hold)
-    rest = CartesianVelocityWaypoint(Twist([0.0, 0.0, 0.0]))
-    robot.move(CartesianVelocityWaypointMotion([push, rest]))
-    hand = Gripper(address)
+    push = franky.CartesianVelocityWaypoint(
+        franky.Twist([0.05, 0.0, 0.0]), hold_target_duration=hold
+    )
+    rest = franky.CartesianVelocityWaypoint(franky.Twist([0.0, 0.0, 0.0]))
+    robot.move(franky.CartesianVelocityWaypointMotion([push, rest]))
+    hand = franky.Gripper(address)
     return [*told, hand.move(0.03, 0.1), hand.width]
 
 
