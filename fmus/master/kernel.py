@@ -113,7 +113,7 @@ class Kernel:
         self._calls = (_Call * len(self._list))(*self._list)
         self._course = _Course(
             ctypes.addressof(self._calls), len(self._calls), rows.ctypes.data, rows.shape[1],
-            start, step.size, ctypes.addressof(stop), timed=True,
+            start, step.size, ctypes.addressof(stop),
         )  # fmt: skip
         for call in filter(None, self._made_by):  # a call of a tick, for the messages in it
             if isinstance(call.slave, Caller):
@@ -123,9 +123,12 @@ class Kernel:
                     self._course.failed,
                 )
 
-    def take(self, tick: int, row: int, count: int) -> tuple[int, int]:
-        """Take up to `count` steps; returns how many were, and the number of complete rows."""
-        self._course.filled = row
+    def take(self, tick: int, row: int, count: int, *, timed: bool = False) -> tuple[int, int]:
+        """Take up to `count` steps; returns how many were, and the number of complete rows.
+
+        If they are timed, `account` knows how long each call took.
+        """
+        self._course.filled, self._course.timed = row, timed
         taken = load_stepper().panda_take_steps(
             ctypes.byref(self._course), *map(ctypes.c_int64, (tick, row, count)),
             ctypes.c_double(SLICE),

@@ -98,6 +98,7 @@ class Master:
 
     columns: list[Name]  # of a row after the time: external inputs, then outputs, as given
     checked: list[int]  # columns of a row whose values must be finite
+    timed = False  # whether calls in C are timed, too; those of Python always are
 
     def __init__(  # noqa: PLR0913 - a run has this many sides
         self,
@@ -213,7 +214,7 @@ class Master:
                 self._step.take(row, self.time)
                 statistics.steps += 1
                 return
-            taken, self._buffer.filled = self._kernel.take(self.steps, row, count)
+            taken, self._buffer.filled = self._kernel.take(self.steps, row, count, timed=self.timed)
             statistics.steps += taken
             statistics.in_c += taken
             self._kernel.check(self.time)

@@ -36,6 +36,7 @@ class Output:
         self, prepared: Prepared, system: OpenSystem, folder: Path, *, writes: bool, journals: bool
     ) -> None:
         self.system, self._prepared, self._writes = system, prepared, writes
+        system.master.timed = prepared.options.profile
         self._place = folder.absolute()  # an FMU may change the working directory
         self._journal = self._place / JOURNAL_FILE if journals else None
         columns = prepared.assembly.recorded(prepared.scenario.coupling)
