@@ -85,7 +85,7 @@ def test_a_disk_that_is_full_from_the_start_is_the_error(tmp_path, duration):
 
 def test_a_build_that_does_not_come_to_its_end_leaves_all_the_old_files(tmp_path):
     """Whole, with their reference experiments; nor does one that is killed meanwhile."""
-    build_of(load_scenario("pick_and_place"), tmp_path, Target()).write()
+    build_of(load_scenario("pick_and_place"), tmp_path, Target()).write(overwrite=False)
     system = tmp_path / "Panda.ssp"
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for path in tmp_path.glob("*.fmu"):

@@ -123,7 +123,7 @@ from panda_cosim.run.system.assembly import system_scenario
 scenario, out, is_played = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] == "True"
 runs = {"run": scenario}
 if is_played:
-    build_of(load_scenario(scenario), out, Target()).write()
+    build_of(load_scenario(scenario), out, Target()).write(overwrite=False)
     runs["played"] = system_scenario(out / "Panda.ssp")
 done = {name: run_scenario(each, out / name) for name, each in runs.items()}
 print(json.dumps({

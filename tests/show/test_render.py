@@ -178,7 +178,7 @@ import sys
 import numpy as np
 from panda_cosim.show.pictures.video import render_video
 class Run(dict):
-    time = np.array([0.0, 100.0])
+    time, path = np.array([0.0, 100.0]), "nowhere"
     metadata = {{"scene": "tabletop"}}
     columns = property(list)
 run = Run({{f"plant.qpos[{{i}}]": np.full(2, q) for i, q in enumerate({HOME}, 1)}})
