@@ -154,7 +154,7 @@ def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder):
          r"plant.qpos \(16\) \[rad.*feeds plant.ctrl \(8\) \[rad, 1\]; must have the same shape"),
         ("[controller]", '[connect]\n"controller.jac" = "plantt.jac"\n[controller]',
          "no FMU 'plantt'; .*did you mean 'plant'"),
-        ("plant.hand_xpos", "plant.hand_xposs", r"\[\[success.signal\]\] 1: .*not recorded"),
+        ("plant.hand_xpos", "plant.hand_xposs", r"\[\[success.signal\]\] 1: .*hand_xposs"),
         ("hand_xpos, hand", "hand_pos, hand", "takes 'hand_pos', which does not exist"),
         ("def update(self, time, ", "def update(self, ", r"must have a method update\(self, time"),
         ("gain = 10.0", "period = 0.0005", "period: start: value 0.0005; must be"),
