@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 PATIENCE = 120.0  # [s] for an answer, on a busy machine
 _LIMITED = (
@@ -17,15 +17,8 @@ _LIMITED = (
 )
 
 
-class Killable(Protocol):
-    """A process."""
-
-    def kill(self) -> None:
-        """End it at once."""
-
-
 @contextmanager
-def killed_after(process: Killable, seconds: float = PATIENCE) -> Iterator[None]:
+def killed_after(process: Any, seconds: float = PATIENCE) -> Iterator[None]:
     """Kill a process if the block takes too long: what the block reads from it ends then."""
     timer = threading.Timer(seconds, process.kill)
     timer.daemon = True

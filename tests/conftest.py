@@ -30,13 +30,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parents[1] / ".ci" / "studies"))
 sys.path.insert(0, str(Path(__file__).parent))
 
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 import forked
 from browser import browser, find_browser
 from fmu_support import JobError, in_fork
 
-settings.register_profile("tests", deadline=None)  # a machine may be busy
+# A machine may be busy, and fixtures are the same for all examples.
+settings.register_profile(
+    "tests", deadline=None, max_examples=30, suppress_health_check=list(HealthCheck)
+)
 settings.load_profile("tests")
 
 # Files of half a minute each. They begin first, so that none is left for one process at the end;

@@ -352,8 +352,3 @@ def test_overshoot_begins_with_the_first_crossing():
     assert ISO["stabilization"](time, distance, 4.0) == (0.0, 0.0)
     distance[-1] = 2.0  # mm
     assert ISO["stabilization"](time, distance, 1.0) is None
-
-
-def test_a_sweep_without_recordings_has_no_sheet(tmp_path):
-    with pytest.raises(SystemExit, match="0 kept cycles; must be 30"):
-        ISO["sheet"](tmp_path)

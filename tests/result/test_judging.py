@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from panda_cosim import InputError, Recording, Scenario, SignalCriterion, Success, load_scenario
@@ -213,7 +213,6 @@ def written(folder: Path, section: str) -> Path:
     return folder
 
 
-@settings(deadline=None)
 @given(data=st.data())
 def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data):
     """Among signals that move or stay there is one that meets it, and one that misses it."""

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import loadmat
 
@@ -62,7 +62,7 @@ def all_columns(recording: Recording) -> Array:
     return np.column_stack([recording[name] for name in recording.columns])
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=15)
 @given(
     st.lists(st.integers(0, 60), max_size=8), st.integers(3, 40), st.integers(2, 50), st.booleans()
 )
@@ -309,7 +309,6 @@ def test_a_time_that_does_not_increase_is_refused_where_it_matters(tmp_path, ste
         Recording.open(tmp_path, in_order=True)
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.data(), st.booleans())
 def test_flipped_bits_are_reported_or_change_no_number(tmp_path_factory, data, is_whole):
     """In a stream, and in what Parquet has no checksum of, they may; but there is no traceback."""

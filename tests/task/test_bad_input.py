@@ -49,24 +49,19 @@ def refused(folder: Path, *arguments: object) -> str:
 # Files: changes of the plant's FMU, and the message that each must give.
 
 
-def replace(old: str, new: str) -> Change:
+def substitute(pattern: str, new: str) -> Change:
     """Return a change of the description's text."""
 
-    def change(members: dict[str, bytes]) -> None:
-        text = members[XML].decode()
-        assert old in text
-        members[XML] = text.replace(old, new, 1).encode()
-
-    return change
-
-
-def substitute(pattern: str, new: str) -> Change:
     def change(members: dict[str, bytes]) -> None:
         text, count = re.subn(pattern, new, members[XML].decode(), count=1, flags=re.S)
         assert count
         members[XML] = text.encode()
 
     return change
+
+
+def replace(old: str, new: str) -> Change:
+    return substitute(re.escape(old), new)
 
 
 def put(name: str, content: bytes) -> Change:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import panda_cosim
@@ -159,16 +159,12 @@ def test_neither_the_package_nor_a_scenario_imports_anything_heavy(what, heavy):
     assert done.stdout.strip() == "set()"
 
 
-FUZZ = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 VALUE = st.sampled_from(["1", "-1", "nan", "true", '"x"', "[]", "[1, 2]", "{}", "{a = 1}", "1e400"])
 KEY = st.sampled_from(
     ["duration", "purpose", "scene", "align", "plant", "controller", "success", "x", '"a[1]"']
 )
 
 
-@FUZZ
 @given(
     st.one_of(
         st.binary(max_size=100),
@@ -297,7 +293,6 @@ CELL = st.one_of(
 )
 
 
-@FUZZ
 @given(
     content=st.one_of(
         st.binary(max_size=200),

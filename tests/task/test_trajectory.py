@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from panda_cosim import InputError, TableRow, Trajectory, TrajectoryTable, load_scenario
@@ -29,7 +29,6 @@ STEP = 1e-6  # s, of that difference
 POSITION, QUATERNION, VELOCITY, OMEGA = map(slice, (0, 3, 7, 10), (3, 7, 10, 13))
 GRIP = 13
 
-FEW = settings(max_examples=25, deadline=None)
 number = st.floats(-1.0, 1.0)
 quaternions = st.tuples(number, number, number, number).filter(lambda q: np.linalg.norm(q) > 0.1)
 
@@ -65,7 +64,6 @@ def angle_between(a: Array, b: Array) -> Array:
     return np.linalg.norm(rotations.log(rotations.multiply(b, rotations.conjugate(a))), axis=-1)
 
 
-@FEW
 @given(trajectories())
 def test_each_row_is_reached_at_its_time_and_outside_the_hand_stays(trajectory):
     commands = trajectory.sample(trajectory.times)
@@ -81,7 +79,6 @@ def test_each_row_is_reached_at_its_time_and_outside_the_hand_stays(trajectory):
         assert (commands[:, GRIP] == trajectory.grips[row]).all()
 
 
-@FEW
 @given(trajectories(("quintic", "spline")))
 def test_velocities_are_the_difference_quotients_of_the_poses(trajectory):
     times = inner_times(trajectory)
@@ -94,7 +91,6 @@ def test_velocities_are_the_difference_quotients_of_the_poses(trajectory):
     assert np.abs(ahead - behind)[:, 7:13].max() < 1e-2  # no jump, in 2 us
 
 
-@FEW
 @given(trajectories(("linear", "quintic")))
 def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory):
     """Its quaternions keep length one, and their sign."""
@@ -117,7 +113,6 @@ def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory):
         assert turned.max() <= whole + 1e-7
 
 
-@FEW
 @given(trajectories(), st.integers(0, 4000))
 def test_the_grip_holds_from_its_row_on(trajectory, millis):
     time = millis * 1e-3
@@ -142,7 +137,6 @@ yaws = st.floats(-0.78, 0.78)  # rad; the block is square, so more turns are the
 offsets = st.tuples(number, number, number)
 
 
-@FEW
 @given(st.lists(st.tuples(offsets, st.none() | quaternions), min_size=2, max_size=4), yaws)
 def test_aligned_rows_are_the_same_seen_from_the_block(rows, yaw):
     table = TrajectoryTable(
@@ -165,7 +159,6 @@ def test_aligned_rows_are_the_same_seen_from_the_block(rows, yaw):
         assert angle_between(back[whole], plain[whole, QUATERNION]).max() < 1e-7
 
 
-@FEW
 @given(yaws)
 def test_alignment_leaves_world_and_home_rows_alone(yaw):
     table = TrajectoryTable(
@@ -223,7 +216,6 @@ def test_parts_hold_what_the_whole_does(name, part, monkeypatch):
     assert bool(scenario.push) == (made.shape[1] == 17)
 
 
-@FEW
 @given(st.integers(0, 7000), st.integers(0, 7000))
 def test_a_slice_is_cut_off_as_that_of_an_array(start, stop):
     assert len(INPUTS[start:stop]) == len(range(INPUTS.shape[0])[start:stop])
