@@ -20,7 +20,7 @@ except OSError:  # on ARM
 
 from ..errors import SimulationError
 from ..interface.variables import Value
-from .calls import DISCARD, Experiment, OnMessage, StepCall, receive, unheard
+from .calls import DISCARD, WARNING, Experiment, OnMessage, StepCall, receive, unheard
 from .fmu import FmuSlave
 from .fmu_file import Fmu
 from .wiring import Array, Exchange
@@ -133,9 +133,21 @@ class Fmi3Slave(FmuSlave):
     def _instantiate(self, instance: Any) -> None:
         self._sent: list[list[Any]] = []  # last values of discrete inputs
         self._kept: dict[int, list[list[Any]]] = {}  # these, with a state
-        self.has_events = bool(self.fmu.description.coSimulation.hasEventMode)
+        declared = bool(self.fmu.description.coSimulation.hasEventMode)
+        for self.has_events in (declared, False):  # a public FMU (Roberts) refuses what it declares
+            instance.component = self._made(instance)
+            if instance.component:
+                break
+        else:
+            raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
+        if declared and not self.has_events:
+            text = "it refuses the event mode that it declares, and is run without"
+            self.log.take(WARNING, text)
+
+    def _made(self, instance: Any) -> Any:
+        """Make the instance; None: the FMU refuses."""
         # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.
-        instance.component = instance.fmi3InstantiateCoSimulation(
+        return instance.fmi3InstantiateCoSimulation(
             self.name.encode(),
             self.fmu.guid.encode(),
             f"{self.fmu.folder / 'resources'}/".encode(),
@@ -149,8 +161,6 @@ class Fmi3Slave(FmuSlave):
             _LOGGER3,
             fmi3.fmi3IntermediateUpdateCallback(),
         )
-        if not instance.component:
-            raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
 
     def _set_up(self, values: Mapping[str, Value], experiment: Experiment) -> None:
         structural = {n: v for n, v in values.items() if n in self.fmu.structural}

@@ -90,8 +90,12 @@ class Parameters:
         if causality not in ("parameter", "input") and not scalar.variable.has_start:
             must = "parameter or input, or initial exact or approx"
             raise InputError(f"{given.place}: causality {causality}; must be {must}")
-        value = read_value(f"{given.place} =", scalar.variable, given.text)
-        linear = self._document.linear(given.place, given.entry)
+        change, text, linear = choice(given.entry), given.text, PLAIN
+        if change is not None and local(change).endswith("MappingTransformation"):
+            text = _mapped(change, text, given.place)
+        else:
+            linear = self._document.linear(given.place, given.entry)
+        value = read_value(f"{given.place} =", scalar.variable, text)
         first = Link(("", ""), linear, converts_units(given.entry))
         links = [(chain[0], first), *((end, structure.links[end]) for end in chain[1:])]
         factor, offset = structure.linear(given.place, given.unit, links)
@@ -146,6 +150,16 @@ def _paired(place: str, targets: list[Any], texts: list[str]) -> Iterator[tuple[
     if len(texts) != len(targets):
         refuse(f"{place}: number of values", len(texts), f"must be {len(targets)}")
     return zip(targets, texts, strict=True)
+
+
+def _mapped(change: ET.Element, text: str, place: str) -> str:
+    """What a mapping of Booleans, Integers or Enumerations makes of a value."""
+    words = {"1": "true", "0": "false"} if local(change).startswith("Boolean") else {}
+    entries = change.findall("ssc:MapEntry", PREFIXES)
+    table = {words.get(e.get("source", ""), e.get("source", "")): e for e in entries}
+    if words.get(text, text) not in table:
+        raise InputError(f"{place} = {text!r}; must be one of {', '.join(table)}, which are mapped")
+    return table[words.get(text, text)].get("target", "")
 
 
 def _full_name(element: str, name: str) -> str:

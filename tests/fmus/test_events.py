@@ -162,3 +162,20 @@ def test_an_output_is_left_out_by_name_unless_it_feeds_another(tmp_path):
     assert {"a.y[2,1]", "b.y[1,2]"} <= {*columns}
     told = run(tmp_path, f'left_out = ["a.y"]\n{fmus}', code=2)
     assert "left_out: a.y[2,1]: feeds b.u[1,1]; must be an output that feeds nothing" in told
+
+
+def test_an_fmu_that_refuses_the_event_mode_that_it_declares_is_run_without(tmp_path):
+    source = SOURCE.read_text(encoding="utf-8").replace(
+        "    model *m = calloc(1, sizeof *m);",
+        "    if (events) return NULL;\n    model *m = calloc(1, sizeof *m);",
+    )
+    (tmp_path / "refusing.c").write_text(source)
+    text = events(tmp_path)
+    content = {
+        "modelDescription.xml": DESCRIPTION.format(events='hasEventMode="true"'),
+        f"binaries/{fmpy.platform_tuple}/events.so": library(tmp_path / "refusing.c"),
+    }
+    pack(tmp_path / "events.fmu", content)
+    told = run(tmp_path, text)
+    assert "Warning: f: it refuses the event mode that it declares, and is run without" in told
+    assert Recording.open(tmp_path / "run")["f.updates"].tolist() == [0] * (TICKS + 1)

@@ -297,14 +297,27 @@ def test_parameters_of_higher_levels_and_later_bindings_take_precedence(tmp_path
 
 
 def test_parameter_mappings_rename_and_transform(tmp_path):
+    inverse = (
+        '<ssc:BooleanMappingTransformation><ssc:MapEntry source="true" target="false"/>'
+        '<ssc:MapEntry source="false" target="true"/></ssc:BooleanMappingTransformation>'
+    )
+    words = '<ssc:EnumerationMappingTransformation><ssc:MapEntry source="double" target="twice"/>' \
+            "</ssc:EnumerationMappingTransformation>"  # fmt: skip
     entries = mapping(
+        entry("kind", "mode", words),
+        entry("right", "flip", inverse),
         entry("gain", "k", linear(2.0, -1.0)),
         entry("load", "u[1,1]", linear(2.0, 1.0)),
         entry("load", "u[1,2]", linear(2.0), 'suppressUnitConversion="true"'),
     )
-    values = value("gain", "3") + value("load", "0.5", more='unit="kN"') + value("k", "100")
+    values = (
+        value("gain", "3") + value("load", "0.5", more='unit="kN"') + value("k", "100")
+        + value("kind", "double", "Enumeration") + value("right", "0", "Boolean")
+    )  # fmt: skip
     coupled = read(tmp_path, ssd(toy("a", more=parameters(values, mapping=entries))))
-    assert coupled.start_values == {"a": {"k": 5.0, "u[1,1]": 1001.0, "u[1,2]": 1.0}}
+    assert coupled.start_values == {
+        "a": {"k": 5.0, "u[1,1]": 1001.0, "u[1,2]": 1.0, "mode": "twice", "flip": True}
+    }
     assert not coupled.warnings  # what is not mapped is not applied
 
 
@@ -346,8 +359,8 @@ MASS = '<ssd:Connectors><ssd:Connector name="v" kind="input"><ssc:Real unit="s"/
         (ssd(A + B, wire("v", "b:u[1,1]"), MASS), "unit 's' feeds unit 'N'; must be the same"),
         (ssd(A, wire("a:y[1,1]", "a:u[1,1]", MAPS)),
          "a.u[1,1]: BooleanMappingTransformation; must be a LinearTransformation"),
-        (ssd(toy("a", more=parameters(value("k", "1"), mapping=mapping(entry("k", "flip", MAPS))))),
-         "a.flip: BooleanMappingTransformation; must be a LinearTransformation"),
+        (ssd(toy("a", more=parameters(value("k", "2"), mapping=mapping(entry("k", "flip", MAPS))))),
+         "= '2'; must be one of true, which are mapped"),
         (ssd('<ssd:SignalDictionaryReference name="d" dictionary="x"/>' + A),
          "SignalDictionaryReference 'd' of type"),
         (ssd(A.replace(TYPE, "application/x-ssp-package")), "ssp-package', implementation 'any'"),
