@@ -110,7 +110,7 @@ class Build:
     files: Mapping[Path, Make]
     experiments: Callable[[], Mapping[Path, Experiment]] = dict  # a scenario is run for them
 
-    def write(self, *, overwrite: bool) -> None:
+    def write(self, *, overwrite: bool = False) -> None:
         """Write the files; they replace older ones when all are whole."""
         check_replaceable(*self.files, overwrite=overwrite)
         experiments = self.experiments()
