@@ -59,11 +59,6 @@ class Gripper:
 
     # What a program asks for.
 
-    def connect(self, request: Request) -> None:
-        """Agree on the version, and send states from now on."""
-        self.service.agree(request)
-        self.send_state()
-
     def homing(self, request: Request) -> None:
         """Open the fingers wide."""
         self._begin(Job(request, 0.0, math.inf, OPENING_MAX))

@@ -35,7 +35,7 @@ class Request(NamedTuple):
 
 
 class Service:
-    """Listens on a port for one program at a time; its requests are methods of an owner."""
+    """Listens on a port for one program at a time; other requests are methods of an owner."""
 
     def __init__(self, protocol: Protocol, owner: Any, address: str, port: int) -> None:
         self._protocol, self._owner, self.place = protocol, owner, f"{address}:{port}"
@@ -81,7 +81,8 @@ class Service:
         self._data += received
         for number, identity, size, body in self._protocol.split(self._data):
             self._data, count = self._data[size:], count + 1
-            act = getattr(self._owner, self._protocol.requests[number][0])
+            name = self._protocol.requests[number][0]
+            act = getattr(self if name == "connect" else self._owner, name)
             act(Request(body, partial(self._answer, tcp, number, identity)))
         return count
 
@@ -91,8 +92,8 @@ class Service:
         with suppress(OSError):  # the program has gone, which is noticed where it is read from
             tcp.sendall(self._protocol.answer(number, identity, status, more))
 
-    def agree(self, request: Request) -> None:
-        """Answer `connect`: the program speaks our version, or it leaves."""
+    def connect(self, request: Request) -> None:
+        """Send states from now on, if the program speaks our version; else it leaves."""
         version, port = request.body.item()
         if version == self._protocol.version:
             assert self.program is not None
@@ -100,6 +101,7 @@ class Service:
             self._port = port
         answer = np.array(self._protocol.version, "<u2").tobytes()
         request.answer(version != self._protocol.version, answer)
+        self._owner.send_state()
 
     def send(self, packet: Message) -> None:
         """Send a packet, if a program takes them."""

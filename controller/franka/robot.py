@@ -138,11 +138,6 @@ class Robot:
 
     # What a program asks for.
 
-    def connect(self, request: Request) -> None:
-        """Agree on the version, and send states from now on."""
-        self._service.agree(request)
-        self._send_state()
-
     def move(self, request: Request) -> None:
         """Start a motion."""
         body = request.body
@@ -182,7 +177,7 @@ class Robot:
             return
         change(*(request.body or ()))
         self._measured.fill_frames(self._state)
-        self._send_state()  # before the answer, after which the program may look at it
+        self.send_state()  # before the answer, after which the program may look at it
         request.answer(Status.SUCCESS)
 
     def _recover(self) -> None:
@@ -223,13 +218,13 @@ class Robot:
             self._tell()
             self._line.serve(PAUSE)
         if self._move:
-            self._send_state()
+            self.send_state()
             due = int(self._state["message_id"])
             if self._is_opening:  # the program reads a first state before that which it answers
                 time.sleep(READING)
                 while self._move and not self._service.is_read:
                     self._line.serve(LOOK)
-                self._send_state()
+                self.send_state()
         while self._move:
             self._line.serve(SLICE, self._service.udp)
             command = self._received(due)
@@ -290,14 +285,14 @@ class Robot:
         self._answers.append(partial(self._move.answer, status))
         self._move, self._mode, self._control = None, mode, Control.OTHER
         self._braking = MOST_BRAKING
-        self._send_state()
+        self.send_state()
 
     def _brake(self) -> None:
         """Answer the requests that have ended a motion, once the arm is at rest."""
         is_moving = (np.abs(self._measured.dq) >= REST).any()
         self._braking = self._braking - 1 if self._braking and is_moving else 0
         if self._answers and not self._braking:
-            self._send_state()
+            self.send_state()
             while self._answers:
                 self._answers.pop(0)()
 
@@ -306,11 +301,11 @@ class Robot:
     def _tell(self) -> None:
         """Send states to a program that has read the last ones."""
         if not self._move and self._service.is_read:
-            self._send_state()
+            self.send_state()
         if self._gripper.service.is_read:
             self._gripper.send_state()
 
-    def _send_state(self) -> None:
+    def send_state(self) -> None:
         """Send the present state, if a program takes it."""
         state, is_moving = self._state, self._move is not None
         state["message_id"] += 1
@@ -324,20 +319,16 @@ class Robot:
     def _write(self) -> None:
         """Write the outputs."""
         y, measured, grip = self._outputs, self._measured, self._gripper.target
-        torque = self._own_torque() + measured.bias
+        bias, load = measured.bias, np.zeros(7)
         if self._control == Control.EXTERNAL:
-            torque = self._torque + self._arm.hand(measured.q).bias + measured.carrying()
-        y.ctrl[:7] = clamp(torque, -LIMITS.torque, LIMITS.torque)
+            bias, load = self._arm.hand(measured.q).bias, measured.carrying()
+        elif self._control == Control.CARTESIAN_IMPEDANCE:  # its torques are told by states, too
+            self._torque = self._cartesian_impedance.torque(self._motion)
+        else:
+            self._torque = self._joint_impedance.torque(measured, self._motion)
+        y.ctrl[:7] = clamp(self._torque + bias + load, -LIMITS.torque, LIMITS.torque)
         y.ctrl[7], y.grip_cmd[...] = CTRL_OPEN * min(grip / OPENING_MAX, 1.0), grip
         y.robot_mode[...], y.controller_mode[...] = self._mode, self._control
         y.motion_generator[...] = self._state["motion_generator_mode"]
         y.errors[...] = self._state["errors"] @ BITS
         y.success_rate[...] = self._delivery.success_rate
-
-    def _own_torque(self) -> Vector:
-        """Return the torques (7,) [N.m] of the robot's own controllers; states tell them, too."""
-        if self._control == Control.CARTESIAN_IMPEDANCE:
-            self._torque = self._cartesian_impedance.torque(self._motion)
-        elif self._control != Control.EXTERNAL:
-            self._torque = self._joint_impedance.torque(self._measured, self._motion)
-        return self._torque
