@@ -28,7 +28,6 @@ WIDEST = 10_000  # characters of a table's row
 FOLDED = 12  # characters to which a column that may wrap is narrowed at most
 COLUMN_GAP = 3  # characters between two columns
 LINE_INTERVAL = 5.0  # [s] between two lines of progress in a file
-LONGEST = 4000  # characters of an error
 
 
 class QuietConsole(Console):
@@ -125,9 +124,7 @@ def warn(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print an error as one line on standard error; of an endless one, its two ends."""
-    if len(text) > LONGEST:
-        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
+    """Print an error as one line on standard error."""
     _headed("Error", "bold red", text)
 
 

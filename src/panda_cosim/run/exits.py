@@ -19,8 +19,7 @@ from pathlib import Path
 from ..fmus.errors import SimulationError
 
 _under_way: list[tuple[int, Path | None]] = []  # thread and folder of each run of this process
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_under_way.clear)
+os.register_at_fork(after_in_child=_under_way.clear)
 
 
 @contextmanager

@@ -36,11 +36,6 @@ class Guard(NamedTuple):
     way: tuple[float, ...]  # direction of the hand (3,), world frame
 
 
-def guards_of(trajectory: Trajectory) -> list[Guard]:
-    """Return the rows that may end early, in order."""
-    return [_guard(trajectory, row) for row, until in enumerate(trajectory.untils) if until]
-
-
 def _guard(trajectory: Trajectory, row: int) -> Guard:
     place = f"row {row + 1}, column until"
     way = trajectory.positions[row] - trajectory.positions[max(row - 1, 0)]
@@ -104,7 +99,8 @@ class GuardedCommands:
         self, trajectory: Trajectory | None = None, before: GuardedCommands | None = None
     ) -> None:
         self.trajectory = trajectory  # None: a system has none
-        self.guards = guards_of(trajectory) if trajectory else []
+        untils = enumerate(trajectory.untils) if trajectory else ()
+        self.guards = [_guard(self.path, row) for row, until in untils if until]  # in order
         self.ends: list[Early] = [*before.ends] if before else []
         self._felt: list[float] = [*before._felt] if before else []
 

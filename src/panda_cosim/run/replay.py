@@ -65,9 +65,7 @@ def _apart(seen: Mapping[str, float], session: Session) -> list[str]:
     """Say how far from here a page was at its end, whose engine is another one."""
     now, about = session.numbers(), {c.name: c.unit for c in session.prepared.assembly.recorded()}
     apart = [(abs(now[name] - value), about[name], name) for name, value in seen.items()]
-    words = (
-        "t = {:.3f} s: the page, which has another engine, was {:.1e} {} from here in {} at most"
-    )
+    words = "t = {:.3f} s: the page, of another engine, was {:.1e} {} from here in {} at most"
     return [words.format(session.time, *max(apart))] if apart else []
 
 

@@ -25,7 +25,6 @@ PLOT_FILE: Final = "plot.png"
 FIGURE_FILE: Final = "figure.png"
 SHEET_FILE: Final = "contact_sheet.png"
 VIDEO_FILE: Final = "video.mp4"
-_HEADS = ("criterion", "measured", "required", "margin", "")
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,8 @@ class Run:
         """Return the verdict as a table, and the contact sheet if one was drawn."""
         summary, sheet = self.summary, self.folder / SHEET_FILE
         title = f"{summary.scenario}: {summary.brief}"
-        table = html([title], _HEADS, [cells(criterion) for criterion in summary.criteria])
+        heads = ("criterion", "measured", "required", "margin", "")
+        table = html([title], heads, [cells(criterion) for criterion in summary.criteria])
         if not sheet.is_file():
             return table
         url = _data_url(sheet, "image/png")
