@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from ...assets.fields import Array
-from ...fmus.errors import InputError, did_you_mean, excerpt
+from ...fmus.errors import InputError, excerpt
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, signal_of
@@ -57,28 +57,15 @@ def event_problems(summary: Summary, reference: Reference, steps: int) -> Iterat
 
 def signal_problems(recording: Recording, reference: Reference) -> Iterator[str]:
     """Check that the signals and their units are those of the reference."""
-    missing = _words(name for name in reference.types if name not in recording.types)
-    added = _words(name for name in recording.types if name not in reference.types)
-    for signal, words in missing.items():
-        near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
-        yield f"signal {words} is missing{near.rstrip('?')}"
-    yield from (f"signal {words} is new" for words in added.values())
+    now, before = recording.types, reference.types
+    for what, names in (("missing", before.keys() - now), ("new", now.keys() - before)):
+        if names:
+            yield f"{len(names)} columns are {what}: {signal_names(sorted(names), LISTED)}"
     units, types = (recording.units, reference.units), (recording.types, reference.types)
     for what, (now, before) in (("unit", units), ("type", types)):
         for name, word in now.items():
             if before.get(name, word) != word:
                 yield f"{name} has the {what} {word!r}, the reference {before[name]!r}"
-
-
-def _words(columns: Iterable[str]) -> dict[str, str]:
-    """Name the columns of each signal."""
-    signals = defaultdict(list)
-    for name in columns:
-        signals[signal_of(name)].append(name)
-    return {
-        signal: names[0] if len(names) == 1 else f"{signal} ({len(names)} columns)"
-        for signal, names in signals.items()
-    }
 
 
 def value_problems(recording: Recording) -> Iterator[str]:
@@ -114,6 +101,7 @@ def bit_problems(recording: Recording, reference: Reference) -> list[str]:
     return [f"bits differ: {signal_names(differing)}"] if differing else []
 
 
+LISTED: Final = 20  # signals that are missing or new
 COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
 
 
