@@ -5,10 +5,11 @@ of its instant, widened by the signal's tolerance:
 
     min r(t') - tol <= x(t) <= max r(t') + tol,  |t' - t| <= time
 
-A text must be one of those of the reference within `time`; any other is infinitely far away.
+A text must be one of those of the reference within `time`; any other, and a value that is not
+finite, is infinitely far away.
 The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
 the comparison fails. The other checks find signals that are missing, new or of another unit or
-type, values that are not finite, a different time axis or verdict and, on request, different bits.
+type, a different time axis or verdict and, on request, different bits.
 What else differs, parameters, models, versions and FMUs, is no problem, but the cause of one: see
 `causes`.
 """
@@ -24,13 +25,13 @@ from typing import Final
 import numpy as np
 
 from ...assets.fields import Array
-from ...fmus.errors import InputError, excerpt
+from ...fmus.errors import InputError
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, signal_of
 from .differences import LEAST_SHARE, Row
 from .reference import Reference, column_digest
-from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, widths
+from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, shown_at, widths
 from .wording import instant, measure, multiple, precise, signal_names
 
 
@@ -66,17 +67,6 @@ def signal_problems(recording: Recording, reference: Reference) -> Iterator[str]
         for name, word in now.items():
             if before.get(name, word) != word:
                 yield f"{name} has the {what} {word!r}, the reference {before[name]!r}"
-
-
-def value_problems(recording: Recording) -> Iterator[str]:
-    """Check that every value is finite, in all columns, compared or not."""
-    time = recording.time
-    for name in recording.columns:
-        values = recording[name]
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            more = f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
-            yield f"{name} is {values[bad[0]]} at {instant(time[bad[0]])} s{more}"
 
 
 def time_problems(time: Array, reference: Reference) -> list[str]:
@@ -217,7 +207,6 @@ def compare_with_reference(
     deviations = sorted(_deviations(recording, reference, half, ticks), key=lambda d: -d.share)
     problems = [
         *signal_problems(recording, reference),
-        *value_problems(recording),
         *time_problems(recording.time, reference),
         *verdict_problems(summary, reference),
         *event_problems(summary, reference, tolerances.events),
@@ -257,8 +246,8 @@ def _deviations(
         values, expected, tolerance = recording[name][matched], reference[name], half[name]
         distance = distances(values, rows, expected, reference.quanta.get(name, 0.0) / 2, ticks)
         worst, outside = int(np.argmax(distance)), np.flatnonzero(distance > tolerance)
-        at, before = instant(time[worst]), excerpt(expected[rows[worst]])
-        found = f"{excerpt(values[worst])} at {at} s, {before} in the reference"
+        now, before = shown_at(values, worst), shown_at(expected, int(rows[worst]))
+        found = f"{now} at {instant(time[worst])} s, {before} in the reference"
         yield Deviation(
             name=name,
             unit=reference.units.get(name, ""),

@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from ...assets.fields import Array
-from ...fmus.errors import InputError, excerpt
+from ...fmus.errors import InputError
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, flattened, signal_of
-from .tubes import TIME_SLACK, distances, widths
+from .tubes import TIME_SLACK, distances, shown_at, widths
 from .wording import instant, measure, numbers, unit_of
 
 SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
@@ -169,7 +169,7 @@ def _apart(
         if first.dtype.kind == "f":
             distance[np.isnan(first) & np.isnan(other)] = 0.0
         worst, mean = int(np.argmax(distance)), float(np.sqrt(np.mean(distance**2)))
-        text = f"{excerpt(other[worst])} instead of {excerpt(first[worst])}"
+        text = f"{shown_at(other, worst)} instead of {shown_at(first, worst)}"
         apart.append((float(distance[worst]), float(instants[worst]), mean, text))
     largest, at, rms, texts = zip(*apart, strict=True)
     row = SignalRow(name, unit, largest, at, rms, texts)

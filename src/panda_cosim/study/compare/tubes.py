@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.fields import Array
+from ...fmus.errors import excerpt
 from ...result.recording import Recording
 from ...task.tolerances import (
     EQUAL,
@@ -90,6 +91,11 @@ def distances(
     distance: Array = np.maximum(upper, lower, out=upper).clip(0.0, out=upper)
     distance[~np.isfinite(numbers)] = np.inf
     return distance
+
+
+def shown_at(values: Array, row: int) -> str:
+    """Return a value or text for a message."""
+    return excerpt(values[[row]].tolist()[0])
 
 
 def holds_constant(reference: Array, tolerance: float, ticks: int) -> bool:
