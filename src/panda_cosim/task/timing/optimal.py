@@ -39,9 +39,9 @@ from .reference import JointReference, joint_reference
 from .time_law import (
     BOUNDED,
     NODES,
+    SPIKY,
     Bounds,
     NoTimingError,
-    is_spiky,
     lowered,
     time_law,
     without_spikes,
@@ -66,16 +66,6 @@ class _Course:
     rows: NDArray[np.intp]  # the row passed last (n,)
     stops: list[int]  # ticks at which dwells and motions start, and the last one
 
-    @property
-    def starts(self) -> list[int]:
-        """The tick at which each motion starts."""
-        return self.stops[1:-1:2]
-
-    @property
-    def spans(self) -> list[slice]:
-        """The ticks of each motion, with the dwell that follows it."""
-        return [*map(slice, self.starts, [*self.starts[1:], len(self.poses)])]
-
 
 def retimed(
     trajectory: Trajectory, blends: Array, gains: Gains, load: float, share: float
@@ -92,22 +82,25 @@ def retimed(
     within: list[Timing] = []
     for number in range(MOST_ROUNDS):
         course = _course(trajectory, parts, laws)
+        starts = course.stops[1:-1:2]
         table = _table(trajectory, course)
         path = Trajectory.from_table(table, NOWHERE, interpolation="spline")
         instants = path.times[0] + STEP_SIZE * np.arange(len(course.poses))
         reference = joint_reference(path, instants, gains)
         demanded = demands(path, reference, load)
         if number:  # the first round only finds the joint motion along the path
-            shares = largest(demanded)
-            if _is_reached(reference) and max(shares.values()) <= share + ROUNDING:
+            shares, miss = largest(demanded), reference.miss
+            is_reached = miss.max() <= WAY_TOLERANCE and miss[-1] <= REACH_TOLERANCE
+            if is_reached and max(shares.values()) <= share + ROUNDING:
                 within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
-            spans = course.spans
+            # Each motion with the dwell that follows it.
+            spans = [*map(slice, starts, [*starts[1:], None])]
             during = [{name: used[span] for name, used in demanded.items()} for span in spans]
-            misses = [reference.miss[span] for span in spans]
+            misses = [miss[span] for span in spans]
             bounds = [*map(_corrected, bounds, laws, during, misses, repeat(share))]
-        joints = map(partial(_joints, reference), parts, laws, course.starts)
+        joints = map(partial(_joints, reference), parts, laws, starts)
         each = zip(parts, joints, bounds, strict=True)
         try:
             laws = [time_law(*motion, dynamics) for motion in each]
@@ -120,11 +113,6 @@ def retimed(
     return min(within, key=lambda timing: timing.cycle)
 
 
-def _is_reached(reference: JointReference) -> bool:
-    miss = reference.miss
-    return bool(miss.max() <= WAY_TOLERANCE and miss[-1] <= REACH_TOLERANCE)
-
-
 def _corrected(
     bounds: Bounds, law: Array, demanded: dict[str, Array], miss: Array, share: float
 ) -> Bounds:
@@ -135,11 +123,11 @@ def _corrected(
     """
     used = largest(demanded)
     rates = np.hstack((demanded["jerk"], demanded["torque rate"]))
-    missed = float(miss.max()) > WAY_TOLERANCE
-    spiky = is_spiky(rates)
-    if spiky:  # the window is for the rest
-        used |= {"jerk": float(without_spikes(rates).max()), "torque rate": 0.0}
-    if spiky or missed:
+    smooth = float(without_spikes(rates).max())
+    is_spiky = np.abs(rates).max() > SPIKY * smooth
+    if is_spiky:  # the window is for the rest
+        used |= {"jerk": smooth, "torque rate": 0.0}
+    if is_spiky or miss.max() > WAY_TOLERANCE:
         ticks = min(len(law), len(rates))  # the last one is the next motion's if that follows
         aim = AIM * share
         ceiling = lowered(bounds.ceiling, law[:ticks], rates[:ticks], miss[:ticks], aim)

@@ -181,11 +181,6 @@ def without_spikes(rates: Array) -> Array:
     return np.asarray(median_filter(np.abs(rates), size=(SPIKE, 1)).max(axis=1))
 
 
-def is_spiky(rates: Array) -> bool:
-    """Tell whether rates (n, joints) have spikes."""
-    return bool(np.abs(rates).max() > SPIKY * without_spikes(rates).max())
-
-
 def lowered(ceiling: Array, law: Array, rates: Array, miss: Array, aim: float) -> Array:
     """Lower the ceiling of a path's speed (g,) [m/s] where a law (n,) [m] asks too much.
 
