@@ -21,8 +21,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,7 +29,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter
 
 from ..fmus.atomic import writing
 from ..fmus.errors import InputError, located
@@ -38,7 +37,7 @@ from ..fmus.interface.parameters import ParameterValue, expand
 from ..fmus.interface.variables import Scalar, Value
 from ..fmus.master.step import SWITCHED
 from ..fmus.sources.targets import Kind
-from ..task.fields import Whole, check_choice, check_keys, field_names
+from ..task.fields import Whole, check_choice, check_keys, field_names, validated
 from ..task.files import read_text
 from ..task.scenario import MAX_STEPS
 from ..task.table import TableRow, TrajectoryTable
@@ -160,7 +159,7 @@ class Journal:
                 "Session, or the run's folder"
             )
         lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)
-        with _checked(f"{path}: line 1"):
+        with validated(f"{path}: line 1"):
             head = Head.model_validate_json(lines.readline())
         actions: list[Action] = []
         for number, line in enumerate(lines, start=2):  # ends at the first that cannot be used
@@ -170,26 +169,12 @@ class Journal:
 
 
 def _action(place: str, line: str, least: int) -> Action:
-    with _checked(place):
+    with validated(place):
         content = _OBJECT.validate_json(line)
     tick = Whole(least, MAX_STEPS).check(f"{place}: tick", content.pop("tick", None))
     name = check_choice(f"{place}: action", content.pop("action", None), _KINDS)
-    with _checked(f"{place}: {name}"):
+    with validated(f"{place}: {name}"):
         return Action(tick, _KINDS[name].model_validate(content))
-
-
-@contextmanager
-def _checked(place: str) -> Iterator[None]:
-    try:
-        yield
-    except ValidationError as error:
-        raise InputError(f"{place}: {first_problem(error)}") from None
-
-
-def first_problem(error: ValidationError) -> str:
-    """Return the first problem of what was read, in one line."""
-    first = error.errors(include_input=False, include_url=False)[0]
-    return ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
 
 
 class Adjustments:

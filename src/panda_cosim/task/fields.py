@@ -16,8 +16,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import numpy as np
@@ -182,6 +182,16 @@ def checked(cls: type[T]) -> type[T]:
 
     dataclass.__init__ = init  # type: ignore[method-assign]
     return dataclass  # type: ignore[return-value]  # a class of T's own fields
+
+
+@contextmanager
+def validated(place: object) -> Iterator[None]:
+    """Refuse what a model of pydantic's refuses, by its first problem, in one line."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_input=False, include_url=False)[0]
+        raise InputError(": ".join(map(str, (place, *first["loc"], first["msg"])))) from None
 
 
 def field_names(cls: Any) -> tuple[str, ...]:

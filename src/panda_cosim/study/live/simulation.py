@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Annotated, Final, Literal, Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, RootModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.wiring import Array
 from ...run.folder import SCENARIO_FOLDER
-from ...run.journal import JOURNAL_FILE, Release, Set, SetCoupling, first_problem
+from ...run.journal import JOURNAL_FILE, Release, Set, SetCoupling
 from ...run.session import Session
+from ...task.fields import validated
 from .page import offset_of, plan
 
 ROW: Final = 0.01  # [s] least wall time between two rows
@@ -85,10 +86,8 @@ class _Message(RootModel[Annotated[Command, Field(discriminator="do")]]):
 
 def parse_command(text: str | bytes) -> Command:
     """Read a command."""
-    try:
+    with validated("command"):
         return _Message.model_validate_json(text).root
-    except ValidationError as error:
-        raise InputError(f"command: {first_problem(error)}") from None
 
 
 def _row(session: Session) -> Array:

@@ -27,12 +27,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from ...fmus.atomic import held, replacing, temporary_folder, write_whole, writing
 from ...fmus.build.identity import code_digest, digest, package_version
 from ...fmus.errors import InputError, one_line
 from ...run.folder import write_files
+from ...task.fields import validated
 from ...task.files import read_text
 from ...task.scenario import Scenario, load_scenario
 from ...task.tolerances import flattened
@@ -120,12 +121,8 @@ class Store:
         path = self.folder / SWEEP_FILE
         if not path.exists():
             raise InputError(f"{path}: no such file; must be in the folder of a sweep")
-        try:
+        with validated(path):
             return Content.model_validate_json(read_text(path, _MAX_BYTES))
-        except ValidationError as error:
-            problem = error.errors(include_url=False)[0]
-            place = "".join(f"{part}: " for part in problem["loc"])
-            raise InputError(f"{path}: {place}{problem['msg']}") from None
 
     def kept_scenarios(self, names: Sequence[str]) -> list[Path]:
         """Return the folders of the scenarios as they were swept; none if others were."""
