@@ -85,6 +85,7 @@ def passes(out: str) -> tuple[bool | None, list[str]]:
     return run.summary.success, [row.name for row in kept.table.rows if row.name]
 
 
+@pytest.mark.long
 def test_a_wall_in_a_scene_of_its_own_is_not_touched(tmp_path):
     """The wall stands free: `max_shift` of the scenario would notice a touch of 1 N."""
     success, names = in_process(passes, str(tmp_path / "run"))
