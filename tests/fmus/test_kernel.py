@@ -26,6 +26,7 @@ from panda_cosim.run.prepare import prepare
 from panda_cosim.run.stopping import StopRequest
 from toy_fmu import INDICES, toy_fmu
 
+pytestmark = needs_compiler
 TICK = 0.001  # [s]
 ELEMENTS = st.sampled_from(INDICES)
 STEPPERS: dict[str, Callable[[], Any]] = {"in C": load_stepper, "in Python": lambda: None}
@@ -105,7 +106,6 @@ def _run(
     return "".join(rows)
 
 
-@needs_compiler
 @settings(max_examples=3, deadline=None)
 @given(st.lists(systems(), min_size=10, max_size=10))
 def test_both_give_the_same_bits(folder, plans):
@@ -123,7 +123,6 @@ def plan(version: int, **changes: Any) -> dict[str, Any]:
     } | changes  # fmt: skip
 
 
-@needs_compiler
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("act", ["warn", "discard", "error", "end", "early"])
 def test_both_end_alike(folder, version, act):
@@ -137,7 +136,6 @@ def test_both_end_alike(folder, version, act):
     assert in_c.endswith(", 3 steps") == ends
 
 
-@needs_compiler
 def test_isolated_fmus_that_step_at_once_end_as_one_after_the_other_does(folder):
     """The second has been asked for its step when the first one fails."""
     acting = plan(2, start={"toy0": {"act": "error"}}, coupling="jacobi", versions=[2, 3, 2])
@@ -146,7 +144,6 @@ def test_isolated_fmus_that_step_at_once_end_as_one_after_the_other_does(folder)
     assert "at t = 0.002 s, in FMU 'toy0'" in in_c
 
 
-@needs_compiler
 def test_both_end_at_a_value_that_is_not_finite(folder):
     spoilt = plan(2, spoilt=301)
     [[in_c, in_python]] = in_process(run, str(folder), [spoilt])
@@ -156,7 +153,6 @@ def test_both_end_at_a_value_that_is_not_finite(folder):
     )
 
 
-@needs_compiler
 @pytest.mark.parametrize("allowed", [False, True])
 def test_both_allow_the_same_values_that_are_not_finite(folder, allowed):
     """Outputs of the first toy overflow where its input is large; the other's follow."""
@@ -185,7 +181,6 @@ def shipped(names: list[str], stepper: Stepper) -> list[tuple[str, str, str]]:
     return done
 
 
-@needs_compiler
 @pytest.mark.parametrize(
     "share", [0, *(pytest.param(share, marks=pytest.mark.long) for share in range(1, 8))]
 )

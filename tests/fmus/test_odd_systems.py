@@ -6,6 +6,7 @@ import subprocess
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,16 +37,13 @@ def cache(tmp_path_factory):
         yield
 
 
-def run(
-    ssp: Path, out: Path, *arguments: str, cwd: Path | None = None, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    options = ("--no-video", *arguments)
-    return command("run", "--system", ssp, "--out", out, *options, cwd=cwd, **environment)
+def run(ssp: Path, out: Path, *arguments: str, **more: Any) -> str:
+    """Run a system; returns what is told."""
+    return command("run", "--system", ssp, "--out", out, "--no-video", *arguments, **more).stderr
 
 
-def recorded(ssp: Path, out: Path, *arguments: str, **environment: str) -> Recording:
-    done = run(ssp, out, *arguments, **environment)
-    assert done.returncode == 0, done.stderr
+def recorded(ssp: Path, out: Path, *arguments: str) -> Recording:
+    run(ssp, out, *arguments, code=0)
     return Recording.open(out)
 
 
@@ -71,9 +69,8 @@ def test_names_that_would_be_one_column_are_refused(tmp_path):
     one = odd_fmu(tmp_path / "one.fmu", outputs("b.c"))
     other = odd_fmu(tmp_path / "other.fmu", outputs("c"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"a": one, "a.b": other}, {"a": ["b.c"], "a.b": ["c"]})
-    done = run(ssp, tmp_path / "run")
-    assert done.returncode == 2
-    assert "'a' and 'a.b': 'b.c' and 'c' would both be column a.b.c of the rec" in done.stderr
+    told = run(ssp, tmp_path / "run", code=2)
+    assert "'a' and 'a.b': 'b.c' and 'c' would both be column a.b.c of the rec" in told
     assert not (tmp_path / "run").exists()
 
 
@@ -134,10 +131,10 @@ def test_what_can_be_instantiated_once_is_instantiated_once(tmp_path):
     flag = ' canBeInstantiatedOnlyOncePerProcess="true"'
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"), flag)
     twice = odd_ssp(tmp_path / "twice.ssp", {"a": fmu, "b": fmu}, {"a": ["y"], "b": ["y"]})
-    done = run(twice, tmp_path / "twice")
-    told = f"{twice}: component 'b' (resources/odd.fmu): 'a' and 'b' are both instances of it"
-    assert told in " ".join(done.stderr.split())
-    assert "--isolate" in done.stderr
+    told = " ".join(run(twice, tmp_path / "twice", code=2).split())
+    where = f"{twice}: component 'b' (resources/odd.fmu)"
+    assert f"{where}: 'a' and 'b' are both instances of it" in told
+    assert "--isolate" in told
     recorded(twice, tmp_path / "isolated", "--isolate")
     recorded(odd_ssp(tmp_path / "once.ssp", {"a": fmu}, {"a": ["y"]}), tmp_path / "once")
 
@@ -181,9 +178,7 @@ def test_check_names_what_run_would_warn_of(tmp_path):
     one = odd_fmu(tmp_path / "one.fmu", outputs("y"), "", experiment, varies="false")
     two = odd_fmu(tmp_path / "two.fmu", outputs("y"))
     scenario = scenario_of(tmp_path / "x", [one, two])
-    checked = command("check", scenario)
-    said = " ".join(checked.stdout.split())
-    assert checked.returncode == 0
+    said = " ".join(command("check", scenario, code=0).stdout.split())
     assert "its FMUs are not connected" in said
     assert "good" not in said
     warning = "one: supports a single step size, 0.01 s; steps of 0.001 s may be refused"
@@ -199,14 +194,12 @@ def run_of(scenario: Path) -> subprocess.CompletedProcess[str]:
 def test_an_fmu_that_changes_the_directory_and_talks_a_lot_loses_nothing(tmp_path, isolate):
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
-    done = run(ssp, Path("run"), "--plot", *isolate, cwd=tmp_path, ACT="chdir")
-    assert done.returncode == 0, done.stderr
+    run(ssp, Path("run"), "--plot", *isolate, cwd=tmp_path, ACT="chdir", code=0)
     assert Recording.open(tmp_path / "run").complete
     files = {p.name for p in (tmp_path / "run").iterdir()}
     assert files == {"recording.parquet", "scenario", "summary.json", "plot.png"}
-    done = run(ssp, tmp_path / "flood", *isolate, ACT="chatter")
-    assert done.returncode == 0, done.stderr
-    first, *others, last = (line for line in done.stderr.splitlines() if "Warning: c: " in line)
+    told = run(ssp, tmp_path / "flood", *isolate, ACT="chatter", code=0)
+    first, *others, last = (line for line in told.splitlines() if "Warning: c: " in line)
     assert (first[-17:], len(others)) == ("this is warning 0", 99)
     assert last.endswith("further messages are left out")
 
@@ -221,9 +214,7 @@ def test_an_fmu_that_changes_the_directory_and_talks_a_lot_loses_nothing(tmp_pat
 def test_a_negative_status_is_a_failure(tmp_path, fault, told):
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
-    done = run(ssp, tmp_path / "run", ACT=fault)
-    assert done.returncode == 1, done.stderr
-    assert told in done.stderr
+    assert told in run(ssp, tmp_path / "run", ACT=fault, code=1)
 
 
 # Values to start from.
@@ -281,9 +272,8 @@ def toy_scenario(folder: Path, act: str, fmi: int = 2, duration: float = 0.01) -
 def test_a_failure_tells_what_the_fmu_said_in_the_call_and_warned_before(tmp_path, fmi, how):
     folder = toy_scenario(tmp_path / "toys", "explain", fmi)
     options = ["--isolate"] if how == "isolate" else ["--master", how]
-    done = command("run", folder, "--out", tmp_path / "run", "--no-video", "--log", "a", *options)
-    *before, error = done.stderr.splitlines()
-    assert done.returncode == 1
+    words = ("run", folder, "--out", tmp_path / "run", "--no-video", "--log", "a", *options)
+    *before, error = command(*words, code=1).stderr.splitlines()
     said = "step 3 is small; singular matrix; see the manual"
     name = f"fmi{fmi}DoStep"
     assert f"at t = 0.002 s, in FMU 'a': {name} returned Error: {said}; the record" in error
@@ -299,8 +289,7 @@ def test_a_failure_tells_what_the_fmu_said_in_the_call_and_warned_before(tmp_pat
 
 
 def test_log_names_an_fmu(tmp_path):
-    done = command("run", toy_scenario(tmp_path / "toys", ""), "--log", "b")
-    assert done.returncode == 2
+    done = command("run", toy_scenario(tmp_path / "toys", ""), "--log", "b", code=2)
     assert "--log: value 'b'; must be one of a" in done.stderr
 
 
@@ -328,8 +317,7 @@ def test_a_library_that_another_one_lacks_is_named(tmp_path):
         for name, file in members.items():
             archive.writestr(name, file.read_bytes() if file else described)
     said = "its library needs libabsent.so, which is not on this machine"
-    done = command("run", folder, "--out", tmp_path / "run", "--no-video")
-    assert done.returncode == 2
+    done = command("run", folder, "--out", tmp_path / "run", "--no-video", code=2)
     assert said in done.stderr
     assert said in " ".join(command("check", folder, code=2).stdout.split())
     assert not (tmp_path / "run").exists()

@@ -265,16 +265,18 @@ def test_a_type_that_loses_values_must_be_asked_for(tmp_path, to, of, asks):
 def test_types_are_converted_where_that_is_asked_for(tmp_path):
     text = """[connect]
 "b.Int8_input" = "convert(a.Float64_discrete_output)"
+"b.Int16_input" = "convert(a.Float64_continuous_output)"
 "b.Int64_input" = "convert(a.Boolean_output)"
 "b.Boolean_input" = "convert(a.Int32_output)"
 [inputs]
 "a.Float64_discrete_input" = -2.6
+"a.Float64_continuous_input" = 3.5
 "a.Boolean_input" = true
 "a.Int32_input" = 7
 """
     folder = write(tmp_path, dict.fromkeys("ab", "fmi3/Feedthrough"), text)
     recording = run(folder)
-    for name, value in {"Int8": -3.0, "Int64": 1, "Boolean": 1.0}.items():
+    for name, value in {"Int8": -3.0, "Int16": 4.0, "Int64": 1, "Boolean": 1.0}.items():
         assert recording[f"b.{name}_output"][1:].tolist() == [value] * TICKS
     done = command("run", folder, "--out", tmp_path / "2", *QUIET,
                    "--set", "inputs.a.Float64_discrete_input=200", code=2)  # fmt: skip

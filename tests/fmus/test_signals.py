@@ -19,6 +19,7 @@ from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import check_folder, rehearse
 from toy_fmu import UNITS, library, toy_fmu
 
+pytestmark = needs_compiler
 STEP, TICKS = 0.1, 20  # s
 TIMES = STEP * np.arange(TICKS + 1)
 
@@ -56,7 +57,6 @@ FAHRENHEIT = '<BaseUnit K="1" factor="0.5555555555555556" offset="255.3722222222
 TON, SHORT_TON = (f'<BaseUnit kg="1" factor="{factor}"/>' for factor in (1000, 907.18474))
 
 
-@needs_compiler
 def test_differences_of_temperatures_have_no_offset(tmp_path):
     measuring(tmp_path / "a.fmu", 2, "degC", CELSIUS)
     measuring(tmp_path / "b.fmu", 3, "K", '<BaseUnit K="1"/>')
@@ -91,7 +91,6 @@ def sizes_fmu(path: Path) -> None:
     pack(path, {"modelDescription.xml": text, binary: library(source)})
 
 
-@needs_compiler
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_structural_parameters_give_arrays_their_sizes(tmp_path, isolate):
     sizes_fmu(tmp_path / "it.fmu")
@@ -105,7 +104,6 @@ def test_structural_parameters_give_arrays_their_sizes(tmp_path, isolate):
     assert "it.u: a list of 5; must be one number for all, or 4 values" in done.stderr
 
 
-@needs_compiler
 def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path):
     sizes_fmu(tmp_path / "it.fmu")
     fixed = 'modelIdentifier="sizes" fixedInternalStepSize="0.4"'
@@ -117,16 +115,6 @@ def test_an_fmu_of_one_step_size_is_asked_with_it(tmp_path):
     assert "it: supports a single step size, 0.4 s: 4 system steps" in " ".join(done.stdout.split())
 
 
-@needs_compiler
-@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_a_step_that_returns_early_is_taken_to_its_end(tmp_path, isolate):
-    toy_fmu(tmp_path / "it.fmu", 3)
-    text = '[fmus]\nit = "it.fmu"\n[inputs]\n"it.u" = 0.5\n[parameters.it]\nact = "early"\n'
-    recording = run(tmp_path, text, *isolate)
-    np.testing.assert_allclose(recording["it.y[2,3]"], 0.5 + TIMES, rtol=1e-15)
-
-
-@needs_compiler
 def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path):
     clocked = (
         '<Clock name="tick" valueReference="17" causality="input" intervalVariability="triggered"/>'
@@ -140,7 +128,6 @@ def test_clocks_and_clocked_variables_are_left_out_with_a_line(tmp_path):
     assert "it: clocks are not supported; left out: tick, w" in said
 
 
-@needs_compiler
 @pytest.mark.parametrize(
     ("output", "input_", "suggested"),
     [
@@ -160,7 +147,6 @@ def test_check_suggests_connections_that_nearly_fit(tmp_path, output, input_, su
     assert (line in said) == suggested
 
 
-@needs_compiler
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path, isolate):
     """It refuses to go back otherwise. The loop y = 0.5 y + t has the solution y = 2 t."""
@@ -171,7 +157,6 @@ def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path, isolate):
     np.testing.assert_allclose(recording["it.y[2,2]"], 2.0 * TIMES, atol=1e-9)
 
 
-@needs_compiler
 def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
     toy_fmu(tmp_path / "it.fmu", 3)
     text = 'duration = 1.0\ncoupling = "iterated"\n[fmus]\nit = "it.fmu"\n'
@@ -224,7 +209,6 @@ def said(folder: Path) -> str:
     return " | ".join(f"{each.level} {each.text}" for each in check_folder(folder))
 
 
-@needs_compiler
 @pytest.mark.own_process
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize(
@@ -256,7 +240,6 @@ def test_values_are_converted_or_the_user_is_told(tmp_path, fmi, one, other, wan
     assert recording.units["b.y[1,2]"] == other[0]
 
 
-@needs_compiler
 @pytest.mark.own_process
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_what_cannot_be_converted_is_refused_unless_it_is_asked_for(tmp_path, fmi):
@@ -303,7 +286,6 @@ ENUMERATED = (
 )
 
 
-@needs_compiler
 @pytest.mark.own_process
 def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path):
     """The integer counts from its parameter on: -1, 0, 1."""
@@ -319,26 +301,6 @@ def test_an_integer_feeds_an_enumeration_while_it_is_one_of_its_numbers(tmp_path
     assert run.recording["b.z"][1] == 0.0  # -1, and one step
 
 
-@needs_compiler
-@pytest.mark.own_process
-@pytest.mark.parametrize("start", [-2.6, -2.5, -2.4, 0.0])
-def test_numbers_become_integers_and_booleans_by_one_rule(tmp_path, start):
-    odd_fmu(tmp_path / "a.fmu", [("p", "Real", "parameter", 0), ("y", "Real", "output", 100)])
-    taking = [("i", "Integer", "input", 0), ("b", "Boolean", "input", 1)]
-    odd_fmu(tmp_path / "b.fmu", [
-        *taking, ("oi", "Integer", "output", 100), ("ob", "Boolean", "output", 101),
-    ])  # fmt: skip
-    (tmp_path / "scenario.toml").write_text(
-        'duration = 0.006\ncoupling = "jacobi"\n[fmus]\na = "a.fmu"\nb = "b.fmu"\n[connect]\n'
-        f'"b.i" = "convert(a.y)"\n"b.b" = "convert(a.y)"\n[parameters.a]\np = {start}\n'
-    )
-    recording = rehearse(prepare(load_scenario(tmp_path))).recording
-    whole = [round(value) for value in recording["a.y"][:-1]]
-    assert recording["b.oi"][1:].tolist() == [n + k for k, n in enumerate(whole, 1)]
-    assert recording["b.ob"][1:].tolist() == [n != 0 for n in whole]
-
-
-@needs_compiler
 def test_an_unknown_unit_in_a_parameter_set_is_told_and_refuses_nothing(tmp_path):
     toy = toy_fmu(tmp_path / "toy.fmu", 2)
     values = '<ssv:Parameter name="u[1,1]"><ssv:Real value="0.5" unit="[N]"/></ssv:Parameter>'
