@@ -171,7 +171,7 @@ class Kernel:
             caller.refuse_early(time, reached)
         elif status == EVENT:
             caller.meet_event(time)
-        elif caller is not None:
+        else:
             caller.fail(status, time)
 
     def _add(self, action: int, caller: Any, **fields: int | None) -> None:

@@ -8,7 +8,7 @@ their instant. Next gives way what is fed by outputs that depend on no input. Th
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -68,20 +68,18 @@ def shown(order: Sequence[str], held: Sequence[str]) -> str:
     return f"FMUs are stepped in the order {', '.join(order)}{more}"
 
 
-def by_variable(connections: Iterable[Connection]) -> list[tuple[str, str, Ends]]:
-    """Return sources and targets as variables, with ranges of indices, and one of their pairs."""
+def by_variable(connections: Iterable[Connection]) -> Iterator[tuple[str, str, Ends]]:
+    """Yield sources and targets as variables, with ranges of indices, and one of their pairs."""
 
     def key(connection: Connection) -> tuple[tuple[str, int], ...]:
         ends = (connection.source, connection.target)
         return tuple((f"{fmu}.{n.partition('[')[0]}", len(_indices(n))) for fmu, n in ends)
 
-    rows = []
     for ((source, _), (target, _)), group in groupby(connections, key):
         wires = list(group)
         sources, targets = ([getattr(w, end)[1] for w in wires] for end in ("source", "target"))
         ends = (wires[0].source, wires[0].target)
-        rows.append((source + _span(sources), target + _span(targets), ends))
-    return rows
+        yield source + _span(sources), target + _span(targets), ends
 
 
 def _indices(name: str) -> list[int]:

@@ -145,7 +145,7 @@ def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
         ('name="jac[1,1]" kind="output"', 'name="jac[1,1]" kind="input"', "from an output to"),
         ('source="resources/PandaPlant.fmu"', 'source="../PandaPlant.fmu"', "a file inside"),
         ('source="resources/PandaPlant.fmu"', 'source="resources/x.fmu"', "must be a file inside"),
-        ('source="resources/PandaPlant.fmu"', 'source="SystemStructure.ssd"', "d.ssp: Sy"),
+        ('source="resources/PandaPlant.fmu"', 'source="SystemStructure.ssd"', "not a valid zip"),
         ('type="application/x-fmu-sharedlibrary"', 'type="x"',
          "of type 'x', implementation 'any'; must be a System, or a"),
         ('name="controller"', 'name="plant"', "component name 'plant'; must be given, and unique"),
