@@ -1,5 +1,6 @@
 """The interface of a real robot, with real clients: motions, reflexes, gripper, and bad clients."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from franka_clients import JOINTS, TICKS, UPWARDS
 from franka_support import MOST_TICKS, Coupled, claimed_address, couple, needs_clients
+from panda_cosim import Options, load_scenario
 from panda_cosim.assets.checks import CHECKS
 from panda_cosim.assets.franka import HOME_Q, ROBOTS
 from panda_cosim.controller.franka import line, wire
@@ -18,6 +20,7 @@ from panda_cosim.controller.franka.line import Service
 from panda_cosim.controller.franka.motions import MOTIONS, Kinematics
 from panda_cosim.controller.franka.signals import Settings
 from panda_cosim.controller.model import ArmModel
+from panda_cosim.run.prepare import prepare
 
 FRICTION = 1.5e-3  # [rad] that the joints' friction keeps a stiff spring from its reference
 PLACE = 1e-3  # [m] within which the end effector follows a slow motion
@@ -336,6 +339,13 @@ def test_it_does_not_wait_for_ever_for_a_client() -> None:
     assert made.failed
     assert made.ended.startswith("no program has connected to 127.0.2.")
     assert made.ended.endswith(":1337 for 0.2 s")
+
+
+def test_without_a_client_a_run_waits_as_long_as_it_may_take() -> None:
+    alone = replace(load_scenario("franky_pick"), client=None)
+    for limit, patience in ((None, 0.0), (2.0, 2.0)):
+        values = prepare(alone, Options(waits=True, time_limit=limit)).start_values()
+        assert values["controller"]["connection_timeout"] == patience
 
 
 def test_a_port_in_use_is_refused() -> None:

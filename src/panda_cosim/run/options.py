@@ -35,8 +35,8 @@ class Options:
             steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
         master: What steps the FMUs: "kernel", in C where it can, or "fmpy", by FMPy's methods.
         profile: Measure the time of each FMU by call, for the summary.
-        waits: Whether FMUs that listen wait for ever for a program that somebody starts; else, or
-            if the scenario has a client, for 30 s.
+        waits: Whether FMUs that listen wait for a program that somebody starts, for ever or for
+            `time_limit`; else, or if the scenario has a client, for 30 s.
         log: FMUs, by instance, all of whose messages go to standard error as they come.
 
     Raises:

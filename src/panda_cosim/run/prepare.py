@@ -90,7 +90,9 @@ class Prepared:
         values = assembly.changed(self.values, self.scenario.sections)
         for (instance, name), driven in assembly.driven.items():
             values[instance][name] = driven.at_start(assembly.start_time)
-        patience = PATIENCE if self.scenario.client or not self.options.waits else 0.0
+        patience = PATIENCE
+        if self.options.waits and not self.scenario.client:
+            patience = self.options.time_limit or 0.0  # 0: for ever
         for instance, (address, _) in self.listening.items():
             values[instance]["address"] = address
             if "connection_timeout" not in self.scenario.sections.get(instance, {}):
