@@ -314,7 +314,7 @@ def test_columns_of_the_trajectory_s_table_drive_inputs(tmp_path):
         ("time,it.Int8_input\n1,1\n0,2\n", "line 3: time: value '0'; must be a number, and not"),
         ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
         ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no FMU 'that'; valid: it"),
-        ("t,it.Int8_input\n0,1\n", "line 1: columns 't,it.Int8_input'; must be time, and inputs"),
+        ("t,it.Int8_input\n0,1\n", "line 1: columns: value 't,it.Int8_input'; must be time"),
         ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
     ],
 )

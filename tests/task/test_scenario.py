@@ -38,7 +38,6 @@ BAD_SCENARIOS = {
     "purpose of two lines": ('duration = 1.0\npurpose = "a\\nb"\n', "must be one line of at most"),
     "plant no section": (GOOD + "plant = 3\n", "key plant: must be a section [plant]"),
     "parameter dotted": (GOOD + "[plant]\nblock.mass = 1\n", "[plant] block: is a section"),
-    "parameter list empty": (GOOD + "[plant]\nblock_pos = []\n", "must hold at least one number"),
     "scene among parameters": (GOOD + '[plant]\nscene = "tutorial"\n', "must stand at the top"),
     "place far away": (
         GOOD + "[success]\nblock_position = [600, 0, 0]\nposition_tolerance = 0.1\n",

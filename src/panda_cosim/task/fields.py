@@ -83,10 +83,10 @@ class Whole(_Field):
     def __call__(self, value: object) -> int:
         """Return the number."""
         number = Quantity()(value)
-        if self.low <= number <= self.high and number == int(number):
-            return int(number)
-        span = f"from {self.low} to {self.high}"
-        raise ValueError(f"value {excerpt(value)}; must be a whole number {span}")
+        if not (self.low <= number <= self.high and number == int(number)):
+            must = f"must be a whole number from {self.low} to {self.high}"
+            refuse("", value, must, error=ValueError)
+        return int(number)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,8 +124,7 @@ class Line(_Field):
     def __call__(self, value: object) -> str:
         """Return the text."""
         if not (isinstance(value, str) and len(value) <= _MAX_TEXT and value.isprintable()):
-            must = f"must be one line of at most {_MAX_TEXT} characters"
-            refuse("", value, must, error=ValueError)
+            refuse("", value, f"must be one line of at most {_MAX_TEXT} characters", (), ValueError)
         return value
 
 
@@ -143,8 +142,6 @@ class Value(_Field):
         if not isinstance(value, Sequence | np.ndarray):
             number = Quantity()(value)
             return int(value) if isinstance(value, int) and abs(value) > 2**53 else number
-        if not len(value):
-            raise ValueError("value []; must hold at least one number")
         return numbers(value, Quantity())
 
 

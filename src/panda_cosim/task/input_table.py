@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-from ..fmus.errors import InputError, excerpt, located, refuse
+from ..fmus.errors import InputError, located, refuse
 from ..fmus.reading import finite_number
 from .files import MAX_BYTES, Csv, csv_text, parse_csv, read_text
 
@@ -58,5 +58,4 @@ class InputTable:
 
 def _check_names(names: Sequence[str]) -> None:
     if "time" not in names:
-        listed = excerpt(",".join(names))
-        raise InputError(f"columns {listed}; must be time, and inputs as FMU.INPUT")
+        refuse("columns", ",".join(names), "must be time, and inputs as FMU.INPUT")
