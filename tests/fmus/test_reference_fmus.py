@@ -110,21 +110,6 @@ def test_an_algebraic_loop_is_named(tmp_path):
     assert "algebraic loop" in done.stderr
 
 
-LOOP = """coupling = "iterated"
-[fmus]
-a = "{0}/fmi3/StateSpace.fmu"
-b = "{0}/fmi3/StateSpace.fmu"
-[connect]
-"a.u[1]" = "b.y[1]"
-"b.u[1]" = "a.y[1]"
-[parameters.a]
-A = {1}
-D = {2}
-[parameters.b]
-A = {1}
-"""
-
-
 def test_a_loop_without_a_solution_names_the_time_and_the_output(tmp_path):
     """The first of y = D u is y[1] = u[1] + 2, and u[1] = y[1]."""
     text = (f'coupling = "iterated"\n[fmus]\nit = "{REFERENCE_FMUS}/fmi3/StateSpace.fmu"\n'
@@ -133,43 +118,6 @@ def test_a_loop_without_a_solution_names_the_time_and_the_output(tmp_path):
     (tmp_path / "scenario.toml").write_text(f"duration = 1.0\nstep = 1.0\n{text}")
     done = command("run", tmp_path, "--out", tmp_path / "run", *QUIET, code=1)
     assert "at t = 0.000 s, in FMU 'it', variable y[1]: coupling" in done.stderr
-
-
-@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_a_loop_is_solved_by_iteration(tmp_path, isolate):
-    """In FMPy, each alone takes every step to its output with the other's at the step's end."""
-    matrices = {"A": [-0.5, 0.3, 0.0, 0.0, -0.25, 0.0, 0.1, 0.0, -0.1],
-                "D": [-0.6, 0.0, 0.0, 0.0, -0.6, 0.0, 0.0, 0.0, -0.6]}  # fmt: skip
-    text = LOOP.format(REFERENCE_FMUS, matrices["A"], matrices["D"])
-    (tmp_path / "scenario.toml").write_text(f"duration = 10.0\nstep = 1.0\n{text}")
-    recording = run(tmp_path, *isolate)
-    for name, other, values in (("a", "b", matrices), ("b", "a", {"A": matrices["A"]})):
-        inputs = recording[f"{other}.y[1]"][1:]
-        np.testing.assert_allclose(
-            recording[f"{name}.y"][1:], _driven_in_fmpy(values, inputs), rtol=1e-6
-        )
-    assert np.ptp(recording["a.y[1]"]) > 1.0
-    assert (recording["coupling.iterations"][1:] > 1).all()
-
-
-def _driven_in_fmpy(values: Mapping[str, list[float]], inputs: Sequence[float]) -> list[Any]:
-    """Outputs of StateSpace after each step of 1 s, whose input u[1] is given."""
-    path = REFERENCE_FMUS / "fmi3" / "StateSpace.fmu"
-    description = fmpy.read_model_description(path)
-    references = {v.name: v.valueReference for v in description.modelVariables}
-    slave = fmpy.instantiate_fmu(fmpy.extract(path), description, "CoSimulation")
-    for name, matrix in values.items():
-        slave.setFloat64([references[name]], matrix)
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
-    rows = []
-    for k, value in enumerate(inputs):
-        slave.setFloat64([references["u"]], [value, 2.0, 3.0])
-        slave.doStep(float(k), 1.0)
-        rows.append(slave.getFloat64([references["y"]], 3))
-    slave.terminate()
-    slave.freeInstance()
-    return rows
 
 
 # Feedthrough, whose outputs are its inputs, in all types.

@@ -149,12 +149,15 @@ def test_check_suggests_connections_that_nearly_fit(tmp_path, output, input_, su
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_an_fmu_is_told_that_its_steps_are_repeated(tmp_path, isolate):
-    """It refuses to go back otherwise. The loop y = 0.5 y + t has the solution y = 2 t."""
+    """It refuses to go back otherwise. The loop y = 0.5 z + t, z = 0.5 y + t has y = z = 2 t."""
     states = 'modelIdentifier="toy" canGetAndSetFMUState="true"'
     described(toy_fmu(tmp_path / "it.fmu", 3), ('modelIdentifier="toy"', states))
-    text = '[fmus]\nit = "it.fmu"\n[connect]\n"it.u" = "it.y"\n[parameters.it]\nk = 0.5\n'
-    recording = run(tmp_path, f'coupling = "iterated"\n{text}', *isolate)
-    np.testing.assert_allclose(recording["it.y[2,2]"], 2.0 * TIMES, atol=1e-9)
+    text = 'coupling = "iterated"\n[fmus]\na = "it.fmu"\nb = "it.fmu"\n[connect]\n"a.u" = "b.y"\n'
+    text += '"b.u" = "a.y"\n[parameters.a]\nk = 0.5\n[parameters.b]\nk = 0.5\n'
+    recording = run(tmp_path, text, *isolate)
+    for name in ("a", "b"):
+        np.testing.assert_allclose(recording[f"{name}.y[2,2]"], 2.0 * TIMES, atol=1e-9)
+    assert (recording["coupling.iterations"][1:] > 1).all()
 
 
 def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
