@@ -207,6 +207,9 @@ def test_a_suite_judges_the_sweeps_in_it(swept, tmp_path):
     assert (tmp_path / "report" / "runs" / "short (sweep)" / "report.html").is_file()
     assert "success rate 75 %" in (tmp_path / "report" / "junit.xml").read_text()
     assert cli(*regress, "--no-sweeps").returncode == 0
+    tests = run_pytest(swept.parent, "-v", "--panda-scenarios", "mine", "mine")
+    assert "1 failed, 1 passed" in tests.stdout, tests.stdout + tests.stderr
+    assert "short (sweep): missed: success rate 75 %, required 76 %" in tests.stdout
     sweep.write_text(SWEEP.replace("min_success", "# min_success"))
     for more, code, words in (
         ((), 1, "sweep.toml: min_success is missing; must be above 0 in a suite"),
@@ -244,14 +247,6 @@ def test_a_new_scenario_notices_what_its_template_used_to_hide(tmp_path):
     assert cli(*regress, "--update", "--yes").returncode == 0
     for change in ("plant.block_friction=0.5", "plant.payload=0.05", "controller.kp=7.5"):
         cli(*regress, "--set", change, code=1)
-
-
-def test_pytest_collects_the_sweep_of_a_scenario(swept):
-    (swept / "short" / "sweep.toml").write_text(SWEEP.replace("0.75", "0.76"))
-    jobs = ("--panda-jobs", "1")
-    tests = run_pytest(swept.parent, "-v", *jobs, "--panda-scenarios", "mine", "mine")
-    assert "1 failed, 1 passed" in tests.stdout, tests.stdout + tests.stderr
-    assert "short (sweep): missed: success rate 75 %, required 76 %" in tests.stdout
 
 
 OWN_TESTS = """

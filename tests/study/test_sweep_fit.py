@@ -114,15 +114,14 @@ def test_what_moves_the_signals_alike_is_said_and_what_does_nothing(arm, swung, 
     assert said.startswith("arm.gravity[1] and arm.gravity[3] cannot be told apart")
 
 
-def test_a_log_of_other_signals_or_times_is_refused(arm, tmp_path):
-    for text, said in (
-        ("time,x\n0,1\n0.1,2\n", "no signal or instant in common with the run"),
-        ("time,arm.qpos\n5,1\n6,2\n", "no signal or instant in common"),
-    ):
-        (tmp_path / "log.csv").write_text(text)
-        with pytest.raises(InputError) as refused:
-            fit(definition(arm, **RANGES), tmp_path / "log.csv")
-        assert said in str(refused.value)
+@pytest.mark.parametrize("text", ["time,x\n0,1\n0.1,2\n", "time,arm.qpos\n5,1\n6,2\n"])
+def test_a_log_of_other_signals_or_times_is_refused(arm, tmp_path, text):
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(InputError, match="no signal or instant in common with the run"):
+        fit(definition(arm, **RANGES), tmp_path / "log.csv")
+
+
+def test_what_varies_no_range_of_one_scenario_is_refused(arm, tmp_path):
     two = Sweep(scenario=(str(arm), "push"), vary={"duration": {"uniform": [1, 2]}}, samples=2)
     with pytest.raises(InputError, match="scenario: 2 of them; a fit has one"):
         fit(two, tmp_path / "log.csv")
