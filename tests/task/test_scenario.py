@@ -24,7 +24,10 @@ GOOD = 'purpose = "A test"\nduration = 1.5\n'
 # What scenario.toml holds, and what the message must say.
 BAD_SCENARIOS = {
     "empty": ("", "key duration is missing"),
-    "latin-1": ('purpose = "h\xf6her"\n'.encode("latin-1"), "line 1: byte 0xf6; must be UTF-8"),
+    "latin-1": (
+        'purpose = "h\xf6her"\n'.encode("latin-1"),
+        "line 1: invalid start byte; must be UTF-8",
+    ),
     "too large": ("#" * 65_537, "is too large; must be at most 65536 bytes"),
     "key twice": (GOOD + "duration = 2\n", "at line 3"),
     "key misspelt": ("durration = 1.0\n", "did you mean 'duration'?"),
@@ -203,7 +206,10 @@ def with_cell(column: str, text: str) -> str:
 BAD_TABLES = {
     "empty": ("", "0 rows; must be 2"),
     "one row": (HEAD + A, "1 rows; must be 2 to 100000"),
-    "latin-1": (GOOD_TABLE.replace("home", "h\xf6me").encode("latin-1"), "line 2: byte 0xf6"),
+    "latin-1": (
+        GOOD_TABLE.replace("home", "h\xf6me").encode("latin-1"),
+        "line 2: invalid start byte",
+    ),
     "no header": (A + B, "line 1: column '0' is unknown"),
     "semicolons": (GOOD_TABLE.replace(",", ";"), "must be separated by commas"),
     "column missing": (GOOD_TABLE.replace("z,", "height,", 1), "column 'height' is unknown"),

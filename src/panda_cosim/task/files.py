@@ -107,8 +107,7 @@ def read_text(path: Path, max_bytes: int) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        byte = content[error.start]
-        raise InputError(f"{path}: line {line}: byte 0x{byte:02x}; must be UTF-8 text") from error
+        raise InputError(f"{path}: line {line}: {error.reason}; must be UTF-8 text") from error
 
 
 def parse_csv(text: str, check: Callable[[list[str]], None] = lambda _: None) -> Csv:

@@ -60,7 +60,7 @@ def _blamed(scenario: Scenario, values: Values, text: str) -> str:
 
 def _with_all(scenario: Scenario, values: Values) -> Scenario:
     """Change all values at once, so that no order of the keys is seen."""
-    fmus = {*scenario.fmus, *(key[5:] for key in values if _is_part(key))}
+    fmus = {*scenario.fmus, *(key[5:] for key in values if key.startswith("fmus."))}
     if "gains" in values and "controller" in fmus:
         raise InputError("gains: acts only on the project's own controller; must be left out here")
     # The scene and robot of the scenario outrank those of its plant.
@@ -79,13 +79,9 @@ def _with_all(scenario: Scenario, values: Values) -> Scenario:
     return type(scenario)(**opened)
 
 
-def _is_part(key: str) -> bool:
-    return key.startswith("fmus.")
-
-
 def _given(key: str, value: Any) -> Any:
     """Return a value as a scenario has it; seeds may be drawn from an interval."""
-    if _is_part(key):
+    if key.startswith("fmus."):
         return _from_here(key, value)
     is_seed = key == "mismatch.seed" and isinstance(value, float) and math.isfinite(value)
     return int(value) if is_seed else value
