@@ -17,13 +17,25 @@ import pytest
 
 import forked
 from panda_cosim.fmus.build import libraries
+from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.master.calls import Experiment
+from panda_cosim.fmus.sources import targets
 
 # The Reference-FMUs of the Modelica Association.
 REFERENCE_FMUS = Path(os.environ.get("REFERENCE_FMUS", "missing")).absolute()
 needs_reference_fmus = pytest.mark.skipif(
     not (REFERENCE_FMUS / "fmi2" / "Feedthrough.fmu").is_file(), reason="needs REFERENCE_FMUS"
 )
+
+
+def changed_plant(kind: targets.Kind, old: bytes, new: bytes) -> NativeFmu:
+    """Return our plant in Python with other code in one place."""
+    own = targets.own_code("plant")
+    assert sum(text.count(old) for text in own.values()) == 1
+    code = {name: text.replace(old, new) for name, text in own.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(targets, "own_code", lambda _: code)
+        return targets.own_fmu("plant", kind)
 
 
 class JobError(AssertionError):

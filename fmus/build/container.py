@@ -49,15 +49,14 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
     for name, component in system.components.items():
         shutil.copy(component.file, folder / f"{name}.fmu")
         container.get_fmu(f"{name}.fmu")
-    for connection in system.connections:
-        _link(container, system, connection)
-    for label, (name, variable) in system.outputs().items():
-        container.add_output(f"{name}.fmu", variable.name, label)
-    for name, component in system.components.items():
         for key, value in component.start_values.items():
             scalar = component.variables[key]
             text = literal(scalar, value)
             container.add_start_value(f"{name}.fmu", scalar.variable.name, text)
+    for connection in system.connections:
+        _link(container, system, connection)
+    for label, (name, variable) in system.outputs().items():
+        container.add_output(f"{name}.fmu", variable.name, label)
 
 
 def _link(container: Any, system: WrittenSystem, connection: Connection) -> None:

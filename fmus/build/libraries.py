@@ -28,30 +28,28 @@ _MADE_OF: Final = tomllib.loads((SOURCES / "libraries.toml").read_text(encoding=
 FLAGS: Final[list[str]] = _MADE_OF["flags"]
 FMI_LAYER: Final[list[str]] = _MADE_OF["fmi_layer"]
 BACKENDS: Final[Mapping[str, list[str]]] = _MADE_OF["backends"]
-IN_A_PAGE: Final[Mapping[str, str]] = _MADE_OF["in_a_page"]  # files there instead of others
 PLACES: Final[Mapping[str, int]] = _MADE_OF["places"]  # of data in a page's memory [B]
 STEPPER: Final = "stepper"  # no FMU's library, but the master's
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
 
 
-def compile_library(backend: str | Path, platform: str | None = None) -> bytes:
+def compile_library(backend: str, platform: str) -> bytes:
     """Compile the FMI layer and one backend, or the master's stepper."""
-    name = platform or this_platform()
-    if not compiler(name):
+    if not compiler(platform):
         raise InputError(
-            f"platform {name}: no C compiler; install `panda-cosim[cross]`, or, for this "
+            f"platform {platform}: no C compiler; install `panda-cosim[cross]`, or, for this "
             f"machine, a compiler named cc, gcc or clang"
         )
     with temporary_folder(cache_folder()) as folder:
-        compiled = folder / f"fmu{targets()[name].suffix}"
+        compiled = folder / f"fmu{targets()[platform].suffix}"
         command = [
-            *compiler(name),
+            *compiler(platform),
             *FLAGS,
             *("-I.", *(f"-isystem{include}" for include in includes())),
-            *_files(backend, name),
-            *targets()[name].flags,
-            *([f"-Wl,--global-base={PLACES[str(backend)]}"] if name == PAGE else ()),
+            *_files(backend, platform),
+            *targets()[platform].flags,
+            *([f"-Wl,--global-base={PLACES[backend]}"] if platform == PAGE else ()),
             *("-o", str(compiled)),
         ]
         # In the folder of the sources, so that no path gets into the library. The compiler's
@@ -62,11 +60,11 @@ def compile_library(backend: str | Path, platform: str | None = None) -> bytes:
         return compiled.read_bytes()
 
 
-def _files(backend: str | Path, platform: str) -> list[str]:
+def _files(backend: str, platform: str) -> list[str]:
     """C files of a library."""
-    layer = FMI_LAYER if backend != STEPPER else []
-    files = [*layer, *BACKENDS.get(str(backend), [str(backend)])]
-    return [IN_A_PAGE.get(file, file) for file in files] if platform == PAGE else files
+    files = BACKENDS[backend] if backend == STEPPER else [*FMI_LAYER, *BACKENDS[backend]]
+    others = _MADE_OF["in_a_page"] if platform == PAGE else {}
+    return [others.get(file, file) for file in files]
 
 
 @cache

@@ -9,11 +9,11 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import IO, Final
+from typing import IO, Any, Final
 from urllib.parse import quote
 
 from ...assets import STEP_SIZE
-from ..interface.variables import Interface, Numbers, Variable
+from ..interface.variables import Interface, Variable
 from .description import NOTHING, STOP_TIME, Layout
 from .description import members as description_of
 from .identity import code_digest, digest, mujoco_package
@@ -125,28 +125,23 @@ def table(
 def _fields(variable: Variable) -> list[str]:
     start, bounds = variable.start, (variable.minimum, variable.maximum)
     if variable.kind == "Enumeration":  # the numbers of its items
-        start, bounds = float(variable.number_of(str(start))), (1.0, float(len(variable.choices)))
-    if variable.kind == "String":
-        written = text("" if start is None else str(start))
-    else:
-        written = _numbers(float(start) if isinstance(start, (bool, str)) else start)
+        start, bounds = variable.number_of(str(start)), (1.0, len(variable.choices))
     return [
         "x".join(map(str, variable.shape)) or "-",
         variable.causality,
         variable.variability,
         variable.kind,
         text(variable.name),
-        written,
+        text(str(start or "")) if variable.kind == "String" else _numbers(start),
         *map(_numbers, bounds),
         text(variable.source) or "-",
     ]
 
 
-def _numbers(values: Numbers | None) -> str:
+def _numbers(values: Any) -> str:
     if values is None:
         return "-"
-    parts: Sequence[float] = values if isinstance(values, tuple) else (values,)
-    return " ".join(map(bits, parts))
+    return " ".join(map(bits, values if isinstance(values, tuple) else (values,)))
 
 
 def bits(number: float) -> str:

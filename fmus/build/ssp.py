@@ -125,14 +125,12 @@ def _connectors(system: WrittenSystem, name: str) -> list[Variable]:
     # Others get no connector, since FMPy feeds an unconnected one from the connector before it.
     component = system.components[name]
     used = {end for c in system.connections for end in (c.source, c.target)}
-    given = {("parameter", key) for key in component.start_values}
-    rows = {
-        scalar.variable.name: scalar.variable
-        for key, scalar in component.variables.items()
-        if scalar.variable.causality == "output"
-        or (scalar.variable.causality, key) in given
-        or (name, key) in used
-    }
+    rows: dict[str, Variable] = {}
+    for key, scalar in component.variables.items():
+        variable = scalar.variable
+        is_given = variable.causality == "parameter" and key in component.start_values
+        if variable.causality == "output" or is_given or (name, key) in used:
+            rows[variable.name] = variable
     return [*rows.values()]
 
 

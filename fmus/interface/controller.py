@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ...controller.gains import Gains
@@ -19,8 +17,6 @@ FORCE_COMMAND = "force_cmd"
 # Outputs of the observer.
 OBSERVED = ("external_torque", "external_force", "joint_contact")
 
-# Upper bounds below those of the gains: the FMU never exceeds the robot's limits.
-MOST = {"limit_share": 1.0}
 FIXED = ("reading_delay", "follow_posture", "robot", "impedance")  # from the start on
 
 _TABLE = read_table("controller")
@@ -34,7 +30,7 @@ _VALUES: dict[str, Values] = {
     "qpos": (HOME_Q, None, None),
     FORCE_COMMAND: (0.0, -FORCE_MAX, FORCE_MAX),
 }
-_PERIOD = Variable(
+PERIOD = Variable(
     "period", (), "s", "parameter", "fixed",
     "Time between two updates; outputs are held in between", STEP_SIZE, STEP_SIZE, 1.0,
     multiple_of=STEP_SIZE,
@@ -45,9 +41,8 @@ CONTROLLER = Interface(
     (
         *signals(_TABLE["input"], INPUTS, "input", _VALUES),
         *signals(_TABLE["output"], OUTPUTS, "output", variability="discrete"),
-        _PERIOD,
-        *(replace(gain, maximum=MOST.get(gain.name, gain.maximum))
-          for gain in parameters(_TABLE["parameter"], Gains, FIXED)),
+        PERIOD,
+        *parameters(_TABLE["parameter"], Gains, FIXED),
     ),
     {"robot": ROBOT, "command": COMMANDS},
-)  # fmt: skip
+)

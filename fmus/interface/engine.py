@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
+from .own import read_table
 from .variables import Variable
 
-WARNINGS: Final = {  # MuJoCo's names of the kinds that do not end a simulation
-    "INERTIA": "inertia matrix is too close to singular",
-    "CONTACTFULL": "contacts left out, for want of memory",
-    "CNSTRFULL": "constraints left out, for want of memory",
-}
+WARNINGS: Final[Mapping[str, str]] = read_table("engine")  # by MuJoCo's names of their kinds
 COUNTED: Final = Variable(
     "mujoco_warnings", (len(WARNINGS),), "1", "local", "discrete",
     "Warnings of the engine since the start", source="warnings",

@@ -9,6 +9,7 @@ the classes that they set. The keys of a row are
     parts       arrays of one unit each: name, rows, unit, text
     source      where a native FMU finds it, see `fmus/README.md`
     on_request  recorded only where a connection or a criterion needs it
+    max         of a parameter, below that of the class
 """
 
 from __future__ import annotations
@@ -86,4 +87,5 @@ def _described(variable: Variable, row: Row) -> Variable:
         parts=tuple((name, n, text) for name, n, _, text in parts),
         source=row.get("source", ""),
         on_request=row.get("on_request", False),
+        maximum=row.get("max", variable.maximum),
     )

@@ -15,13 +15,6 @@ from .variables import Interface, Variable
 MEASURED: Final = ("qpos", "qvel", "hand_xpos", "hand_xquat", "jac", "qfrc_bias")
 SEEN: Final = ("target_xpos", "target_xmat")
 INERTIA: Final = "mass_matrix"  # which the robot's own model tells
-FIXED: Final = (  # errors, from the start on
-    "seed", "delay", "hand_pose_source", "block_position_error", "block_yaw_error", "robot",
-)  # fmt: skip
-_STARTS: Final = {
-    "target_xpos": (0.4, -0.2, 0.1),
-    "target_xmat": (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-}
 _TABLE: Final = read_table("sensors")
 
 
@@ -34,7 +27,7 @@ def _truth(name: str) -> Variable:
     """Return the input of a true signal, which is like the controller's, or the plant's output."""
     like = PLANT.variable(name) if name in SEEN else CONTROLLER.variable(name)
     text = f"True {_TABLE['signal'][name]}"
-    start = _STARTS.get(name, like.start)
+    start = tuple(_TABLE["start"][name]) if name in SEEN else like.start
     return replace(like, causality="input", description=text, start=start, source="")
 
 
@@ -53,6 +46,6 @@ SENSORS = Interface(
     (
         *map(_truth, (*MEASURED, *SEEN)),
         *map(_reading, (*MEASURED, *SEEN, INERTIA)),
-        *parameters(_TABLE["parameter"], SensorErrors, FIXED),
+        *parameters(_TABLE["parameter"], SensorErrors, _TABLE["fixed"]),
     ),
 )

@@ -11,11 +11,11 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby, product
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
 from ..errors import InputError, refuse
 from .units import Units
@@ -38,6 +38,7 @@ INTEGERS: Final = {
 
 
 _ADDRESS: Final = re.compile(r".* of .* \((\S+\.\w+)\)")
+_DIGITS: Final = re.compile("([0-9a-f]{2})*", re.I | re.A)  # of a Binary
 
 
 def address(description: str) -> str:
@@ -64,16 +65,23 @@ class Scalar:
     maximum: float | None
     value_reference: int  # of FMI; in FMI 3.0, that of the whole array
 
-    def checked(self, place: str, value: object) -> Value:
+    def checked(self, place: str, value: Any) -> Value:
         """Return a value in this scalar's type; of an enumeration, the name of a choice."""
+        choices = self.variable.choices
         match self.variable.kind:
             case "Boolean":
-                return _checked_boolean(place, value)
+                is_valid, must = value in (False, True), "true or false"
+                value = bool(value)
             case "Binary":
-                return _checked_digits(place, value)
+                is_valid, must = bool(_DIGITS.fullmatch(str(value))), "text of hexadecimal digits"
             case "String" | "Enumeration":
-                return _checked_text(place, value, self.variable.choices)
-        return self._checked_number(place, value)
+                is_valid = isinstance(value, str) and (not choices or value in choices)
+                must = f"one of {', '.join(choices)}" if choices else "text in quotes"
+            case _:
+                return self._checked_number(place, value)
+        if not is_valid:
+            refuse(place, value, f"must be {must}", choices)
+        return cast(Value, value)
 
     def _checked_number(self, place: str, value: object) -> float:
         low, high = self._bounds()
@@ -183,10 +191,8 @@ class Variable:
     @property
     def initial(self) -> str | None:
         """FMI's attribute `initial`."""
-        if self.variability == "constant":
-            return "exact"
         words = {"output": "calculated", "local": "calculated", "parameter": "exact"}
-        return words.get(self.causality)
+        return "exact" if self.variability == "constant" else words.get(self.causality)
 
     @property
     def whole(self) -> tuple[int, bool] | None:
@@ -300,7 +306,7 @@ class Interface:
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
-        return tuple(self._by_causality.get(causality, {}).values())
+        return tuple(variable for variable in self.variables if variable.causality == causality)
 
     def variable(self, name: str) -> Variable:
         """Return the variable of a name without indices; raises KeyError."""
@@ -308,46 +314,20 @@ class Interface:
 
     def end(self, name: str, causality: str) -> Variable | None:
         """Return a variable, or an element of one as a scalar variable; None: there is none."""
-        whole, scalar = self._by_causality.get(causality, {}).get(name), self.named.get(name)
-        if whole or scalar is None or scalar.variable.causality != causality:
-            return whole
-        return scalar.alone()
+        if whole := self._by_name.get(name):
+            return whole if whole.causality == causality else None
+        scalar = self.named.get(name)
+        return scalar.alone() if scalar and scalar.variable.causality == causality else None
 
     @cached_property
     def _by_name(self) -> dict[str, Variable]:
         return {variable.name: variable for variable in reversed(self.variables)}
 
     @cached_property
-    def _by_causality(self) -> dict[str, dict[str, Variable]]:
-        groups: dict[str, dict[str, Variable]] = {}
-        for variable in self.variables:
-            groups.setdefault(variable.causality, {}).setdefault(variable.name, variable)
-        return groups
-
-    @cached_property
     def named(self) -> dict[str, Scalar]:
         """All scalar variables by their names, and by addresses such as `lift.pos`."""
         addressed = {address(s.description): s for s in self._scalars if s.variable.details}
         return addressed | {s.name: s for s in self._scalars}
-
-
-def _checked_boolean(place: str, value: object) -> bool:
-    if value not in (False, True):
-        refuse(place, value, "must be true or false")
-    return bool(value)
-
-
-def _checked_digits(place: str, value: object) -> str:
-    if not (isinstance(value, str) and re.fullmatch("([0-9a-f]{2})*", value, re.I | re.A)):
-        refuse(place, value, "must be text of hexadecimal digits")
-    return value
-
-
-def _checked_text(place: str, value: object, choices: Collection[str]) -> str:
-    if not isinstance(value, str) or (choices and value not in choices):
-        must = f"one of {', '.join(choices)}" if choices else "text in quotes"
-        refuse(place, value, f"must be {must}", choices)
-    return value
 
 
 def check_elements(place: str, count: int) -> None:

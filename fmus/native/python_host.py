@@ -31,12 +31,13 @@ import os
 import sys
 import threading
 import traceback
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import unquote
 
 OK, WARNING, DISCARD, ERROR = range(4)
@@ -50,30 +51,22 @@ texts: dict[int, str] = {}  # values of all String variables, by value reference
 slave: Any = None
 
 
-class ScalarVariable(NamedTuple):
-    """A scalar variable of the table."""
+class Table:
+    """What resources/variables.txt says: options, and references of variables by their kinds."""
 
-    reference: int
-    kind: str  # real, integer, boolean or string
-    is_given: bool  # the importer sets it, rather than the slave
-    is_computed: bool
-
-
-def read_table() -> tuple[dict[str, list[str]], list[ScalarVariable]]:
-    """Read options, by key, and variables from resources/variables.txt."""
-    options: dict[str, list[str]] = {}
-    variables = []
-    for line in Path(RESOURCES, "variables.txt").read_text(encoding="utf-8").splitlines():
-        fields = line.split("\t")
-        if fields[0] == "option":
-            options.setdefault(fields[1], []).append(unquote(fields[2]))
-        elif fields[0] == "variable":
-            _, reference, _, causality, variability, kind, *_ = fields
-            kind = "integer" if kind == "Enumeration" else kind.lower()
-            is_given = causality in {"input", "parameter"} and variability != "constant"
-            is_computed = causality in {"output", "local"}
-            variables.append(ScalarVariable(int(reference), kind, is_given, is_computed))
-    return options, variables
+    def __init__(self) -> None:
+        self.options: dict[str, list[str]] = defaultdict(list)
+        self.given: dict[str, list[int]] = defaultdict(list)  # the importer sets them
+        self.computed: dict[str, list[int]] = defaultdict(list)  # the slave does
+        for line in Path(RESOURCES, "variables.txt").read_text(encoding="utf-8").splitlines():
+            match line.split("\t"):
+                case ["option", key, value]:
+                    self.options[key].append(unquote(value))
+                case ["variable", reference, _, causality, variability, kind, *_]:
+                    kind = "integer" if kind == "Enumeration" else kind.lower()
+                    is_given = causality in {"input", "parameter"} and variability != "constant"
+                    if causality != "independent":
+                        (self.given if is_given else self.computed)[kind].append(int(reference))
 
 
 # ---- packages that the slave needs
@@ -199,12 +192,8 @@ class PythonFmu:
     It has methods as one that works in the values' memory.
     """
 
-    def __init__(
-        self, make: Callable[[], Any], texts: dict[int, str], table: list[ScalarVariable]
-    ) -> None:
-        self.make, self.texts = make, texts
-        self.given = _by_kind(v for v in table if v.is_given)
-        self.computed = _by_kind(v for v in table if v.is_computed)
+    def __init__(self, make: Callable[[], Any], table: Table) -> None:
+        self.make, self.table = make, table
         self.messages: list[Message] = []
         self.slave = make()
         self.known: dict[str, list[Any]] = {}
@@ -232,8 +221,8 @@ class PythonFmu:
     def outputs(self) -> None:
         """Read all outputs and local variables from the slave."""
         self._put()
-        for kind, references in self.computed.items():
-            into: Any = self.texts if kind == "string" else VALUES
+        for kind, references in self.table.computed.items():
+            into: Any = texts if kind == "string" else VALUES
             convert = str if kind == "string" else float
             values = getattr(self.slave, f"get_{kind}")(references)
             for reference, value in zip(references, values, strict=True):
@@ -241,7 +230,7 @@ class PythonFmu:
         self._take_messages()
 
     def _put(self, again: bool = False) -> None:
-        for kind, references in self.given.items():
+        for kind, references in self.table.given.items():
             values = self._values(kind, references)
             if again or values != self.known.get(kind):
                 getattr(self.slave, f"set_{kind}")(references, values)
@@ -249,7 +238,7 @@ class PythonFmu:
 
     def _values(self, kind: str, references: list[int]) -> list[Any]:
         convert = {"real": float, "integer": int, "boolean": bool, "string": str}[kind]
-        values: Any = self.texts if kind == "string" else VALUES
+        values: Any = texts if kind == "string" else VALUES
         return [convert(values[reference]) for reference in references]
 
     def _take_messages(self, kept: int = WARNING) -> None:
@@ -265,7 +254,7 @@ class PythonFmu:
     def set_state(self, state: bytes) -> None:
         """Restore a state, which includes the values that were set last."""
         self.slave._set_fmu_state(self.slave._fmu_state_from_bytes(state))
-        self.known = {kind: self._values(kind, vrs) for kind, vrs in self.given.items()}
+        self.known = {kind: self._values(kind, vrs) for kind, vrs in self.table.given.items()}
 
     def terminate(self) -> None:
         """Terminate the slave."""
@@ -277,27 +266,20 @@ class StepError(Exception):
     """The slave reported a failure; its message needs no traceback."""
 
 
-def _by_kind(variables: Iterator[ScalarVariable]) -> dict[str, list[int]]:
-    kinds: dict[str, list[int]] = {}
-    for v in variables:
-        kinds.setdefault(v.kind, []).append(v.reference)
-    return kinds
-
-
 def make_slave() -> Any:
     """Import the class and instantiate it; in the values' memory if it can work there."""
-    options, table = read_table()
-    texts.update((v.reference, "") for v in table if v.kind == "string")
+    table = Table()
+    texts.update(dict.fromkeys(sorted(table.given["string"] + table.computed["string"]), ""))
     # Of the whole process, since imports change state that is shared by all threads.
     lock = sys.__dict__.setdefault("_fmu_import_lock", threading.RLock())
-    with lock, packages(options):
-        slave_class = import_class(options)
+    with lock, packages(table.options):
+        slave_class = import_class(table.options)
 
         def make() -> Any:
             return slave_class(instance_name="fmu", resources=RESOURCES, visible=False)
 
         if not hasattr(slave_class, "share_values"):
-            return PythonFmu(make, texts, table)
+            return PythonFmu(make, table)
         made = make()
         made.share_values(VALUES, texts)
         return made

@@ -22,7 +22,7 @@ import ast
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,13 +30,13 @@ from ...assets import STEP_SIZE
 from ..build.libraries import SOURCES
 from ..build.native import NativeFmu
 from ..errors import InputError, located
+from ..interface.controller import PERIOD
 from ..interface.variables import Interface, Numbers, Variable
 from .python_fmu import class_of, code_of, is_slave, python_fmu
 
 SLAVE: Final = SOURCES.with_name("inside") / "law.py"
 SLAVE_FILE: Final = "law_slave.py"  # its name in the FMU
 LAYOUT: Final = "layout.json"
-PERIOD_MAX: Final = 1.0  # [s]
 
 
 @dataclass(frozen=True)
@@ -126,16 +126,12 @@ def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
 
 
 def _parameter(name: str, value: bool | Numbers) -> Variable:
-    shape = (len(value),) if isinstance(value, tuple) else ()
+    if name == PERIOD.name:
+        return replace(PERIOD, start=value)
     text = f"Parameter {name} of the law"
     if isinstance(value, bool):
         return Variable(name, (), "", "parameter", "tunable", text, value, kind="Boolean")
-    if name == "period":
-        text = "Time between two updates; outputs are held in between"
-        return Variable(
-            name, (), "s", "parameter", "fixed", text, value, STEP_SIZE, PERIOD_MAX,
-            multiple_of=STEP_SIZE,
-        )  # fmt: skip
+    shape = (len(value),) if isinstance(value, tuple) else ()
     return Variable(name, shape, "1", "parameter", "tunable", text, value)
 
 

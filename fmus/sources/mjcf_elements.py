@@ -12,10 +12,9 @@ import mujoco
 
 Part = tuple[str, str, str]  # of a joint's position or motion: words, unit, and the short name
 FREE, BALL, SLIDE, HINGE = range(4)  # mjtJoint
-_KINDS: Final = ("free", "ball", "slide", "hinge")  # in that order
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-_POSITIONS: Final[Sequence[Sequence[Part]]] = [_TABLES["positions"][kind] for kind in _KINDS]
-_MOTIONS: Final[Sequence[Sequence[Part]]] = [_TABLES["motions"][kind] for kind in _KINDS]
+_POSITIONS: Final[Sequence[Sequence[Part]]] = list(_TABLES["positions"].values())
+_MOTIONS: Final[Sequence[Sequence[Part]]] = list(_TABLES["motions"].values())
 _OF_JOINTS: Final[Mapping[str, tuple[str, str]]] = {"qpos": ("", "pos")} | _TABLES["joints"]
 _GROUPS: Final = {"quaternion": "quat", "about": "rot"}  # by a part's first word
 # Sensors of what moves, such as `jointpos`, `tendonlimitvel` or `actuatorfrc`.

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...plant.parameters import ARM_JOINTS
-from ..errors import InputError, one_line, refuse
+from ..errors import InputError, refuse
 from ..interface.engine import COUNTED
 from ..interface.plant import PLANT
 from ..interface.units import OUR_UNITS
@@ -23,11 +23,8 @@ from ..interface.variables import Causality, Interface, Variability, Variable
 from ..reading import open_regular
 from .mjcf_sources import OBJECTS, TUNABLE, Sources, unique, words_of
 
-SECTIONS: Final[Mapping[str, Causality]] = {
-    "inputs": "input",
-    "outputs": "output",
-    "parameters": "parameter",
-}
+TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SECTIONS: Final[Mapping[str, Causality]] = TABLES["sections"]
 # Keys of a file and of a variable, with their types.
 HEAD: Final = {"name": str, "description": str, "author": str, "keyframe": str, "extends": str,
                **dict.fromkeys(SECTIONS, dict)}  # fmt: skip
@@ -38,7 +35,6 @@ Keys = Mapping[str, Any]  # of a variable, or of the file
 Rows = dict[str, Keys]  # of each variable, by name; each has a `source` at least
 # Interfaces that a model with the same objects can take over, by name.
 EXTENDED: Final = {PLANT.model: PLANT}
-_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 # Objects of PandaPlant whose values its vectors begin with, by kind.
 FIRST: Final = {
     "joint": (*ARM_JOINTS, "finger_joint1", "finger_joint2", "obj_freejoint"),
@@ -92,7 +88,7 @@ def variable_name(source: str) -> str:
 def default_description(model: Any, name: str) -> Description:
     """Describe a model's controls, positions, velocities, forces and sensors."""
     description = Description(name, f"MuJoCo model {name}")
-    for section, source, size in _TABLES["default"]:
+    for section, source, size in TABLES["default"]:
         if getattr(model, size):
             description.add(section, source)
     for i in range(model.nsensor):
@@ -111,7 +107,7 @@ def suggestions(model: Any) -> dict[str, list[str]]:
             if name != "world"
             for what in properties
         ]
-        for section, (whole, by_kind) in _TABLES["suggested"].items()
+        for section, (whole, by_kind) in TABLES["suggested"].items()
     }  # fmt: skip
 
 
@@ -140,12 +136,8 @@ def _pairs(values: Keys) -> list[str]:
 
 def read_description(path: Path) -> Description:
     """Read a description; refuses a file that cannot be read or has invalid content."""
-    try:
-        with open_regular(path) as file:
-            raw = file.read()
-        content = tomllib.loads(raw.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    with open_regular(path) as file:
+        content = tomllib.loads(file.read().decode("utf-8-sig"))
     _check(str(path), content, HEAD)
     description = Description(**{"name": path.stem, **content})
     for section, rows in description.sections.items():
@@ -226,12 +218,18 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
     own_names = {variable.name for variable in own}
     left_out = ("scene", COUNTED.source)
     taken = [v for v in base.variables if v.name not in own_names and v.source not in left_out]
-    for i, variable in enumerate(taken):
-        if variable.source in ("qpos", "qvel"):
-            row = sources.find("output", variable.source)
-            text = f"{variable.description}; then the model's further joints"
-            taken[i] = replace(variable, shape=row.shape, unit=row.unit, description=text)
-    return sorted([*taken, *own], key=lambda v: list(SECTIONS.values()).index(v.causality))
+    order = list(SECTIONS.values())
+    return sorted([*(_grown(v, sources) for v in taken), *own],
+                  key=lambda v: order.index(v.causality))  # fmt: skip
+
+
+def _grown(variable: Variable, sources: Sources) -> Variable:
+    """Return a variable of the base with the elements of the model's further joints."""
+    if variable.source not in ("qpos", "qvel"):
+        return variable
+    row = sources.find("output", variable.source)
+    text = f"{variable.description}; then the model's further joints"
+    return replace(variable, shape=row.shape, unit=row.unit, description=text)
 
 
 def _variable(place: str, name: str, keys: Keys, row: Variable) -> Variable:
@@ -270,7 +268,7 @@ def _numbers(place: str, key: str, keys: Keys, size: int, default: Any) -> Any:
     if key not in keys:
         return default
     values = keys[key] if isinstance(keys[key], list) else [keys[key]] * size
-    good = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
-    if len(values) != size or len(good) != size or not all(map(math.isfinite, good)):
+    good = tuple(float(v) for v in values if type(v) in (int, float) and math.isfinite(v))
+    if not len(values) == len(good) == size:
         raise InputError(f"{place}: {key}: must be a number, or {size} of them")
-    return tuple(map(float, good))
+    return good

@@ -40,9 +40,7 @@ INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "moc
 TUNABLE: Final = ("model", "body_mass")  # first word of the sources that may change between steps
 OPTIONS: Final = ("gravity", "wind", "magnetic", "density", "viscosity")
 # `KIND FIELD FIRST COUNT`: elements of any field.
-RAW: Final[Mapping[Causality, Sequence[str]]] = {
-    "input": ("data",), "output": ("data", "held", "model"), "parameter": ("model", "added"),
-}  # fmt: skip
+RAW: Final[Mapping[Causality, Sequence[str]]] = _TABLES["raw"]
 # Sources whose further words name objects, or say how a block starts.
 LISTING: Final = ("mass_matrix", "jacobian", "free_xy", "free_yaw", *CONTACTS, *SCALED)
 
@@ -178,7 +176,7 @@ class Sources:
         holder = self.data if kind in ("data", "held") else self.model
         if name in OPTIONS and holder is self.model:
             return np.atleast_1d(getattr(self.model.opt, name))
-        values = getattr(holder, name, None) if name.isidentifier() else None
+        values = getattr(holder, name, None)
         if not isinstance(values, np.ndarray) or values.dtype != np.float64:
             kind = type(holder).__name__.lstrip("_")
             must = f"must be a field of {kind}, of float64; {_LISTED}"

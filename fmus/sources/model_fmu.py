@@ -27,6 +27,7 @@ from ..interface.variables import Interface, Variable
 from ..processes import last_line, run
 from .mjcf_interface import (
     SECTIONS,
+    TABLES,
     Description,
     default_description,
     interface,
@@ -42,13 +43,6 @@ MODEL: Final = f"model{MODEL_SUFFIX}"
 MAGIC: Final = (54321).to_bytes(4, "little")  # first bytes of a file of this suffix
 STEPS: Final = 1000  # of a model's default experiment
 LONGEST_STEP: Final = 1.0  # [s]
-LAW: Final = """\
-The MuJoCo model that is packed in resources/, stepped at its own time step.
-
-Outputs belong to the instant of qpos, except for those that the acceleration stage computes
-(actuator forces, accelerations, sensors of these): they belong to the last step, and are 0 at the
-start.
-"""
 
 
 @dataclass(frozen=True)
@@ -102,7 +96,7 @@ def _fmu(path: Path, model: Any, options: ModelOptions, stem: str) -> NativeFmu:
     description = _described(model, options, stem)
     try:
         table = interface(description, model)
-        fmu = mujoco_fmu(table, {"model": model}, LAW, description.keyframe)
+        fmu = mujoco_fmu(table, {"model": model}, TABLES["law"], description.keyframe)
         _refuse_shared_inputs(fmu.interface)
     except InputError as error:
         raise InputError(f"{options.interface or path}: {error}") from error

@@ -16,7 +16,7 @@ from ..build.native import NativeFmu, archive
 from ..errors import CosimError
 from ..interface.variables import Interface
 from ..processes import SAFE_PATH, last_line, run
-from .python_fmu import MIN_PYTHON, PYTHONFMU, listed_needs, package_of
+from .python_fmu import PYTHONFMU, package_of, requirements
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,5 @@ def packed_fmu(
         f"from {package}.{module} import {name}\n\n\nclass {interface.model}({name}):\n    pass\n"
     )
     contents = {**files, **resources, script: text.encode()}
-    requirement = (
-        f"An importer that is Python {MIN_PYTHON} or newer, on Linux or Windows (x86-64), with "
-        f"{listed_needs(needs)}."
-    )
-    return PackedFmu(interface, PYTHONFMU, "", contents, needs=(requirement,), script=script)
+    needed = requirements("packed", needs)
+    return PackedFmu(interface, PYTHONFMU, "", contents, needs=needed, script=script)

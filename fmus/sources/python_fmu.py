@@ -12,6 +12,7 @@ import json
 import os
 import sys
 import sysconfig
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -41,6 +42,7 @@ PATHS_VARIABLE: Final = "PANDA_COSIM_PYTHONPATH"  # see fmus/native/python_host.
 # CPython 3.11 counts the depth of a syntax tree for all threads together: two that parse at once
 # can end with a SystemError ("recursion depth mismatch").
 _ONE_PARSER: Final = Lock()
+_REQUIREMENTS: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 sysconfig.get_config_vars()  # now, since its first call is not thread-safe
 
 
@@ -60,27 +62,20 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
     files |= {HOST: (SOURCES / HOST).read_bytes(), **(resources or {})}
     options = [("package", package), ("slave", " ".join(slave))]
     if private:  # the names by which the code's modules, or their packages, are imported
-        modules = (path for path in code if path.endswith(".py"))
-        tops = (path.partition("/")[0].removesuffix(".py") for path in modules)
-        options += [("private", name) for name in dict.fromkeys(tops)]
+        tops = (path.partition("/")[0] for path in code if path.endswith(".py"))
+        options += [("private", top.removesuffix(".py")) for top in dict.fromkeys(tops)]
     options += [("need", f"{name} {NEEDS.get(name, '*')}") for name in needs]
     options.append(("minimum", MIN_PYTHON))
-    requirements = (
-        f"The FMU runs Python inside the importer's process: Python {MIN_PYTHON} or newer, with "
-        f"{listed_needs(needs)} or newer.",
-        "In a Python importer, its own packages are used. In any other, the Python that built the "
-        "FMU is started; resources/variables.txt records its path.",
-        f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
-        "that holds them, for the same Python version.",
-    )
     recorded = recorded_python(needs)
-    return NativeFmu(interface, "python", law, files, tuple(options), recorded, requirements,
-                     step_size)  # fmt: skip
+    return NativeFmu(interface, "python", law, files, tuple(options), recorded,
+                     requirements("own", needs), step_size)  # fmt: skip
 
 
-def listed_needs(needs: Iterable[str]) -> str:
-    """Packages with their lowest versions, for people."""
-    return ", ".join(f"{name} {NEEDS.get(name, '')}".strip() for name in needs)
+def requirements(kind: str, needs: Iterable[str]) -> tuple[str, ...]:
+    """What an FMU needs that runs Python, for people: packages with their lowest versions."""
+    packages = ", ".join(f"{name} {NEEDS.get(name, '')}".strip() for name in needs)
+    words = {"python": MIN_PYTHON, "packages": packages, "variable": PATHS_VARIABLE}
+    return tuple(text.format_map(words) for text in _REQUIREMENTS[kind])
 
 
 def package_of(interface: Interface, code: Mapping[str, bytes]) -> tuple[str, dict[str, bytes]]:

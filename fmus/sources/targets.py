@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -155,10 +155,7 @@ OWN: Final = MappingProxyType({
 })  # fmt: skip
 
 
-def own_fmu(
-    name: str, kind: Kind = "native", *, commands: bytes = b"",
-    changed: Mapping[str, bytes] | None = None,
-) -> NativeFmu:  # fmt: skip
+def own_fmu(name: str, kind: Kind = "native", *, commands: bytes = b"") -> NativeFmu:
     """Describe one of the project's own FMUs."""
     # These modules take time to import, and are needed only for what the cache has not.
     own = OWN[name]
@@ -167,7 +164,7 @@ def own_fmu(
         from .packed_fmu import packed_fmu  # noqa: PLC0415 - see above
         from .python_fmu import PYTHONFMU, python_fmu  # noqa: PLC0415 - see above
 
-        code = own_code(name) | dict(changed or {})
+        code = own_code(name)
         if kind == PYTHONFMU:
             return packed_fmu(own.interface, code, own.slave, own.needs, table)
         needs = (*own.needs, PYTHONFMU)

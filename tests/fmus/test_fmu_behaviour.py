@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from fmu_instance import ERROR, OK, STEP, Instance, RefusedError, Unpacked, unpacked, unpacked_fmu
-from fmu_support import in_fork
+from fmu_support import changed_plant, in_fork
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.sources.targets import Kind, Target, build_trajectory, own_code, own_fmu
+from panda_cosim.fmus.sources.targets import Kind, Target, build_trajectory
 
 pytestmark = pytest.mark.own_process
 VERSIONS = {"params": (2, 3), "ids": ("fmi2", "fmi3")}
@@ -68,15 +68,8 @@ def counter(request):
 @pytest.fixture(**VERSIONS)
 def changed(request):
     """Builds a plant in Python that does something else in place of a step."""
-
-    def build(step: bytes) -> Unpacked:
-        file, call = "fmus/inside/plant.py", b"self._plant.step(count)"
-        slave = own_code("plant")[file]
-        assert slave.count(call) == 1
-        code = {file: slave.replace(call, step)}
-        return unpacked_fmu(own_fmu("plant", "python", changed=code), request.param)
-
-    return build
+    old = b"self._plant.step(count)"
+    return lambda step: unpacked_fmu(changed_plant("python", old, step), request.param)
 
 
 # Steps.

@@ -147,6 +147,7 @@ def test_a_container_is_the_coupled_system_in_plain_fmpy(ssp, tmp_path, coupling
 
 
 @needs_toolbox
+@pytest.mark.long
 def test_the_toolbox_makes_a_container_of_the_ssp(ssp):
     from fmu_manipulation_toolbox.assembly import Assembly  # noqa: PLC0415 - only here
 

@@ -128,10 +128,6 @@ MODELS = [
 ]
 
 
-def test_there_are_ten_models_at_least():
-    assert len(MODELS) >= 10
-
-
 @pytest.mark.parametrize("path", MODELS, ids=lambda path: path.stem)
 def test_any_model_steps_as_mj_step(path, tmp_path):
     model, source = load(path), np.random.default_rng(1)

@@ -15,7 +15,7 @@ from ...assets.fields import Array
 from ...assets.franka import HOME_Q, ROBOTS
 from ...controller.gains import RANGES, Gains
 from ...controller.model import ArmModel
-from ...fmus.interface.controller import COMMANDS, CONTROLLER, MOST, POSTURE_COMMANDS
+from ...fmus.interface.controller import COMMANDS, CONTROLLER, POSTURE_COMMANDS
 from ...fmus.interface.parameters import expand
 from ...fmus.interface.variables import Interface
 from ...fmus.master.system import open_system
@@ -76,7 +76,9 @@ def rates(values: Array) -> Array:
 def _law() -> tuple[Path, Interface]:
     """Build the controller's FMU, but with limits that can be put out of the way."""
     free = tuple(
-        replace(variable, maximum=RANGES[variable.name][1]) if variable.name in MOST else variable
+        replace(variable, maximum=RANGES[variable.name][1])
+        if variable.name == "limit_share"
+        else variable
         for variable in CONTROLLER.variables
     )
     interface = replace(CONTROLLER, variables=free)
