@@ -181,11 +181,6 @@ def documentation(fmu: NativeFmu, layout: Layout, needs: tuple[str, ...]) -> byt
     )
 
 
-def units(variable: Variable) -> str:
-    """Units of a variable, each once; its type if it has no unit."""
-    return ", ".join(dict.fromkeys(filter(None, variable.units))) or variable.kind
-
-
 def listed(value: object) -> str:
     """Format a value, or several; none and infinite bounds as "". Shortens long lists."""
     values = value if isinstance(value, tuple) else (value,)
@@ -206,7 +201,7 @@ def render(name: str, **context: Any) -> bytes:
         finalize=_escaped,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"shown": _escaped, "type": _type, "listed": listed, "units": units}
+    environment.filters |= {"shown": _escaped, "type": _type, "listed": listed}
     return environment.get_template(name).render(**context).encode()
 
 

@@ -140,17 +140,22 @@ def read_description(path: Path) -> Description:
         content = tomllib.loads(file.read().decode("utf-8-sig"))
     _check(str(path), content, HEAD)
     description = Description(**{"name": path.stem, **content})
+    _check_name(f"{path}: name", description.name)
     for section, rows in description.sections.items():
         for name, keys in rows.items():
             place = f"{path}: {section}.{name}"
-            if not IDENTIFIER.fullmatch(name):
-                raise InputError(f"{place}: a name must be of letters, digits and _")
+            _check_name(place, name)
             if not isinstance(keys, dict) or "source" not in keys:
                 raise InputError(f'{place}: must be a table such as {{ source = "ctrl" }}')
             _check(place, keys, KEYS)
     if description.extends not in ("", *EXTENDED):
         refuse(f"{path}: extends", description.extends, f"must be one of {', '.join(EXTENDED)}")
     return description
+
+
+def _check_name(place: str, name: str) -> None:
+    if not IDENTIFIER.fullmatch(name):
+        refuse(place, name, "must be of letters, digits and _")
 
 
 def _check(place: str, content: Keys, valid: Mapping[str, type]) -> None:
@@ -163,8 +168,6 @@ def _check(place: str, content: Keys, valid: Mapping[str, type]) -> None:
 
 def interface(description: Description, model: Any) -> Interface:
     """Complete a description with shapes, units, start values and bounds from the model."""
-    if not IDENTIFIER.fullmatch(description.name):
-        raise InputError(f"name {description.name!r}: must be of letters, digits and _")
     sources = Sources(model, description.keyframe)
     base = EXTENDED.get(description.extends)
     if base is None:

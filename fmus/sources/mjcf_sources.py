@@ -128,9 +128,9 @@ class Sources:
         if len(words) < 2 or words[0] not in OBJECTS:
             return f"no such {causality} of a MuJoCo model; {_LISTED}"
         kind, name, *rest = words
-        holders = [each for each in (self.model, self.data) if hasattr(each, kind)]
-        views = [getattr(each, kind)(self.find_id(kind, name)) for each in holders]
-        known = {what for _, _, what in _RULES if what}.union(*map(dir, views))
+        views = (getattr(holder, kind, None) for holder in (self.model, self.data))
+        shown = [dir(view(self.find_id(kind, name))) for view in views if view]
+        known = {what for _, _, what in _RULES if what}.union(*shown)
         valid = [n for n in sorted(known) if self._is_valid(causality, [kind, name, n])]
         near = did_you_mean(" ".join(rest[:1]), valid)
         return f"valid: {causality} {kind} NAME {' | '.join(valid) or '...'}{near}"

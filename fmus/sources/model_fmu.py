@@ -135,8 +135,7 @@ def _described(model: Any, options: ModelOptions, stem: str) -> Description:
     if options.interface is not None:
         description = read_description(options.interface)
     else:
-        name = re.sub(r"\W", "_", stem, flags=re.A)
-        description = default_description(model, name if not name[:1].isdigit() else f"_{name}")
+        description = default_description(model, re.sub(r"^(?=\d)|\W", "_", stem, flags=re.A))
     description.keyframe = options.keyframe or description.keyframe
     for section in SECTIONS:
         for source in getattr(options, section):

@@ -172,6 +172,16 @@ def test_diverging_physics_is_an_error_with_time_and_cause(changed, tmp_path, mo
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
 
 
+def test_warnings_of_the_plants_engine_are_counted_from_the_start(changed):
+    it = Instance(
+        changed(b"self._plant.data.warning[1].number += 2; self._plant.step(count)")
+    ).start()
+    it.steps(3)
+    assert it.get("mujoco_warnings") == [0.0, 6.0, 0.0]
+    assert it("Reset") == OK
+    assert it.start().get("mujoco_warnings") == [0.0] * 3
+
+
 # Values.
 
 
@@ -508,7 +518,7 @@ def test_instances_do_not_disturb_each_other_in_turns_or_threads(fmu):
     assert ends == [alone] * 6
 
 
-@pytest.mark.parametrize("count", [70, pytest.param(2000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [50, pytest.param(2000, marks=pytest.mark.long)])
 def test_instances_leave_nothing_behind(fmu, count, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     before = (0, 0)

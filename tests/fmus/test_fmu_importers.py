@@ -19,7 +19,7 @@ from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.master.step import Coupling
 from panda_cosim.fmus.master.system import open_system
-from panda_cosim.fmus.sources.targets import Target, build
+from panda_cosim.fmus.sources.targets import Target
 from panda_cosim.run.written import written_system
 from panda_cosim.task.scenario import load_scenario
 
@@ -112,16 +112,6 @@ def test_pyssp_finds_nothing_to_complain_of(ssp):
     with SSP(str(ssp), mode="r") as opened, opened.system_structure as structure:
         structure.__check_compliance__()
         assert not structure.check_connections()
-
-
-@pytest.mark.skipif(find_spec("fmuloader") is None, reason="no fmuloader")
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_an_importer_that_binds_all_functions_loads_the_plant(fmi):
-    from fmuloader import fmi2, fmi3  # noqa: PLC0415 - only here
-
-    path = build(("plant",), target=Target(fmi=fmi))["plant"]
-    slave = fmi2.Fmi2Slave if fmi == 2 else fmi3.Fmi3Slave
-    assert slave(path, model_identifier="PandaPlant").get_version() == f"{fmi}.0"
 
 
 needs_toolbox = pytest.mark.skipif(

@@ -123,7 +123,7 @@ BAD_INTERFACES = {
     'nam = "x"': "key: value 'nam'; must be one of name, .*; did you mean 'name'",
     'name = "a b"': "must be of letters, digits and _",
     "outputs = 3": "outputs|inline|table",
-    '[outputs]\n"a b" = { source = "qpos" }': "outputs.a b: a name must be",
+    '[outputs]\n"a b" = { source = "qpos" }': "outputs.a b: value 'a b'; must be of letters",
     '[outputs]\nx = { sourse = "qpos" }': "must be a table such as",
     '[outputs]\nx = { source = "body bix xpos" }': "body: value 'bix'; .*; did you mean 'box'",
     '[outputs]\nx = { source = "site zzz xpos" }': "site: value 'zzz'; the model has tip",

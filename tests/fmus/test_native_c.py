@@ -23,7 +23,7 @@ SANITIZED = (
     "-fsanitize=address,undefined,float-cast-overflow",
 )
 PLAIN = ("-g", "-O1")
-SHORT, ACCEPTANCE = 1500, 100_000  # calls
+SHORT, ACCEPTANCE = 1000, 100_000  # calls
 pytestmark = needs_compiler
 
 
