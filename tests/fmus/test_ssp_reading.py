@@ -55,15 +55,17 @@ def toy(name: str, connectors: str = "", more: str = "", fmi: int = 2) -> str:
 
 
 def connectors_of(names: str) -> str:
-    if not names:
-        return ""
     kinds = {"u": "input", "y": "output"}
+    return own(*(f"{n} {kinds.get(n[0], 'parameter')} <ssc:Real/>" for n in names.split()))
+
+
+def own(*connectors: str) -> str:
+    """Connectors, written as name, kind and perhaps content."""
     each = (
-        f'<ssd:Connector name="{n}" kind="{kinds.get(n[0], "parameter")}"><ssc:Real/>'
-        "</ssd:Connector>"
-        for n in names.split()
+        f'<ssd:Connector name="{name}" kind="{kind}">{"".join(content)}</ssd:Connector>'
+        for name, kind, *content in (text.split(" ", 2) for text in connectors)
     )
-    return f"<ssd:Connectors>{''.join(each)}</ssd:Connectors>"
+    return f"<ssd:Connectors>{''.join(each)}</ssd:Connectors>" if connectors else ""
 
 
 def wire(start: str, end: str, change: str = "", more: str = "") -> str:
@@ -140,11 +142,10 @@ def ends(system: CoupledSystem) -> dict[str, str]:
     return {".".join(c.target): ".".join(c.source) for c in system.system.connections}
 
 
+IN_KN = own('force input <ssc:Real unit="kN"/>', "out output")
 # a feeds b, which is within S, by way of a connector of S in kN; what b gives is the system's.
 NESTED = (
-    toy("a", "u[1,1] y[1,1]")
-    + '<ssd:System name="S"><ssd:Connectors><ssd:Connector name="force" kind="input"><ssc:Real '
-    'unit="kN"/></ssd:Connector><ssd:Connector name="out" kind="output"/></ssd:Connectors>'
+    toy("a", "u[1,1] y[1,1]") + f'<ssd:System name="S">{IN_KN}'
     f"<ssd:Elements>{toy('b', 'u[2,3] y[2,3]')}</ssd:Elements><ssd:Connections>"
     f"{wire('force', 'b:u[2,3]', linear(2.0))}{wire('out', 'b:y[2,3]')}</ssd:Connections>"
     "</ssd:System>"
@@ -154,10 +155,7 @@ OUTSIDE = (
     + wire("S:out", "result")
     + wire("a:u[1,1]", "given")
 )
-OWN = (
-    '<ssd:Connectors><ssd:Connector name="result" kind="output"/><ssd:Connector name="given" '
-    'kind="input"/></ssd:Connectors>'
-)
+OWN = own("result output", "given input")
 
 
 @pytest.mark.own_process
@@ -238,23 +236,15 @@ def test_arrays_of_too_many_elements_are_refused_before_they_are_made(tmp_path, 
     with pytest.raises(InputError, match=r"x\.fmu: .*'[rs]': array elements up to here: value \d"):
         read_fmu(path)
     lines = "".join(f'<ssc:Dimension size="{n}"/>' for n in sizes)
-    two = [f'<ssd:Connector name="{n}" kind="output"><ssc:Float64/>{lines}</ssd:Connector>'
-           for n in ("r", "s")]  # fmt: skip
-    system = f"<ssd:Connectors>{''.join(two)}</ssd:Connectors>"
+    system = own(*(f"{name} output <ssc:Float64/>{lines}" for name in ("r", "s")))
     with pytest.raises(InputError, match=r"connector [rs]: array elements up to here: value \d"):
         read(tmp_path, ssd(toy("a", fmi=3), "", system, version="2.0"))
 
 
 def test_arrays_are_connected_whole_or_by_element(tmp_path):
-    array = (
-        '<ssd:Connectors><ssd:Connector name="u" kind="input"><ssc:Float64/><ssc:Dimension '
-        'size="2"/><ssc:Dimension size="3"/></ssd:Connector><ssd:Connector name="y" '
-        'kind="output"><ssc:Float64/></ssd:Connector></ssd:Connectors>'
-    )
-    system = (
-        '<ssd:Connectors><ssd:Connector name="v" kind="output"><ssc:Float64/><ssc:Dimension '
-        'size="4"/></ssd:Connector></ssd:Connectors>'
-    )
+    sizes = '<ssc:Dimension size="2"/><ssc:Dimension size="3"/>'
+    array = own(f"u input <ssc:Float64/>{sizes}", "y output <ssc:Float64/>")
+    system = own('v output <ssc:Float64/><ssc:Dimension size="4"/>')
     parts = toy("a", fmi=3).replace("></ssd:Component>", f">{array}</ssd:Component>")
     connections = (
         wire("a:y", "b:u")
@@ -322,11 +312,8 @@ def test_parameter_mappings_rename_and_transform(tmp_path):
 
 
 def test_parameters_of_a_system_s_connectors_reach_all_that_they_feed(tmp_path):
-    more = (
-        '<ssd:Connectors><ssd:Connector name="gain" kind="parameter"/><ssd:Connector name="load" '
-        'kind="input"/></ssd:Connectors>'
-        + parameters(value("gain", "2") + value("load", "3", more='unit="kN"'))
-    )
+    values = value("gain", "2") + value("load", "3", more='unit="kN"')
+    more = own("gain parameter", "load input") + parameters(values)
     connections = (
         wire("gain", "a:k") + wire("gain", "b:k", linear(2.0, 1.0)) + wire("load", "b:u[1,1]")
     )
@@ -347,8 +334,7 @@ def test_arrays_of_parameters_are_lists(tmp_path):
 MAPS = '<ssc:BooleanMappingTransformation><ssc:MapEntry source="true" target="true"/>' \
        "</ssc:BooleanMappingTransformation>"  # fmt: skip
 A, B = toy("a", "u[1,1] y[1,1]"), toy("b", "u[1,1] y[1,1]")
-MASS = '<ssd:Connectors><ssd:Connector name="v" kind="input"><ssc:Real unit="s"/></ssd:Connector>' \
-       "</ssd:Connectors>" + parameters(value("v", "1"))  # fmt: skip
+MASS = own('v input <ssc:Real unit="s"/>') + parameters(value("v", "1"))
 
 
 @pytest.mark.parametrize(
@@ -403,14 +389,10 @@ TYPES = {"Int32": ("Integer", "7"), "Boolean": ("Boolean", "true"), "String": ("
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_connections_and_parameters_of_all_types(tmp_path, fmi):
     names = [f"{name}_{kind}put" for name in TYPES for kind in ("in", "out")]
-    plain = "".join(
-        f'<ssd:Connector name="{name}" kind="{name.rpartition("_")[2]}"/>' for name in names
-    )
+    plain = own(*(f"{name} {name.rpartition('_')[2]}" for name in names))
     values = parameters("".join(value(f"{n}_input", v, k) for n, (k, v) in TYPES.items()))
     components = [
-        toy(name, "x", more).replace(
-            connectors_of("x"), f"<ssd:Connectors>{plain}</ssd:Connectors>"
-        )
+        toy(name, "x", more).replace(connectors_of("x"), plain)
         for name, more in (("a", values), ("b", ""))
     ]
     connections = "".join(wire(f"a:{name}_output", f"b:{name}_input") for name in TYPES)
