@@ -21,12 +21,13 @@ from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.compare.against_reference import compare_with_reference
-from panda_cosim.study.compare.engines import difference_of
+from panda_cosim.study.compare.engines import difference_of, engine_rows
 from panda_cosim.study.compare.reference import Reference
+from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.sweep.definition import sweep_of
 from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.task.tolerances import Tolerances
-from regress_support import SUMMARY, columns, record
+from regress_support import CONTENT, SUMMARY, columns, record
 
 ENGINE = "3.11.0"
 HERE = mujoco.__version__
@@ -268,6 +269,17 @@ def test_noise_tells_rounding_from_change(tmp_path):
         difference_of(*recordings, record(tmp_path / "short", short), Tolerances())
         == f"beyond rounding, tick {rows - 5}: its length"
     )
+
+
+def test_contacts_that_an_engine_adds_or_takes_away_are_named(tmp_path):
+    scenario, runs = load_scenario("push"), []
+    for name, bodies in (("own", ["block", "hand"]), ("noisy", []), ("other", ["hand", "table"])):
+        record(tmp_path / name, columns())
+        contact = {"unwanted": [{"bodies": bodies}]} if bodies else {}
+        (tmp_path / name / "summary.json").write_text(json.dumps({**CONTENT, "contact": contact}))
+        runs.append(Outcome(scenario, "same", tmp_path / name, 0.0))
+    ((_, other),) = engine_rows([scenario], 1, runs)
+    assert other.difference == "equal; hand and table touch; block and hand touch no more"
 
 
 def test_a_comparison_names_engines_and_the_first_signal_outside(tmp_path):

@@ -54,7 +54,15 @@ def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
     if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
         return ""
     own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
-    return difference_of(own_run, noisy_run, run, own.read.regression)
+    found = difference_of(own_run, noisy_run, run, own.read.regression)
+    before, now = _touching(own), _touching(outcome)
+    new = [f"{pair} touch" for pair in sorted(now - before)]
+    return "; ".join([found, *new, *(f"{pair} touch no more" for pair in sorted(before - now))])
+
+
+def _touching(outcome: Outcome) -> set[str]:
+    """Return the pairs of bodies in unwanted contact."""
+    return {" and ".join(each["bodies"]) for each in outcome.summary.contact.get("unwanted", ())}
 
 
 def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: Tolerances) -> str:
