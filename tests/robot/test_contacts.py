@@ -1,8 +1,6 @@
 """Contacts that nobody wants: in the plant, in the summary, and in what is advised."""
 
 from dataclasses import replace
-from functools import cache
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,11 +30,6 @@ WALL = """<mujoco model="walled">
   </worldbody>
 </mujoco>
 """
-
-
-@cache
-def course(**plant: Any) -> FakeRecording:
-    return run_plain(shortened().changed({f"plant.{name}": value for name, value in plant.items()}))
 
 
 def shortened() -> Scenario:
@@ -94,8 +87,8 @@ def test_45_deg_from_vertical_parts_what_carries_from_what_pushes(turn, kind):
     ("plant", "pair", "from_s"),
     [(STRUCK, ["left_finger", "table"], 0.916), (EDGED, ["block", "table"], 3.457)],
 )
-def test_contacts_are_named_with_bodies_time_and_force(plant, pair, from_s):
-    run = course(**plant)
+def test_contacts_are_named_before_any_other_advice_with_bodies_time_and_force(plant, pair, from_s):
+    run = run_plain(shortened().changed({f"plant.{k}": value for k, value in plant.items()}))
     told = unwanted_contacts(run)
     force, first = run["plant.unwanted_contact_force"], told["unwanted"][0]
     assert first["bodies"] == tuple(pair)
@@ -104,11 +97,6 @@ def test_contacts_are_named_with_bodies_time_and_force(plant, pair, from_s):
     during = (run.time >= first["time_s"]) & (run.time <= first["end_s"])
     assert first["force_N"] == force[during].max()
     assert first["time_s"] == run.time[np.flatnonzero(force)[0]]
-
-
-@pytest.mark.parametrize("plant", [STRUCK, EDGED])
-def test_a_contact_is_missed_and_named_before_any_other_advice(plant):
-    run = course(**plant)
     summary = summarize(run, shortened())
     assert [c.name for c in summary.criteria if not c.ok] == ["max_unwanted_force"]
     lines = said(run, summary)
