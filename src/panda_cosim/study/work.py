@@ -112,8 +112,8 @@ class Workers(AbstractContextManager["Workers"]):
         code = process.end()
         return f"signal {-code}" if code < 0 else f"exit code {code}"
 
-    def close(self) -> None:
-        """Kill what runs, and start nothing more; a second call does nothing."""
+    def __exit__(self, *_: object) -> None:
+        """Kill what runs, and start nothing more."""
         with self._lock:
             self._is_closed = True
             for process in self._busy:
@@ -125,10 +125,6 @@ class Workers(AbstractContextManager["Workers"]):
         finally:  # Ctrl-C may come while they leave
             for process in self._busy.union(self._idle):
                 process.end()
-
-    def __exit__(self, *_: object) -> None:
-        """End all processes."""
-        self.close()
 
 
 class _Process(Child):

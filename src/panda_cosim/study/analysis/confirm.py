@@ -147,5 +147,4 @@ def _disk(angle: float, phases: Array, size: float) -> Filters:
 def _all_pass(angle: float, lags: Array) -> Array:
     """Coefficient c of (c + 1 / z) / (1 + c / z), which lags so far at a frequency."""
     angle = max(angle, REAL)  # at 0, there is no lag
-    c: Array = np.sin(0.5 * (angle - lags)) / np.sin(0.5 * (angle + lags))
-    return c
+    return np.asarray(np.sin(0.5 * (angle - lags)) / np.sin(0.5 * (angle + lags)))

@@ -144,16 +144,14 @@ def shown(value: float | None) -> str:
 def frequencies(responses: Responses) -> Array:
     """Frequencies (m,) [rad/s] of a picture: of one wave in the responses to Nyquist's."""
     ends = 2.0 * np.pi / responses.window, 0.999 * np.pi / responses.period
-    omega: Array = np.geomspace(*ends, FREQUENCIES)
-    return omega
+    return np.geomspace(*ends, FREQUENCIES)
 
 
 def steps(responses: Responses) -> Array:
     """How far each joint moves (ticks, n) if 1 is added to its input, or what is fed back there."""
     n = len(responses.inputs)
     own, first = range(n), n if responses.positions else 0
-    moves: Array = np.cumsum(responses.pulses[:, first:][:, own, own], axis=0)
-    return moves
+    return np.cumsum(responses.pulses[:, first:][:, own, own], axis=0)
 
 
 def _judge(responses: Responses, index: int) -> Loop:

@@ -314,8 +314,7 @@ class Measurement:
         added, first = self._nothing.copy(), self._at.start + late * self._at.step
         size = factor * self._size
         added[first : first + self._at.step, inputs] = size * self._scale[inputs]
-        answers: Array = (self._system.run(added, change) - self._base)[self._at, columns] / size
-        return answers
+        return (self._system.run(added, change) - self._base)[self._at, columns] / size
 
 
 def _difference(one: Array, other: Array) -> float:

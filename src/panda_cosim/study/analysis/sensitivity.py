@@ -179,8 +179,7 @@ def disk_margin(sensitivity: Sensitivity) -> tuple[float, float, Array]:
 
 def _skew(s: Response) -> Response:
     """(S - T) / 2 = S - 1 / 2."""
-    skew: Response = s - 0.5 * np.eye(s.shape[1])
-    return skew
+    return np.asarray(s - 0.5 * np.eye(s.shape[1]))
 
 
 def _balanced(matrices: Response) -> Response:
