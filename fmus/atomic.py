@@ -202,5 +202,8 @@ def _cache_place() -> Path:
         return Path(chosen).absolute()
     place = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if not place.is_absolute():  # Ref: XDG Base Directory Specification: others are ignored
-        place = Path.home().absolute() / ".cache"
+        try:
+            place = Path.home().absolute() / ".cache"
+        except RuntimeError as error:
+            raise InputError("no home folder for the FMU cache; set PANDA_COSIM_CACHE") from error
     return place / "panda-cosim"
