@@ -125,8 +125,9 @@ def qualify(
 
     def look(outcome: Outcome) -> None:
         tell(outcome, len(trials))
-        is_same = _digests(outcome.run) == digests[trials[outcome.name][0].name]
-        seen[outcome.name] = noticed_by(outcome) or NO_EFFECT * is_same
+        seen[outcome.name] = noticed_by(outcome)  # a failed run may have no recording
+        if outcome.ok and _digests(outcome.run) == digests[trials[outcome.name][0].name]:
+            seen[outcome.name] = NO_EFFECT
         shutil.rmtree(outcome.run, ignore_errors=True)
 
     changed = [replace(each.applied(one), name=name) for name, (one, each) in trials.items()]
