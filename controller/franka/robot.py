@@ -220,11 +220,8 @@ class Robot:
         if self._move:
             self.send_state()
             due = int(self._state["message_id"])
-            if self._is_opening:  # the program reads a first state before that which it answers
-                time.sleep(READING)
-                while self._move and not self._service.is_read:
-                    self._line.serve(LOOK)
-                self.send_state()
+            if self._is_opening:
+                self._open()
         while self._move:
             self._line.serve(SLICE, self._service.udp)
             command = self._received(due)
@@ -232,6 +229,13 @@ class Robot:
                 self._is_opening = False
                 return command
         return None
+
+    def _open(self) -> None:
+        """Let the program read a first state, before that which it answers."""
+        time.sleep(READING)
+        while self._move and not self._service.is_read:
+            self._line.serve(LOOK)
+        self.send_state()
 
     def _received(self, due: int) -> Message | None:
         """Return the command that answers a state, if it has come."""

@@ -78,24 +78,27 @@ def stabilization(time, distance, band):
     return distance[outside].max(), time[outside[-1] + 1] - time[first]
 
 
+def settling(overshoots, times):
+    """The largest overshoot [mm], and the mean time [s]."""
+    return [overshoots.max(), times.mean()]
+
+
 def sheet(folder):
     """All figures of a sweep; lengths in mm, angles in degrees."""
     kept = sorted(Path(folder, "runs").glob("*"))
     if len(kept) != CYCLES:
         raise SystemExit(f'{folder}: {len(kept)} kept cycles; must be {CYCLES}, with keep = "all"')
     cycles = [Cycle(Recording.open(run)) for run in kept]
-    poses = {name: figures(np.array([c.poses[i] for c in cycles])) for i, name in enumerate(POSES)}
-    planes = [
-        figures(np.array([c.path[i] for c in cycles[:PATH_CYCLES]])) for i in range(len(PLANES))
-    ]
+    by_pose = np.stack([cycle.poses for cycle in cycles], axis=1)
+    by_plane = np.stack([cycle.path for cycle in cycles[:PATH_CYCLES]], axis=1)
+    poses, planes = dict(zip(POSES, map(figures, by_pose), strict=True)), [*map(figures, by_plane)]
     band = poses["P1"]["R_l"]
     settled = [stabilization(c.time, c.distance, band) for c in cycles[:STABLE_CYCLES]]
     return {
         "poses": poses,
         "path": {name: max(abs(plane[name]) for plane in planes) for name in planes[0]},
-        "OV, t_s at P1": None if None in settled else [max(s[0] for s in settled),
-                                                      np.mean([s[1] for s in settled])],
-    }  # fmt: skip
+        "OV, t_s at P1": None if None in settled else settling(*np.transpose(settled)),
+    }
 
 
 if __name__ == "__main__":

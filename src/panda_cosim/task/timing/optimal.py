@@ -7,6 +7,7 @@ then measured against the limits, and the law's bounds are corrected, a few time
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise, repeat
@@ -95,11 +96,8 @@ def retimed(
                 within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
-            # Each motion with the dwell that follows it.
-            spans = [*map(slice, starts, [*starts[1:], None])]
-            during = [{name: used[span] for name, used in demanded.items()} for span in spans]
-            misses = [miss[span] for span in spans]
-            bounds = [*map(_corrected, bounds, laws, during, misses, repeat(share))]
+            measured = _by_motion({"miss": miss, **demanded}, starts)
+            bounds = [*map(_corrected, bounds, laws, measured, repeat(share))]
         joints = map(partial(_joints, reference), parts, laws, starts)
         each = zip(parts, joints, bounds, strict=True)
         try:
@@ -113,14 +111,20 @@ def retimed(
     return min(within, key=lambda timing: timing.cycle)
 
 
-def _corrected(
-    bounds: Bounds, law: Array, demanded: dict[str, Array], miss: Array, share: float
-) -> Bounds:
+def _by_motion(values: dict[str, Array], starts: list[int]) -> Iterator[dict[str, Array]]:
+    """Yield the values during each motion, and the dwell that follows it."""
+    for first, after in zip(starts, [*starts[1:], None], strict=True):
+        yield {name: each[first:after] for name, each in values.items()}
+
+
+def _corrected(bounds: Bounds, law: Array, measured: dict[str, Array], share: float) -> Bounds:
     """Correct the bounds of one motion by what was measured during it and the dwell after it.
 
-    `law` is the place on the path at each tick of the motion (m,) [m], and `miss` the distance of
-    hand and command at each tick, the dwell's included (n,) [m].
+    `law` is the place on the path at each tick of the motion (m,) [m]. Measured are shares of the
+    limits and, as `miss`, the distance of hand and command, the dwell's included (n,) [m].
     """
+    demanded = measured.copy()
+    miss = demanded.pop("miss")
     used = largest(demanded)
     rates = np.hstack((demanded["jerk"], demanded["torque rate"]))
     smooth = float(without_spikes(rates).max())
