@@ -182,7 +182,10 @@ class Fmu:
 def read_fmu(path: Path, label: str = "") -> Fmu:
     """Read an FMU; one that has been read before is not read again until its file changes."""
     modified = path.stat().st_mtime_ns if path.is_file() else 0
-    return _read_once(path.absolute(), label or str(path), modified)
+    known = path.absolute(), label or str(path), modified
+    if not _read_once(*known).library.is_file():  # the cache was cleared meanwhile
+        _read_once.cache_clear()
+    return _read_once(*known)
 
 
 @lru_cache(maxsize=64)

@@ -1,6 +1,7 @@
 """Archives and XML from elsewhere: unpacked whole and inside their folder, or refused in a line."""
 
 import os
+import shutil
 import stat
 import zipfile
 from collections.abc import Callable
@@ -8,8 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from fmu_support import needs_compiler
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.reading import ANY_SIZE, MOST_TIMES, read_xml, unpack
+from toy_fmu import toy_fmu
 
 Write = Callable[[zipfile.ZipFile], object]
 
@@ -156,3 +160,14 @@ def test_xml_that_cannot_be_read_is_refused(tmp_path, kind):
         read_xml(path, "x.fmu: x.xml")
     check_message(refused.value, Path("x.fmu"))
     assert "SECRET" not in str(refused.value)
+
+
+@needs_compiler
+def test_an_fmu_is_unpacked_again_once_the_cache_was_cleared(tmp_path, cache):
+    path = toy_fmu(tmp_path / "toy.fmu", 2)
+    first = read_fmu(path)
+    assert read_fmu(path) is first
+    shutil.rmtree(cache)
+    again = read_fmu(path)
+    assert again.library.is_file()
+    assert again.library == first.library
