@@ -20,7 +20,6 @@ from .identity import code_digest, digest, mujoco_package
 from .libraries import NEED_MUJOCO, library, mujoco_library
 from .platforms import PLATFORMS
 
-TABLE_NAME: Final = "variables.txt"
 Option = tuple[str, str]
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of all members of archives
 _COMPRESSED: Final = (".fmu", ".png")  # compressed already
@@ -74,7 +73,7 @@ class NativeFmu:
         """Make the .fmu file: description, documentation, resources, and libraries."""
         members, options = description_of(self, layout), (*self.options, *self.recorded)
         written = table(self.interface, self.token, self.step_size, options, scalars=layout.scalars)
-        for name, content in {TABLE_NAME: written, **self.resources}.items():
+        for name, content in {"variables.txt": written, **self.resources}.items():
             members[f"resources/{name}"] = content
         for name in platforms:
             platform = PLATFORMS[name]

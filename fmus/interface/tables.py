@@ -7,20 +7,20 @@ from types import MappingProxyType
 from typing import Final
 
 from .controller import COMMANDS, CONTROLLER
+from .own import read_table
 from .plant import PLANT
 from .sensors import MEASURED
 from .variables import Interface, Variable
 
 TABLE_FILE: Final = "table.bin"  # float64, little-endian, one row of 14 per millisecond
+_TABLE: Final = read_table("tables")
 TRAJECTORY = Interface(
     "PandaTrajectory",
-    "Plays a scenario's commands for PandaController, one row per millisecond",
+    _TABLE["description"],
     (
         *(replace(v, causality="output", start=None, minimum=None, maximum=None)
           for v in CONTROLLER.of("input") if v.name in COMMANDS),
-        Variable("table", (), "", "parameter", "fixed", "CSV file to play instead of the built-in "
-                 "table, as `panda-cosim inputs` writes it; empty: the built-in one. Only FMUs "
-                 "that run Python read it", "", kind="String"),
+        Variable("table", (), "", "parameter", "fixed", _TABLE["table"], "", kind="String"),
     ),
     {"command": COMMANDS},
 )  # fmt: skip

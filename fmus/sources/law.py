@@ -36,7 +36,6 @@ from .python_fmu import class_of, code_of, is_slave, python_fmu
 
 SLAVE: Final = SOURCES.with_name("inside") / "law.py"
 SLAVE_FILE: Final = "law_slave.py"  # its name in the FMU
-LAYOUT: Final = "layout.json"
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ def law_fmu(
         slave | law_code(law.path),
         (SLAVE_FILE.removesuffix(".py"), "LawSlave"),
         ("numpy",),
-        resources={LAYOUT: json.dumps(layout).encode()},
+        resources={"layout.json": json.dumps(layout).encode()},
         private=True,
     )
 

@@ -21,11 +21,8 @@ _GROUPS: Final = {"quaternion": "quat", "about": "rot"}  # by a part's first wor
 _OF_MOVED: Final = re.compile(r"(joint|tendon|actuator)(?:limit|act)?(pos|vel|frc)")
 # MuJoCo's numbers of the kinds of actuators; older versions lack some.
 _ON_JOINTS: Final = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_TENDON: Final = int(mujoco.mjtTrn.mjTRN_TENDON)
 _ON_BALL: Final = int(getattr(mujoco.mjtTrn, "mjTRN_SO3", -1))
-_FIXED: Final = int(mujoco.mjtGain.mjGAIN_FIXED)
 _SERVOS: Final = tuple(int(getattr(mujoco.mjtGain, f"mjGAIN_{n}", -1)) for n in ("PID", "DCMOTOR"))
-_NO_BIAS: Final = int(mujoco.mjtBias.mjBIAS_NONE)
 # Those whose force follows the control, perhaps filtered.
 _FOLLOWING: Final = [int(getattr(mujoco.mjtDyn, f"mjDYN_{name}"))
                      for name in ("NONE", "FILTER", "FILTEREXACT")]  # fmt: skip
@@ -130,9 +127,10 @@ def _unit_of_control(model: Any, actuator: int, length: str) -> str:
     """Unit of a motor's force, or of a servo's position or velocity; "" of anything else."""
     gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
     follows = model.actuator_dyntype[actuator] in _FOLLOWING
-    if not (length and follows and model.actuator_gaintype[actuator] == _FIXED):
+    is_fixed = int(model.actuator_gaintype[actuator]) == mujoco.mjtGain.mjGAIN_FIXED
+    if not (length and follows and is_fixed):
         return ""
-    if model.actuator_biastype[actuator] == _NO_BIAS:
+    if int(model.actuator_biastype[actuator]) == mujoco.mjtBias.mjBIAS_NONE:
         return _derived("frc", length) if gain[0] == 1.0 else ""
     if bias[0] == 0.0 and bias[1] == -gain[0]:
         return length
@@ -161,7 +159,7 @@ def _actuator_unit(model: Any, actuator: int) -> str:
         return ""
     if transmission in _ON_JOINTS:
         return _joint_unit(model, int(target))
-    return _tendon_unit(model, int(target)) if transmission == _TENDON else ""
+    return _tendon_unit(model, int(target)) if transmission == mujoco.mjtTrn.mjTRN_TENDON else ""
 
 
 _MOVED: Final = {"joint": _joint_unit, "tendon": _tendon_unit, "actuator": _actuator_unit}
