@@ -23,8 +23,8 @@ if TYPE_CHECKING:  # what type checkers know of the names below
     from panda_cosim.run.replay import replay as replay
     from panda_cosim.run.result import Run as Run
     from panda_cosim.run.session import Session as Session
-    from panda_cosim.study.analysis.margins import Analysis as Analysis
-    from panda_cosim.study.analysis.margins import analyze as analyze
+    from panda_cosim.study.analysis.loops import Analysis as Analysis
+    from panda_cosim.study.analysis.loops import analyze as analyze
     from panda_cosim.study.compare.between_runs import RunComparison as RunComparison
     from panda_cosim.study.compare.between_runs import compare as compare
     from panda_cosim.study.sweep.definition import Sweep as Sweep
@@ -41,7 +41,7 @@ if TYPE_CHECKING:  # what type checkers know of the names below
 
 _NAMES = {
     "fmus.errors": "CosimError InputError SimulationError",
-    "study.analysis.margins": "Analysis analyze",
+    "study.analysis.loops": "Analysis analyze",
     "study.compare.between_runs": "RunComparison compare",
     "result.recording.reader": "Recording",
     "run.options": "Options",

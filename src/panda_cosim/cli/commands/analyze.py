@@ -16,7 +16,8 @@ from pydantic_core import to_json
 from ...fmus.atomic import MARK, check_replaceable, replacing, write_whole
 from ...show.pictures.plot import own_style
 from ...study.analysis.confirm import REFUTED
-from ...study.analysis.margins import HEADS, Analysis, analyze, shown
+from ...study.analysis.loops import Analysis, analyze
+from ...study.analysis.margins import HEADS, shown
 from ...study.analysis.plot import draw_analyses
 from ...task.files import marked_json
 from ...task.scenario import Scenario, load_scenario

@@ -11,17 +11,15 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.master.wiring import Array
+from .margins import Margins
 from .responses import Filters
 from .sensitivity import Limits, Sensitivity, crossings, disk_margin
-
-if TYPE_CHECKING:
-    from .margins import Margins
 
 NEAR: Final = (0.05, 0.2, 0.4)  # shares of a margin: the first at which a run is decided
 LONGEST: Final = 400  # periods of a delay that is run

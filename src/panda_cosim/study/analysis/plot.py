@@ -11,7 +11,7 @@ import numpy as np
 
 from ...show.pictures.panels import COLOURS, DPI, GREY
 from ...show.pictures.plot import own_style
-from .margins import TABLES, Analysis, frequencies, steps
+from .margins import TABLES, Measured, frequencies, steps
 
 if TYPE_CHECKING:
     from ...show.pictures.canvas import ShownFigure
@@ -21,7 +21,7 @@ WIDER: Final = 0.55
 LETTERS: Final = 24  # of a case's name beneath its bars
 
 
-def draw_analyses(cases: Mapping[str, Analysis]) -> ShownFigure:
+def draw_analyses(cases: Mapping[str, Measured]) -> ShownFigure:
     """Return a figure of analyses by name: one by joint, several in a colour each."""
     with own_style():
         from ...show.pictures.canvas import ShownFigure  # noqa: PLC0415 - slow to import
@@ -45,7 +45,7 @@ def draw_analyses(cases: Mapping[str, Analysis]) -> ShownFigure:
     return figure
 
 
-def _draw(analysis: Analysis, axes: Any, name: str, colour: str) -> None:
+def _draw(analysis: Measured, axes: Any, name: str, colour: str) -> None:
     """Draw one analysis: each loop in its own colour, or if it has a name, all in that of it."""
     import control  # noqa: PLC0415 - brings matplotlib and scipy
 
@@ -83,7 +83,7 @@ def _finish(axes: Any) -> None:
     axes[0, 2].legend()
 
 
-def _margins(cases: Mapping[str, Analysis], axes: Any) -> None:
+def _margins(cases: Mapping[str, Measured], axes: Any) -> None:
     place = np.arange(len(cases))
     axes.set_xlim(-0.8, len(cases) - 0.2)
     axes.set_xticks(place, [shorten(name, LETTERS) for name in cases], fontsize="small")
