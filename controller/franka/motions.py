@@ -199,5 +199,10 @@ def _of_hand(rates: Iterable[Vector]) -> Iterator[Measure]:
     return hand_measures(moving, turning, LIMITS)
 
 
-_KINDS = (JointMotion, JointMotion, CartesianMotion, CartesianMotion, Motion)
-MOTIONS: Final = dict(enumerate(_KINDS, Generator.JOINT_POSITION))  # by what the program commands
+MOTIONS: Final = {  # by what the program commands
+    Generator.JOINT_POSITION: JointMotion,
+    Generator.JOINT_VELOCITY: JointMotion,
+    Generator.CARTESIAN_POSE: CartesianMotion,
+    Generator.CARTESIAN_VELOCITY: CartesianMotion,
+    Generator.NONE: Motion,
+}

@@ -22,8 +22,8 @@ from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.engines import difference_of, engine_rows
+from panda_cosim.study.compare.outcome import Outcome
 from panda_cosim.study.compare.reference import Reference
-from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.sweep.definition import sweep_of
 from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.task.tolerances import Tolerances

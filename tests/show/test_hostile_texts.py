@@ -37,8 +37,8 @@ from panda_cosim.show.view.model import describe
 from panda_cosim.show.view.page import Inline, live_page
 from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.junit import Case, write_cases
+from panda_cosim.study.compare.outcome import Outcome
 from panda_cosim.study.compare.reference import Reference
-from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.compare.report import write_report as write_suite
 from panda_cosim.study.live.server import LiveServer
 from panda_cosim.study.sweep.report import write_report

@@ -15,8 +15,8 @@ from panda_cosim import Recording, Scenario, TableRow, TrajectoryTable, load_sce
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.causes import changed
+from panda_cosim.study.compare.outcome import Outcome
 from panda_cosim.study.compare.reference import Reference, kept_metadata
-from panda_cosim.study.compare.regress import Outcome
 from panda_cosim.study.compare.report import write_report
 from regress_support import CONTENT, MISSED_CONTENT, SUMMARY, columns, record
 from view_support import run_scenario_outside

@@ -101,8 +101,6 @@ class End(_Act):
 
 
 Act = Set | Release | MoveWaypoint | SetCoupling | End
-_KINDS: dict[str, type[Act]] = {kind.model_fields["do"].default: kind for kind in get_args(Act)}
-_OBJECT = TypeAdapter(dict[str, Any])
 
 
 @dataclass(frozen=True)
@@ -170,11 +168,12 @@ class Journal:
 
 def _action(place: str, line: str, least: int) -> Action:
     with validated(place):
-        content = _OBJECT.validate_json(line)
+        content = TypeAdapter(dict[str, Any]).validate_json(line)
     tick = Whole(least, MAX_STEPS).check(f"{place}: tick", content.pop("tick", None))
-    name = check_choice(f"{place}: action", content.pop("action", None), _KINDS)
+    kinds: dict[str, type[Act]] = {it.model_fields["do"].default: it for it in get_args(Act)}
+    name = check_choice(f"{place}: action", content.pop("action", None), kinds)
     with validated(f"{place}: {name}"):
-        return Action(tick, _KINDS[name].model_validate(content))
+        return Action(tick, kinds[name].model_validate(content))
 
 
 class Adjustments:

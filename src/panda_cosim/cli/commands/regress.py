@@ -21,18 +21,15 @@ from ...run.folder import default_folder
 from ...study.compare.engines import engine_rows, variants
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
+from ...study.compare.outcome import Outcome, Unusable, exit_code, headline
 from ...study.compare.qualify import NO_EFFECT, score, write_findings
 from ...study.compare.qualify import qualify as find
 from ...study.compare.reference import Reference
 from ...study.compare.regress import (
-    Outcome,
     Suite,
-    Unusable,
     candidate,
     changes,
-    exit_code,
     find_scenarios,
-    headline,
     run_suite,
     with_values,
 )

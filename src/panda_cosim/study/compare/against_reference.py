@@ -34,6 +34,9 @@ from .reference import Reference, column_digest
 from .tubes import TIME_SLACK, Rows, distances, extent_of, holds_constant, shown_at, widths
 from .wording import instant, measure, multiple, precise, signal_names
 
+LISTED: Final = 20  # signals that are missing or new
+COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
+
 
 def verdict_problems(summary: Summary, reference: Reference) -> list[str]:
     """Check that the verdict is that of the reference, and what the scenario expects."""
@@ -89,10 +92,6 @@ def bit_problems(recording: Recording, reference: Reference) -> list[str]:
         if name in recording.types and column_digest(recording[name]) != bits
     ]
     return [f"bits differ: {signal_names(differing)}"] if differing else []
-
-
-LISTED: Final = 20  # signals that are missing or new
-COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
 
 
 @dataclass(frozen=True)

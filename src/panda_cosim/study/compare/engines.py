@@ -16,7 +16,7 @@ import numpy as np
 from ...result.recording import Recording
 from ...task.scenario import Scenario
 from ...task.tolerances import Tolerances
-from .regress import Outcome, Unusable
+from .outcome import Outcome, Unusable
 from .tubes import widths
 
 NOISE: Final = 1.0 + 1e-14

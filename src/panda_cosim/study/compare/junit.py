@@ -13,7 +13,7 @@ from ...result.judging.criterion import line
 from .wording import instant, measure, multiple
 
 if TYPE_CHECKING:
-    from .regress import Outcome  # `run` writes JUnit, too, without the suite
+    from .outcome import Outcome  # `run` writes JUnit, too, without the suite
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from typing import Final
 
 from ...fmus.atomic import write_whole
 from ...fmus.errors import InputError
-from .regress import Outcome
+from .outcome import Outcome
 
 MANIFEST_FILE: Final = "made-by-regress.json"
 

@@ -25,7 +25,7 @@ from .wording import multiple
 if TYPE_CHECKING:
     from .against_reference import Deviation
     from .differences import SignalRow
-    from .regress import Outcome
+    from .outcome import Outcome
 
 T = TypeVar("T", "Deviation", "SignalRow")
 

@@ -22,7 +22,7 @@ import pytest
 if TYPE_CHECKING:
     from ...task.scenario import Scenario
     from ...task.values import Values
-    from .regress import Outcome
+    from .outcome import Outcome
 
 SCENARIO_FILE = "scenario.toml"
 pytest_plugins = ("panda_cosim.study.sweep.pytest_plugin",)

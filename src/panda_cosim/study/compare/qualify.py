@@ -27,9 +27,10 @@ from ...task.tolerances import signal_of
 from .causes import TABLES
 from .differences import Row
 from .junit import Case, write_cases
+from .outcome import Outcome
 from .page import Page, Part, Section, Table, render
 from .reference import column_digest
-from .regress import Outcome, Suite, run_suite
+from .regress import Suite, run_suite
 
 STEPS: Final[Mapping[str, float]] = TABLES["steps"]
 NO_EFFECT: Final = "no effect"

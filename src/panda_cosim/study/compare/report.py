@@ -18,9 +18,9 @@ from ...show.view.run import Shown
 from ...task.values import Values
 from .against_reference import Comparison, Deviation, matching_rows
 from .differences import Row, differing
+from .outcome import MEANINGS, Outcome, exit_code, headline
 from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference
-from .regress import MEANINGS, Outcome, exit_code, headline
 from .requirements import Proof, of_outcome
 from .tubes import tube
 from .views import Views, limited, shown_reference

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from ...task.scenario import Scenario
-from .regress import Outcome
+from .outcome import Outcome
 
 WHOLE = "all that is judged"
 

@@ -12,7 +12,7 @@ import pytest
 from ..compare.pytest_plugin import SCENARIO_FILE, JudgedItem, is_chosen
 
 if TYPE_CHECKING:
-    from ..compare.regress import Outcome
+    from ..compare.outcome import Outcome
 
 SWEEP_FILE = "sweep.toml"
 

@@ -11,7 +11,7 @@ from typing import Final
 from ...fmus.errors import CosimError, InputError
 from ...result.judging.criterion import miss_text
 from ...task.scenario import SCENARIO_FILE, Scenario
-from ..compare.regress import Outcome, Unusable, Verdict
+from ..compare.outcome import Outcome, Unusable, Verdict
 from .definition import Sweep
 from .engine import sweep
 from .report import write_report
