@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...assets.fields import Array
 from ..thinning import NOISE
 
-Json = dict[str, object]  # what `source/src/data/types.ts` gives a type
+Json = dict[str, Any]  # what `source/src/data/types.ts` gives a type
 
 LEVEL: Final = 1  # of deflate; 4 takes twice as long for a fifth less
 LARGEST: Final = 2**30  # steps from a column's first value; int32 holds the sums

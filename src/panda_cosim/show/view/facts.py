@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from pydantic_core import to_jsonable_python
@@ -14,6 +14,7 @@ from ...result.judging.advice import refusals
 from ...result.judging.definitions import DEFINITIONS
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
+from ...result.recording.storage import Metadata
 from ...task.limits import METRICS
 from ..pictures.motion import key_moments
 from .columns import Json
@@ -88,7 +89,7 @@ def moments(signals: Recording) -> list[Json]:
     return [{"time": m.time, "label": m.label} for m in key_moments(signals, MOMENTS) if m.label]
 
 
-def waypoints(metadata: Mapping[str, Any]) -> list[Json]:
+def waypoints(metadata: Metadata) -> list[Json]:
     """Return the rows of the scenario's table: their instants [s], and names or numbers."""
     times = metadata.get("row_times", ())
     names = metadata.get("row_names") or [""] * len(times)

@@ -20,6 +20,7 @@ from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...task.files import model_file
 from ..pictures.motion import refuse_without_model
+from .columns import Json
 from .page import plant_parameters
 
 MCAP: Final = ".mcap"
@@ -59,7 +60,7 @@ def write_mcap(recording: Recording, path: Path, rate: float, *, overwrite: bool
 
 def _values(
     recording: Recording, fmu: str, columns: Sequence[str], rows: Sequence[int]
-) -> Iterator[tuple[int, dict[str, Any]]]:
+) -> Iterator[tuple[int, Json]]:
     """Yield instant [ns] and values of an FMU's columns."""
     values = {column: recording[f"{fmu}.{column}"].tolist() for column in columns}
     for row in rows:

@@ -26,6 +26,7 @@ from ...fmus.errors import InputError, legible, shown
 from ...plant.parameters import BLOCK, PlantParameters
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
+from ...result.recording.storage import Metadata
 from ...task.files import model_file
 from ..pictures.motion import DEFAULT_SCENE, has_model
 from .columns import Json
@@ -198,7 +199,7 @@ def show_source(source: Recording, name: str, *, summary: Summary) -> Shown:
     return Shown(name, source, model, masses, summary)
 
 
-def plant_model(metadata: Mapping[str, Any]) -> tuple[Json, list[float]]:
+def plant_model(metadata: Metadata) -> tuple[Json, list[float]]:
     """Return the plant's model with a recording's scene and robot, and the masses of its bodies."""
     parameters = plant_parameters(metadata)
     model = described_scene(parameters.scene, parameters.robot)
@@ -206,7 +207,7 @@ def plant_model(metadata: Mapping[str, Any]) -> tuple[Json, list[float]]:
     return model, [given.get(body["name"], body["mass"]) for body in model["bodies"]]
 
 
-def plant_parameters(metadata: Mapping[str, Any]) -> PlantParameters:
+def plant_parameters(metadata: Metadata) -> PlantParameters:
     """Return scene, robot and block of a recording of our plant."""
     plant = metadata.get("parameters", {}).get("plant", {})
     values = {key: plant[key] for key in ("robot", "block_mass") if key in plant}
@@ -217,7 +218,7 @@ def plant_parameters(metadata: Mapping[str, Any]) -> PlantParameters:
 
 
 @lru_cache(maxsize=4)
-def described_scene(scene: str, robot: str) -> dict[str, Any]:
+def described_scene(scene: str, robot: str) -> Json:
     """Describe a scene of ours, once for each version of the code."""
 
     def make() -> bytes:

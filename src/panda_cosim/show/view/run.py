@@ -7,7 +7,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -71,7 +71,7 @@ class Shown:
     only: frozenset[str] = frozenset()  # signals and columns that are in the page; none: all
 
 
-def describe(run: Shown, model_key: str, against: Recording | None = None) -> dict[str, Any]:
+def describe(run: Shown, model_key: str, against: Recording | None = None) -> Json:
     """Return a run as plain values."""
     source, metadata = run.source, run.source.metadata
     columns = {role: _columns(source, signal) for role, signal in ROLES.items()}
@@ -140,7 +140,7 @@ def _columns(source: Recording, signal: str) -> list[str]:
 
 def _signals(
     run: Shown, thinning: Thinning, positions: Sequence[str], second: Executor
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[Json]:
     """Yield all recorded signals, each with its columns in one block; these are begun at once."""
     source, only = run.source, run.only
     names = [name for name in source.columns if name != "time"]
@@ -152,20 +152,18 @@ def _signals(
     return map(partial(_signal, source), groups, second.map(encode, curves, steps))
 
 
-def _signal(source: Recording, columns: list[str], block: Json) -> dict[str, Any]:
+def _signal(source: Recording, columns: list[str], block: Json) -> Json:
     units = [source.units.get(name, "") for name in columns]
     words = source.descriptions.get(columns[0], "")
     return _described(columns, units, words, block)
 
 
-def _described(columns: list[str], units: list[str], words: str, block: Json) -> dict[str, Any]:
+def _described(columns: list[str], units: list[str], words: str, block: Json) -> Json:
     name = signal_of(columns[0])
     return {"name": name, "columns": columns, "units": units, "words": words, **block}
 
 
-def _derived(
-    source: Recording, thinning: Thinning, against: Recording | None
-) -> list[dict[str, Any]]:
+def _derived(source: Recording, thinning: Thinning, against: Recording | None) -> list[Json]:
     """Return curves computed from several signals, unless they would be rounding noise."""
     hand, turn, command = ROLES["actual"], ROLES["actual_turn"], ROLES["commanded"]
     curves = []
