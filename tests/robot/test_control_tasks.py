@@ -1,9 +1,6 @@
 """What the robot does under control: tasks, limits, singularities, pushes, other blocks."""
 
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +13,10 @@ from panda_cosim.controller.presets import preset
 from panda_cosim.result.judging.advice import weakest_grip
 from panda_cosim.result.judging.limits import largest_share
 from panda_cosim.run.prepare import prepare
+from panda_cosim.run.result import Run
 from panda_cosim.study.check.diagnosis import rehearse
 from panda_cosim.task.rotations import Array
-from random_tasks import Done, random_tasks, run_in_memory, run_plain
+from random_tasks import random_tasks, run_in_memory, run_plain
 
 Signals = dict[str, Array]
 
@@ -26,13 +24,8 @@ PLACE = (0.60, 0.35)  # m
 SHARE = 0.95  # of every limit, of the robot and of its reference
 
 
-@cache
-def run(name: str) -> Done:
-    return run_in_memory(load_scenario(name))
-
-
-def test_pick_and_place_is_as_accurate_as_the_robot():
-    metrics = run("pick_and_place").summary
+def test_pick_and_place_is_as_accurate_as_the_robot_within_every_limit():
+    metrics = run_in_memory(load_scenario("pick_and_place")).summary
     assert metrics.success, metrics.criteria
     assert metrics.tracking["moving_rms_mm"] <= 0.03
     assert metrics.tracking["max_mm"] <= 0.15
@@ -42,17 +35,12 @@ def test_pick_and_place_is_as_accurate_as_the_robot():
     assert metrics.block["yaw_error_deg"] <= 0.5
     assert metrics.block["slip_mm"] <= 1.0
     assert metrics.timing["cycle_s"] <= 6.5
-
-
-def test_pick_and_place_keeps_every_limit_with_a_margin():
-    limits = run("pick_and_place").summary.limits
-    assert not limits["not_measured"]
-    near = {name for name, shares in limits.items() if shares and max(shares) > SHARE}
-    assert not near
+    assert not metrics.limits["not_measured"]
+    assert not {n for n, shares in metrics.limits.items() if shares and max(shares) > SHARE}
 
 
 def test_the_tutorial_is_as_it_was_published():
-    signals = run("tutorial").signals
+    signals = run_in_memory(load_scenario("tutorial")).signals
     error = 1e3 * tracking_error(signals)
     assert np.sqrt(np.mean(error**2)) == pytest.approx(30.2, abs=0.5)  # mm
     assert error.max() == pytest.approx(46.8, abs=1.0)  # mm
@@ -89,39 +77,25 @@ def check_calm(run: Signals) -> None:
     assert (np.abs(np.diff(run["plant.qpos"][:, :7], axis=0)) <= 1.02 * QD_MAX * STEP_SIZE).all()
 
 
-@cache
-def beyond_reach() -> Signals:
-    out = (1.1, 0.0, 0.6)
-    return moved((0, "home", (0, 0, 0)), (1.5, "world", out), (2.0, "world", out),
-                 (4.0, "home", (0, 0, 0)), (5.0, "home", (0.05, 0, 0)),
-                 (6.0, "home", (0, 0, 0)))  # fmt: skip
+HOME, BESIDE, BEYOND = (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (1.1, 0.0, 0.6)
+NEAR_SINGULAR = (0.735, 0.0, 0.62)  # 0.7 mm short of the singular posture, which is stretched
 
 
-@cache
-def near_singular() -> Signals:
-    """Almost stretched: 0.7 mm short of the singular posture."""
-    return moved((0, "home", (0, 0, 0)), (2.0, "world", (0.735, 0, 0.62)),
-                 (4.0, "home", (0, 0, 0)), (5.0, "home", (0.05, 0, 0)),
-                 (6.0, "home", (0, 0, 0)))  # fmt: skip
-
-
-@pytest.mark.parametrize("run", [beyond_reach, near_singular])
-def test_a_command_that_cannot_be_followed_is_met_calmly(run):
-    result = run()  # type: ignore[operator]
-    check_calm(result)
-    assert result["controller.singular"].any()
+@pytest.mark.parametrize(("place", "arrival"), [(BEYOND, 1.5), (NEAR_SINGULAR, 2.0)])
+def test_a_command_that_cannot_be_followed_is_met_calmly(place, arrival):
+    there = [(time, "world", place) for time in sorted({arrival, 2.0})]
+    back = (4.0, "home", HOME), (5.0, "home", BESIDE), (6.0, "home", HOME)
+    run = moved((0.0, "home", HOME), *there, *back)
+    check_calm(run)
+    assert run["controller.singular"].any()
     # It has recovered once the command has been back for a while, on its own side.
-    back = tracking_error(result)[5000:]
-    assert back.max() <= 1e-4
-    assert np.abs(result["plant.qpos"][-1, 3] - result["plant.qpos"][0, 3]) <= 0.05
-
-
-def test_beyond_reach_the_arm_waits_stretched():
-    run = beyond_reach()
-    waiting = slice(1800, 2000)
-    assert np.abs(run["plant.qvel"][waiting, :7]).max() <= 0.2  # rad/s
-    assert (run["controller.singular"][waiting] == 1.0).all()
-    assert np.abs(run["controller.dq"]).max() <= 0.05  # rad: the reference waits, too
+    assert tracking_error(run)[5000:].max() <= 1e-4
+    assert np.abs(run["plant.qpos"][-1, 3] - run["plant.qpos"][0, 3]) <= 0.05
+    if place == BEYOND:  # it waits stretched
+        waiting = slice(1800, 2000)
+        assert np.abs(run["plant.qvel"][waiting, :7]).max() <= 0.2  # rad/s
+        assert (run["controller.singular"][waiting] == 1.0).all()
+        assert np.abs(run["controller.dq"]).max() <= 0.05  # rad: the reference waits, too
 
 
 def test_too_fast_a_command_says_which_limit_binds():
@@ -214,27 +188,25 @@ NOISE = {"mismatch.joint_noise": 1e-5, "mismatch.hand_pose_source": "model"}  # 
 SETTLED = 100  # ticks, after which the servos carry the arm
 
 
-def torque_rate(out: Path, **values: Any) -> float:
-    """Largest torque rate of the approach, as a share of the robot's limit."""
-    run = run_scenario(APPROACH.changed({**NOISE, **values}), out)
+def torque_rate(run: Run) -> float:
+    """Largest torque rate, as a share of the robot's limit."""
     torques = run.recording["plant.actuator_force"][SETTLED:, :7]
     return float((np.abs(np.diff(torques, axis=0)) / (TORQUE_RATE_MAX * 1e-3)).max())
 
 
-@pytest.mark.own_process
-def test_noise_of_1e_5_rad_keeps_the_torque_rate(tmp_path):
-    assert torque_rate(tmp_path / "default") > 5.0
-    assert torque_rate(tmp_path / "robust", gains="robust") < 1.0
+def swing(run: Run) -> float:
+    """Tracking error [mm]."""
+    return float(run.summary.tracking["rms_mm"])
 
 
 @pytest.mark.own_process
-def test_elastic_joints_do_not_swing(tmp_path):
-    elastic = APPROACH.changed({"scene": "elastic"})
-    gains = ("default", "robust")
-    runs = [run_scenario(elastic.changed({"gains": g}), tmp_path / g) for g in gains]
-    rms = [run.summary.tracking["rms_mm"] for run in runs]
-    assert rms[0] > 5.0
-    assert rms[1] < 1.0
+@pytest.mark.parametrize(
+    ("measure", "values"), [(torque_rate, NOISE), (swing, {"scene": "elastic"})]
+)
+def test_robust_gains_bear_noise_of_1e_5_rad_and_elastic_joints(tmp_path, measure, values):
+    assert measure(run_scenario(APPROACH.changed(values), tmp_path / "default")) > 5.0
+    robust = APPROACH.changed({**values, "gains": "robust"})
+    assert measure(run_scenario(robust, tmp_path / "robust")) < 1.0
 
 
 def test_the_pose_error_passes_a_low_pass():

@@ -132,18 +132,6 @@ def test_an_error_is_corrected_as_fast_as_can_be_braked(linear, angular, scale, 
 
 
 @settings(max_examples=50, deadline=None)
-@given(seed=seeds)
-def test_undamped_it_is_the_pseudo_inverse_and_the_rate_in_the_null_space(seed):
-    jac, rng = jacobian(random_posture(seed)), np.random.default_rng(seed + 1)
-    assume(np.linalg.svd(jac)[1][-1] > 0.05)
-    twist, rate, null = rng.normal(size=6), rng.normal(size=7), np.linalg.svd(jac)[2][-1]
-    qd = solve(jac, twist, 0.0, rate)
-    expected = np.linalg.pinv(jac) @ twist + null * (null @ rate)
-    assert np.abs(jac @ qd - twist).max() <= SOLUTION_TOLERANCE
-    assert np.abs(qd - expected).max() <= SOLUTION_TOLERANCE
-
-
-@settings(max_examples=50, deadline=None)
 @given(seed=seeds, damping=st.floats(0.005, 0.5))
 def test_damped_it_is_the_damped_least_squares(seed, damping):
     rng = np.random.default_rng(seed)

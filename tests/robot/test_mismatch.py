@@ -217,14 +217,9 @@ def readings(
     return rows[0], rows[1]
 
 
-def test_without_errors_readings_are_the_truth_bit_for_bit():
-    true, told = readings(SensorErrors(), 50)
-    assert true.tobytes() == told.tobytes()
-
-
 @given(st.integers(0, 8))
 @settings(max_examples=9, deadline=None)
-def test_a_delay_is_a_number_of_ticks(delay):
+def test_a_delay_is_a_number_of_ticks_and_without_errors_readings_are_the_truth(delay):
     true, told = readings(SensorErrors(delay=delay), 30)
     assert told[delay:].tobytes() == true[: 30 - delay].tobytes()
     assert all(row.tobytes() == true[0].tobytes() for row in told[:delay])

@@ -68,10 +68,7 @@ def test_a_start_with_an_error_gives_no_derivative_kick():
 
 
 @settings(max_examples=50, deadline=None)
-@given(
-    limit=st.floats(0.001, 0.1),
-    errors=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60),
-)
+@given(limit=st.floats(0.001, 0.1), errors=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60))
 def test_the_integral_never_winds_up(limit, errors):
     """It stays within its limit, and so turns as soon as the error does."""
     gains = pid_gains(ZERO, 50.0 * ONE, ZERO, limit=limit)
