@@ -141,7 +141,7 @@ def test_what_stands_before_the_robot_in_a_scene_is_refused(tmp_path):
     assert model_part(tmp_path / "door.xml").interface.variable("qpos").shape == (24,)
 
 
-def test_a_controller_gives_torques_where_the_arm_has_motors():
+def test_a_controller_gives_torques_where_the_arm_has_motors_and_a_criterion_what_is_recorded():
     assembly = assemble(load_scenario("draw_circle"))
     wires = {c.target: c.source for c in assembly.connections}
     for i in range(1, 8):
@@ -151,9 +151,6 @@ def test_a_controller_gives_torques_where_the_arm_has_motors():
     assert wires["controller", "mass_matrix[7,7]"] == ("plant", "mass_matrix[7,7]")
     recorded = {column.name for column in assembly.recorded()}
     assert {"plant.table_force", "plant.mass_matrix[1,1]"} <= recorded
-
-
-def test_outputs_on_request_are_recorded_where_a_criterion_is_about_them():
     scenario = load_scenario("stack_blocks")
     recorded = {column.name for column in assemble(scenario).recorded()}
     assert "plant.unwanted_contact_force" in recorded

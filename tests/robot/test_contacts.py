@@ -17,7 +17,6 @@ from panda_cosim.result.judging.advice import advise
 from panda_cosim.result.judging.contacts import unwanted_contacts
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.summary import summarize
-from panda_cosim.task.writer import write_scenario
 from random_tasks import run_plain
 
 SLACK = 0.0015  # [s] more than a tick
@@ -109,16 +108,11 @@ def test_contacts_are_named_before_any_other_advice_with_bodies_time_and_force(p
 
 
 def test_a_wall_of_ones_own_is_named_where_the_block_strikes_it(tmp_path):
-    scenario = replace(load_scenario("pick_and_place"), duration=4.0)
-    write_scenario(scenario, tmp_path / "walled")
-    (tmp_path / "walled" / "wall.xml").write_text(WALL)
-    (tmp_path / "walled" / "wall.toml").write_text(
-        'name = "Walled"\nextends = "PandaPlant"\nkeyframe = "home"\n'
-    )
-    file = tmp_path / "walled" / "scenario.toml"
-    kept = [line for line in file.read_text().splitlines() if not line.startswith("scene")]
-    file.write_text("\n".join([*kept, "[fmus]", 'plant = "wall.xml"', ""]))
-    run = run_scenario(Scenario.read(tmp_path / "walled"), tmp_path / "run")
+    (tmp_path / "wall.xml").write_text(WALL)
+    more = 'name = "Walled"\nextends = "PandaPlant"\nkeyframe = "home"\n'
+    (tmp_path / "wall.toml").write_text(more)
+    changes = {"duration": 4.0, "fmus.plant": str(tmp_path / "wall.xml")}
+    run = run_scenario("pick_and_place", tmp_path / "run", values=changes)
     summary = run.summary
     assert ("block", "wall") in {tuple(c["bodies"]) for c in summary.contact["unwanted"]}
     assert "carry less" not in " ".join(advise(run.recording, summary, ours=False))

@@ -161,6 +161,8 @@ def test_the_parameter_presses_like_the_column():
 def test_an_impossible_force_is_refused(grip, force, bound):
     with pytest.raises(InputError, match=bound):
         TableRow(0.0, "home", (0.0, 0.0, 0.0), grip, grip_force=force)
+    with pytest.raises(InputError, match='the gripper of scene "tutorial" is too weak'):
+        replace(gripping(FORCE), scene="tutorial")
 
 
 def test_a_check_says_what_the_block_takes():
@@ -173,11 +175,6 @@ def test_a_check_says_what_the_block_takes():
     assert friction < 0.4 * 2.0 * FORCE * 1.05
     assert needed > 0.9 * 2.0 * 9.81
     assert friction < needed
-
-
-def test_a_scene_without_that_gripper_refuses_the_column():
-    with pytest.raises(InputError, match='the gripper of scene "tutorial" is too weak'):
-        replace(gripping(FORCE), scene="tutorial")
 
 
 # The gains "robust": noise, elastic joints, and the line that proposes them.

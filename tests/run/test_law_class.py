@@ -104,9 +104,6 @@ def test_what_a_class_uses_and_cannot_be_written_is_named(monkeypatch, value):
     kind = type(value).__name__
     said = refused(file_of, Law)
     assert f"uses HANDLE of type {kind}; must be a number" in said or "source of <lambda>" in said
-
-
-def test_a_class_without_source_is_refused():
     said = refused(load_scenario("push").changed, {"fmus.controller": int})
     assert said == "fmus.controller: the source of int is not known; must be in a file"
 

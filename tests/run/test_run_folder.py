@@ -23,18 +23,12 @@ from panda_cosim.run.folder import claimed_folder, default_folder
 from panda_cosim.study.compare.junit import write_cases
 from panda_cosim.task.criteria import Success
 from panda_cosim.task.files import marked_json
+from panda_cosim.task.mismatch import SIZES, Mismatch
 from panda_cosim.task.scenario import Push
 from panda_cosim.task.table import TableRow, TrajectoryTable
 from panda_cosim.task.tolerances import Tolerances
-from panda_cosim.task.writer import make_scenario
 from panda_cosim.task.writer import write_scenario as write_files
 from regress_support import columns, record
-
-
-@pytest.fixture(scope="module")
-def short(tmp_path_factory):
-    return write_scenario(tmp_path_factory.mktemp("scenario") / "short", 0.05)
-
 
 # --- The copy of what was run ----------------------------------------------------------------
 
@@ -49,14 +43,8 @@ CHANGES: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("values", CHANGES)
 def test_running_the_copy_gives_the_same_bits(tmp_path, values):
-    made = tmp_path / "lift"
-    make_scenario(made)
-    text = (made / "scenario.toml").read_text()
-    text = text.replace("duration = 3.4 ", "duration = 0.4 ").replace("# [[push]]", "[[push]]")
-    text = text.replace("# start = 1.0", "start = 0.1").replace(
-        "# duration = 0.1", "duration = 0.1"
-    )
-    (made / "scenario.toml").write_text(text.replace("# force = [0.0", "force = [0.1"))
+    push = "[[push]]\nstart = 0.1\nduration = 0.1\nforce = [0.1, 5.0, 0.0]\n"
+    made = write_scenario(tmp_path / "short", 0.4, push)
     first = run_scenario(made, tmp_path / "first", values=values)
     again = run_scenario(tmp_path / "first" / "scenario", tmp_path / "again")
     assert again.recording.sha256() == first.recording.sha256()
@@ -95,6 +83,13 @@ FRAMES = st.sampled_from(["world", "home", "target"])
 ROW = st.builds(
     TableRow, st.just(0.0), FRAMES, POSITION, st.floats(0.0, 0.08), st.none() | QUATERNION
 )
+MISMATCH = st.builds(
+    Mismatch,
+    preset=st.sampled_from(["nominal", *SIZES]),
+    seed=st.integers(0, 9),
+    delay=st.sampled_from([0.0, 0.003]),
+    joint_offset=st.none() | st.just((0.1, *[0.0] * 6)),
+)
 SCENARIOS = st.builds(
     Scenario,
     st.just("name"),
@@ -102,6 +97,7 @@ SCENARIOS = st.builds(
     st.integers(1, 3_600_000).map(lambda ticks: ticks * 0.001),
     purpose=TEXT,
     align=st.booleans(),
+    mismatch=MISMATCH,
     plant=SECTION,
     controller=SECTION,
     push=st.lists(st.builds(Push, st.just(0.1), st.just(0.2), POSITION), max_size=2).map(tuple),
