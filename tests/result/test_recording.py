@@ -91,6 +91,15 @@ def test_rows_come_back_bit_for_bit_however_they_were_cut(
     assert np.array_equal(recording["plant.jac"], rows[:, 4:10].reshape(-1, 2, 3))
 
 
+def test_a_recording_without_rows_can_be_read(tmp_path, monkeypatch):
+    made = storage.make_schema
+    monkeypatch.setattr(storage, "make_schema", lambda *given: time.sleep(0.2) or made(*given))
+    recorder = Recorder(tmp_path / "run", COLUMNS, METADATA)
+    recorder.flush()
+    assert Recording.open(tmp_path / "run").rows == 0
+    recorder.close(complete=False)
+
+
 def test_special_numbers_survive(tmp_path):
     rows = make_rows(7)
     rows[:, 1] = [np.nan, np.inf, -np.inf, -0.0, 5e-324, 1.7976931348623157e308, 0.1]

@@ -21,6 +21,7 @@ from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.result.judging.verdicts import INCOMPLETE, VERDICTS
 from panda_cosim.show.view.facts import criteria_of, limits_of, refusals_of
 from panda_cosim.show.view.run import Shown, describe
+from panda_cosim.study.compare import outcome as outcomes
 from panda_cosim.study.compare import regress
 from panda_cosim.study.compare.junit import write_junit
 from panda_cosim.study.compare.pytest_plugin import TestedRun
@@ -177,7 +178,7 @@ def test_every_door_says_the_same(word, tmp_path, capsys, monkeypatch):
     scenario = replace(load_scenario("pick_and_place"), folder=tmp_path)
     outcome = regress.start(AtOnce(), scenario, folder).result()  # type: ignore[arg-type]
     assert outcome.ok == (level == "good")
-    assert regress.exit_code([outcome]) == {"good": 0, "plain": 2, "bad": 1}[level]
+    assert outcomes.exit_code([outcome]) == {"good": 0, "plain": 2, "bad": 1}[level]
     write_junit([outcome], junit)
     if level != "plain":  # `regress` must have something to judge by
         assert (fault_in(junit) or "").partition(" ")[0] == (fault or "").partition(" ")[0]

@@ -142,9 +142,10 @@ class Recorder(MemoryRecorder):
     def flush(self) -> None:
         """Pass all rows to the operating system as one batch; they then survive the process."""
         self._last_flush = time.monotonic()
+        schema = self._schema.result()  # the head is in the file, also before the first row
         unsaved = self._values[:, self._saved - self._dropped : self._filled]
         if unsaved.size:
-            self._write(storage.make_batch(self._schema.result(), unsaved).serialize())
+            self._write(storage.make_batch(schema, unsaved).serialize())
             self._saved = self.rows
         if self._filled > storage.BLOCK_ROWS:
             self._is_whole = False
