@@ -1,6 +1,7 @@
 """Archives and XML from elsewhere: unpacked whole and inside their folder, or refused in a line."""
 
 import os
+import re
 import shutil
 import stat
 import zipfile
@@ -10,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from fmu_support import needs_compiler
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import read_fmu
 from panda_cosim.fmus.reading import ANY_SIZE, MOST_TIMES, read_xml, unpack
+from refusals import refused
 from toy_fmu import toy_fmu
 
 Write = Callable[[zipfile.ZipFile], object]
@@ -56,11 +57,6 @@ def test_a_member_outside_the_archive_is_written_inside(tmp_path, name):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "cache"]
 
 
-def check_message(error: InputError, path: Path) -> None:
-    assert path.name in str(error)
-    assert str(error).isprintable(), error
-
-
 def test_a_link_in_an_archive_is_no_link_when_unpacked(tmp_path):
     folder, _ = unpack(make(tmp_path / "x.fmu", link))
     assert not (folder / "out").is_symlink()
@@ -95,9 +91,7 @@ DAMAGED: dict[str, Callable[[Path], None]] = {
 def test_a_damaged_archive_is_refused_and_nothing_is_written(tmp_path, cache, kind):
     path = tmp_path / "bad.fmu"
     DAMAGED[kind](path)
-    with pytest.raises(InputError) as refused:
-        unpack(path)
-    check_message(refused.value, path)
+    assert path.name in refused(unpack, path)
     assert list(cache.iterdir()) == []
 
 
@@ -106,21 +100,17 @@ def test_an_archive_that_grows_too_much_is_refused_at_once(tmp_path, cache, memb
     zeros, path = bytes(ANY_SIZE // members + 1), tmp_path / "bomb.fmu"
     make(path, lambda f: [f.writestr(f"{i}", zeros) for i in range(members)])
     assert MOST_TIMES * path.stat().st_size < members * len(zeros)
-    with pytest.raises(InputError, match=r"would be 100 MB unpacked; must be at most 100 MB") as it:
-        unpack(path)
-    check_message(it.value, path)
+    told = refused(unpack, path)
+    assert re.search("bomb.fmu: .* would be 100 MB unpacked; must be at most 100 MB", told)
     assert list(cache.iterdir()) == []
 
 
 def test_what_is_not_a_plain_file_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.fmu")
     for path in (tmp_path / "pipe.fmu", Path("/dev/zero"), tmp_path, tmp_path / "missing.fmu"):
-        with pytest.raises(InputError, match=r"not a regular file|no such file"):
-            unpack(path)
+        assert re.search("not a regular file|no such file", refused(unpack, path))
     for path in (Path("a\0b"), Path("a\nb"), tmp_path / ("n" * 300)):
-        with pytest.raises(InputError, match=r"cannot be read|no such file") as refused:
-            unpack(path)
-        assert str(refused.value).isprintable()
+        assert re.search("cannot be read|no such file", refused(unpack, path))
 
 
 ORIGINAL = [
@@ -128,13 +118,14 @@ ORIGINAL = [
     ("binaries/linux64/m.so", bytes(range(256)) * 4),
     ("resources/a.py", b"pass\n" * 50),
     ("resources/__init__.py", b""),
+    ("resources\\of_windows.txt", b"text"),
 ]
 
 
 def test_an_archive_is_unpacked_whole_and_once(tmp_path):
     path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
     folder, _ = unpack(path)
-    assert {n: (folder / n).read_bytes() for n, _ in ORIGINAL} == dict(ORIGINAL)
+    assert {n: (folder / n.replace("\\", "/")).read_bytes() for n, _ in ORIGINAL} == dict(ORIGINAL)
     before = folder.stat().st_ino
     assert unpack(path)[0] == folder
     assert folder.stat().st_ino == before
@@ -156,10 +147,9 @@ def test_xml_that_cannot_be_read_is_refused(tmp_path, kind):
     (tmp_path / "secret").write_text("SECRET")
     path = tmp_path / "x.xml"
     path.write_text(text.replace("{secret}", f"file://{tmp_path}/secret"))
-    with pytest.raises(InputError, match=expected) as refused:
-        read_xml(path, "x.fmu: x.xml")
-    check_message(refused.value, Path("x.fmu"))
-    assert "SECRET" not in str(refused.value)
+    told = refused(read_xml, path, "x.fmu: x.xml")
+    assert re.search(f"x.fmu.*({expected})", told)
+    assert "SECRET" not in told
 
 
 @needs_compiler

@@ -32,15 +32,15 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def events_fmu(path: Path, *, has_events: bool) -> Path:
+def events_fmu(path: Path, *, has_events: bool, source: Path = SOURCE) -> Path:
     text = DESCRIPTION.format(events='hasEventMode="true"' if has_events else "")
     binary = f"binaries/{fmpy.platform_tuple}/events.so"
-    return pack(path, {"modelDescription.xml": text, binary: library(SOURCE)})
+    return pack(path, {"modelDescription.xml": text, binary: library(source)})
 
 
-def run(folder: Path, text: str, *arguments: str, step: float = STEP, code: int = 0) -> str:
-    """Run a scenario of one second, or longer steps; returns what is told."""
-    head = f"duration = {TICKS * step}\nstep = {step}\n"
+def run(folder: Path, text: str, *arguments: str, code: int = 0) -> str:
+    """Run a scenario of one second; returns what is told."""
+    head = f"duration = {TICKS * STEP}\nstep = {STEP}\n"
     (folder / "scenario.toml").write_text(head + text)
     done = command("run", folder, "--out", folder / "run", *QUIET, *arguments, code=code)
     return " ".join((done.stdout + done.stderr).split())
@@ -171,11 +171,7 @@ def test_an_fmu_that_refuses_the_event_mode_that_it_declares_is_run_without(tmp_
     )
     (tmp_path / "refusing.c").write_text(source)
     text = events(tmp_path)
-    content = {
-        "modelDescription.xml": DESCRIPTION.format(events='hasEventMode="true"'),
-        f"binaries/{fmpy.platform_tuple}/events.so": library(tmp_path / "refusing.c"),
-    }
-    pack(tmp_path / "events.fmu", content)
+    events_fmu(tmp_path / "events.fmu", has_events=True, source=tmp_path / "refusing.c")
     told = run(tmp_path, text)
     assert "Warning: f: it refuses the event mode that it declares, and is run without" in told
     assert Recording.open(tmp_path / "run")["f.updates"].tolist() == [0] * (TICKS + 1)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmpy.validation import validate_fmu
 
 from fmu_support import initialize, needs_compiler
 from master_support import all_rows
@@ -30,10 +29,6 @@ U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
 @pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
 def toy(request, tmp_path_factory):
     return toy_fmu(tmp_path_factory.mktemp("toy") / f"toy{request.param}.fmu", request.param)
-
-
-def test_the_toy_itself_is_valid(toy):
-    assert validate_fmu(str(toy)) == []
 
 
 def test_both_descriptions_read_the_same(tmp_path):
@@ -89,9 +84,6 @@ def fail(path: Path, act: str) -> tuple[str, list[str]]:
     return error, messages
 
 
-SAID = "100 % as it was told"
-
-
 @pytest.mark.parametrize(
     ("act", "status", "calls"),
     [("warn", None, ["terminated", "freed"]), ("discard", "Discard", ["terminated", "freed"]),
@@ -100,14 +92,14 @@ SAID = "100 % as it was told"
 )  # fmt: skip
 def test_a_failed_fmu_is_called_no_more_than_fmi_allows(toy, act, status, calls):
     error, messages = fail(toy, act)
-    called = [message for message in messages if message != SAID]
-    assert SAID in messages
-    assert called == calls
+    said = "100 % as it was told"
+    assert said in messages
+    assert [message for message in messages if message != said] == calls
     if status is None:
         assert not error
     else:
         assert error.startswith("at t = 0.002 s, in FMU 'it': fmi")
-        assert error.endswith(f"DoStep returned {status}: {SAID}")
+        assert error.endswith(f"DoStep returned {status}: {said}")
 
 
 def test_values_that_are_no_numbers_are_shown(tmp_path):

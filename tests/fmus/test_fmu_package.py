@@ -14,19 +14,14 @@ from fmpy.validation import validate_fmu
 from lxml import etree
 
 from fmu_instance import ERROR, Instance, Unpacked, unpacked
-from fmu_support import changed_plant, copy_libraries, in_fork
+from fmu_support import copy_libraries, in_fork
 from panda_cosim import InputError
 from panda_cosim.fmus.build.description import LOG_CATEGORIES, Layout, described
 from panda_cosim.fmus.build.platforms import PLATFORMS, this_platform
 from panda_cosim.fmus.interface.tables import INTERFACES, TRAJECTORY
 from panda_cosim.fmus.interface.variables import Interface, Variable
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.sources.targets import (
-    Target,
-    build,
-    build_fmu,
-    build_trajectory,
-)
+from panda_cosim.fmus.sources.targets import Target, build, build_trajectory
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 SCHEMAS = Path(fmpy.__file__).parent / "schema"
@@ -227,20 +222,3 @@ def test_an_fmu_runs_its_own_modules_and_from_another_folder(name, tmp_path):
         return [first, three_steps(fmu.copy(tmp_path / "elsewhere"))]
 
     assert in_fork(poisoned) == [expected, expected]
-
-
-def test_two_builds_run_side_by_side_each_its_own_code():
-    fmu = changed_plant("python", b'ctrl[:] = self.inputs["ctrl"]', b"ctrl[:] = 0.5")
-    pair = [unpacked("python", "plant", 2), Unpacked(Fmu(build_fmu(fmu)).folder)]
-    assert pair[0].token != pair[1].token
-    alone = [in_fork(three_steps, each) for each in pair]
-    assert alone[0] != alone[1]
-
-    def in_turns() -> list[list[float]]:
-        instances = [Instance(each).start() for each in pair * 2]
-        for tick in range(3):
-            for it in instances:
-                it.steps(1, tick)
-        return [it.outputs() for it in instances]
-
-    assert in_fork(in_turns) == alone * 2

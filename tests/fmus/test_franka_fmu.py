@@ -17,7 +17,7 @@ from fmu_instance import DISCARD, ERROR, OK, Instance, unpacked
 from franka_support import PLANT as PARAMETERS
 from franka_support import claimed_address, client, couple, needs_clients
 from master_support import all_rows
-from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.franka import FRANKA
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import Connection
@@ -153,14 +153,6 @@ def test_a_signal_ends_the_wait_for_a_program(address):
         all_rows(opened.master, MOST_STEPS)
     assert came == [signal.SIGINT]
     assert "SIGINT while it waited for the program" in str(opened.master.ended)
-
-
-def test_a_step_timeout_ends_the_wait_for_a_program(address):
-    with (
-        coupled(address, isolate=True, step_timeout=1.0) as opened,
-        pytest.raises(SimulationError, match="no answer for 1 s"),
-    ):
-        all_rows(opened.master, MOST_STEPS)
 
 
 def test_pythonfmu_s_wrapper_does_not_hold_it():

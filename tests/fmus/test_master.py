@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import panda_cosim.fmus.master.master
 from master_support import all_rows
-from panda_cosim.fmus.errors import InputError, SimulationEndedError, SimulationError
+from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master, RealtimePacer
 from panda_cosim.fmus.master.step import Coupling
@@ -208,13 +208,12 @@ def test_an_earlier_leader_hears_a_later_one_a_tick_later():
     np.testing.assert_array_equal(rows, expected)
 
 
-def adopt(inputs: dict[str, float], outputs: dict[str, float]) -> None:
-    """An output that is the sum of all inputs at the step's end."""
-    outputs["x"] += sum(inputs.values())
-
-
 def test_iterations_take_inputs_from_outside_at_the_step_s_end_as_connected_ones():
     """`own` has the values from outside, `fed` those of a source that counts alike."""
+
+    def adopt(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+        outputs["x"] += sum(inputs.values())  # at the step's end
+
     own, fed = (FakeSlave(name, adopt, {"x": 0.0}) for name in ("own", "fed"))
 
     def count(_inputs: dict[str, float], outputs: dict[str, float]) -> None:
@@ -286,32 +285,6 @@ def test_a_slow_slave_goes_back_to_its_place_in_the_step(leads):
     assert first[-1] == 5.0
 
 
-@pytest.mark.parametrize("reached", [3 * H, 2.4 * H])
-@pytest.mark.parametrize("by", ["c", "p", "alone"])
-def test_a_slave_may_end_the_simulation(by, reached):
-    """Together with a step, which the others finish, or within it: the row before is the last."""
-
-    def end(outputs: dict[str, float]) -> None:
-        raise SimulationEndedError("enough", reached=reached, time=2 * H, instance=by)
-
-    laws = {"c": drive, "p": follow, "alone": lambda *_: None}
-    laws[by] = breaks(2, end, laws[by])
-    master = loop(laws=(laws["c"], laws["p"]))
-    if by == "alone":
-        master = Master(
-            [FakeSlave("alone", laws[by], {"y": 1.0})], System({}, (), outputs={"alone": ["y"]})
-        )
-    rows = begun(master)
-    inputs = references(9)[:, : len(master.system.external)]
-    assert master.step(9, inputs) == (3 if reached == 3 * H else 2)
-    master.end(inputs[:1])
-    assert master.ended is not None
-    assert master.step(9, inputs) == 0
-    times = np.concatenate(rows)[:, 0].tolist()
-    last = [reached] if reached == 3 * H or by == "alone" else []
-    assert times == pytest.approx([0.0, H, 2 * H, *last])
-
-
 def breaks(at: int, what: Callable[[dict[str, float]], None], usual: Law = follow) -> Law:
     """Let a law, `follow` for example, do something else at one tick."""
     count = 0
@@ -324,14 +297,6 @@ def breaks(at: int, what: Callable[[dict[str, float]], None], usual: Law = follo
         count += 1
 
     return law
-
-
-def spoil(value: float) -> Callable[[dict[str, float]], None]:
-    return lambda outputs: outputs.update(v=value)
-
-
-def fail(_outputs: dict[str, float]) -> None:
-    raise SimulationError("no more", instance="p")
 
 
 def collect(master: Master, steps: int) -> tuple[SimulationError, Array]:
@@ -348,23 +313,13 @@ def collect(master: Master, steps: int) -> tuple[SimulationError, Array]:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS, 299])
 def test_a_value_that_is_not_finite_ends_the_run(at, value):
-    error, rows = collect(loop(laws=(drive, breaks(at, spoil(value)))), 300)
+    error, rows = collect(
+        loop(laws=(drive, breaks(at, lambda outputs: outputs.update(v=value)))), 300
+    )
     assert (error.instance, error.variable) == ("p", "v")
     assert error.time == pytest.approx((at + 1) * H), "what is read after a tick is of its end"
     assert str(value) in str(error)
     np.testing.assert_array_equal(rows, in_a_plain_loop(300, delayed=False)[: at + 1])
-
-
-@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_no_slave_is_given_a_value_that_is_not_finite(coupling):
-    def careful(inputs: dict[str, float], outputs: dict[str, float]) -> None:
-        assert all(map(math.isfinite, inputs.values()))
-        drive(inputs, outputs)
-
-    for at in (0, 7, BLOCK_ROWS - 1):
-        master = loop(coupling, laws=(careful, breaks(at, spoil(math.nan))))
-        error, _ = collect(master, 300)
-        assert (error.instance, error.variable) == ("p", "v")
 
 
 def test_what_a_refused_value_leads_to_is_reported_as_that_value():
@@ -385,22 +340,14 @@ def test_what_a_refused_value_leads_to_is_reported_as_that_value():
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_a_failure_keeps_all_rows_up_to_it(at, coupling):
+    def fail(_outputs: dict[str, float]) -> None:
+        raise SimulationError("no more", instance="p")
+
     error, rows = collect(loop(coupling, laws=(drive, breaks(at, fail))), 300)
     assert "no more" in str(error)
     assert f"{at * H:.3f}" in str(error)
     expected = in_a_plain_loop(300, delayed=coupling == "jacobi")
     np.testing.assert_array_equal(rows, expected[: at + 1])
-
-
-def test_a_run_stops_on_request_after_whole_steps():
-    master: Master
-
-    def ask(_outputs: dict[str, float]) -> None:
-        master.stop_requested = True
-
-    master = loop(laws=(drive, breaks(9, ask)))
-    rows = all_rows(master, 100, references(100))
-    np.testing.assert_array_equal(rows, in_a_plain_loop(100, delayed=False)[:10])
 
 
 def test_an_error_of_the_sink_ends_the_run():

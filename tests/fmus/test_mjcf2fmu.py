@@ -81,6 +81,15 @@ def test_parameters_and_keyframe_are_the_start(box, tmp_path):
     it = instance(3, {"start_qpos": high}, keyframe="turned", parameters=["qpos"])
     assert (it.get("qpos"), it.get("angle")) == (high, [0.5])
     assert it.get("ctrl") == [0.25]
+    for fmi in (2, 3):
+        values = {"keyframe": [2], "turn_gain": [3.0], "ctrl": [0.5]}
+        it = instance(fmi, values, parameters=["actuator turn gain"])
+        assert it.get("qpos")[7] == it.get("angle")[0] == 0.5
+        assert it.step(0.0, 0.002) == 0
+        assert it.get("actuator_force") == [1.5]
+        other = Instance(it.fmu)
+        assert other.set("keyframe", 3) == 3
+        assert "out of range" in other.messages()
 
 
 def test_the_interface_that_is_printed_gives_the_same_fmu(box, tmp_path):
@@ -128,6 +137,7 @@ BAD_INTERFACES = {
     '[outputs]\nx = { source = "body bix xpos" }': "body: value 'bix'; .*; did you mean 'box'",
     '[outputs]\nx = { source = "site zzz xpos" }': "site: value 'zzz'; the model has tip",
     '[outputs]\nx = { source = "body box ypos" }': "output body NAME .*; did you mean 'xpos'",
+    '[outputs]\nx = { source = "joint #9 qpos" }': "joint: value '#9'; the model has",
     '[outputs]\nx = { source = "qpoz" }': "must be a field of MjData, .*; did you mean",
     '[outputs]\nx = { source = "data qpos 5 9" }': "qpos has 8 elements",
     '[outputs]\nx = { source = "qpos", unit = "inch" }': "unit: value 'inch'; must be one of",
@@ -182,23 +192,21 @@ def test_a_warning_of_mujoco_is_reported_and_no_file_is_left(box, tmp_path, monk
 
 
 def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_it_was():
-    before = mujoco.get_mju_user_warning()
-    first_is_in, first_may_leave = threading.Event(), threading.Event()
+    before, is_in = mujoco.get_mju_user_warning(), threading.Event()
+    may_leave = [threading.Event(), threading.Event()]
 
-    def take(is_in: threading.Event, may_leave: threading.Event) -> None:
+    def take(leave: threading.Event) -> None:
         with taken_warnings():
             is_in.set()
-            may_leave.wait(10)
+            leave.wait(10)
 
-    first = threading.Thread(target=take, args=(first_is_in, first_may_leave))
+    first, second = threads = [threading.Thread(target=take, args=(each,)) for each in may_leave]
     first.start()
-    assert first_is_in.wait(10)
-    second_may_leave = threading.Event()
-    second = threading.Thread(target=take, args=(threading.Event(), second_may_leave))
+    assert is_in.wait(10)
     second.start()
     second.join(0.2)  # it comes in now, or waits
-    for may_leave, thread in ((first_may_leave, first), (second_may_leave, second)):
-        may_leave.set()
+    for leave, thread in zip(may_leave, threads, strict=True):
+        leave.set()
         thread.join(10)
     assert mujoco.get_mju_user_warning() is before
 
@@ -306,47 +314,10 @@ def test_elements_are_named_after_joints_and_actuators(box, tmp_path):
         model_fmu(box, ModelOptions(step=2.0))
 
 
-ACTUATORS = """<mujoco><worldbody><body><joint name="h" type="hinge"/><geom size="1" mass="1"/>
-<body><joint name="s" type="slide"/><geom size="1" mass="1"/></body></body></worldbody><actuator>
-<motor joint="h"/><motor joint="s"/><position joint="h" kp="9" kv="1"/><position joint="s" kp="9"/>
-<velocity joint="h" kv="2"/><velocity joint="s" kv="2"/><general joint="h" gainprm="3"/>
-<intvelocity joint="h" kp="5" actrange="0 1"/></actuator></mujoco>"""
-
-
-def test_units_of_actuators_follow_their_joints(tmp_path):
-    model = tmp_path / "arm.xml"
-    model.write_text(ACTUATORS)
-    units = {s.name: s.unit for s in model_fmu(model, ModelOptions()).interface.scalars()}
-    controls = ["N.m", "N", "rad", "m", "rad/s", "m/s", "", ""]
-    assert [units[f"ctrl[{i}]"] for i in range(1, 9)] == controls
-    forces = [units[f"actuator_force[{i}]"] for i in range(1, 9)]
-    assert forces == ["N.m", "N", "N.m", "N", "N.m", "N", "N.m", "N.m"]
-
-
-@pytest.mark.own_process
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_keyframe_and_gains_are_parameters(box, tmp_path, fmi):
-    fmu = model_fmu(box, ModelOptions(parameters=["actuator turn gain"]), "Other")
-    place = with_content(fmu, tmp_path / "fmu", fmi)
-    it = Instance(place).start({"keyframe": [2], "turn_gain": [3.0], "ctrl": [0.5]})
-    assert it.get("qpos")[7] == it.get("angle")[0] == 0.5
-    assert it.step(0.0, 0.002) == 0
-    assert it.get("actuator_force") == [1.5]
-    assert Instance(place).start({"keyframe": [1]}).get("qpos")[7] == 0.0
-    other = Instance(place)
-    assert other.set("keyframe", 3) == 3
-    assert "out of range" in other.messages()
-
-
-def test_a_weld_is_as_soft_as_its_parameter(tmp_path):
-    model = tmp_path / "pair.xml"
-    body = '<body name="{0}" pos="0 0 {1}"><freejoint/><geom size=".1" mass="1"/></body>'
-    model.write_text(
-        f"<mujoco><worldbody>{body.format('a', 1)}{body.format('b', 2)}</worldbody><equality>"
-        '<connect name="hold" body1="a" body2="b" anchor="0 0 0"/></equality></mujoco>'
-    )
-    options = ModelOptions(parameters=["equality hold solref", "equality hold solimp"])
+def test_a_weld_is_as_soft_as_its_parameter():
+    model = FILE.with_name("keyed.xml")
+    options = ModelOptions(parameters=["equality w solref", "equality w solimp"])
     starts = {s.name: s.start for s in model_fmu(model, options).interface.scalars()}
     compiled = mujoco.MjModel.from_xml_path(str(model))
-    assert [starts[f"hold_solref[{i}]"] for i in (1, 2)] == compiled.eq_solref[0].tolist()
-    assert [starts[f"hold_solimp[{i}]"] for i in range(1, 6)] == compiled.eq_solimp[0].tolist()
+    assert [starts[f"w_solref[{i}]"] for i in (1, 2)] == compiled.eq_solref[0].tolist()
+    assert [starts[f"w_solimp[{i}]"] for i in range(1, 6)] == compiled.eq_solimp[0].tolist()

@@ -178,10 +178,13 @@ MOVED = """<tendon><fixed name="t"><joint joint="h" coef=".5"/><joint joint="h2"
 <spatial name="rope"><site site="w"/><site site="p"/></spatial></tendon><actuator>
 <position name="tp" tendon="t" kp="10"/><motor name="geared" joint="h" gear="100"/>
 <position name="back" joint="h" gear="-1" kp="5"/><motor name="pull" tendon="rope"/>
-<motor name="both" tendon="mix"/></actuator><sensor><tendonpos name="turned" tendon="t"/>
-<tendonvel name="drawn" tendon="rope"/><actuatorpos name="ap" actuator="back"/>
-<actuatorfrc name="af" actuator="geared"/><actuatorfrc name="pf" actuator="pull"/>
-<jointactuatorfrc name="jaf" joint="s"/><clock name="now"/><e_kinetic name="ek"/></sensor>"""
+<motor name="both" tendon="mix"/><motor joint="h"/><motor joint="s"/><position joint="h" kp="9"/>
+<position joint="s" kp="9"/><velocity joint="h"/><velocity joint="s"/>
+<general joint="h" gainprm="3"/><intvelocity joint="h" kp="5" actrange="0 1"/></actuator><sensor>
+<tendonpos name="turned" tendon="t"/><tendonvel name="drawn" tendon="rope"/>
+<actuatorpos name="ap" actuator="back"/><actuatorfrc name="af" actuator="geared"/>
+<actuatorfrc name="pf" actuator="pull"/><jointactuatorfrc name="jaf" joint="s"/>
+<clock name="now"/><e_kinetic name="ek"/></sensor>"""
 
 
 def test_units_follow_the_joints_behind_tendons_and_gears(tmp_path):
@@ -194,6 +197,10 @@ def test_units_follow_the_joints_behind_tendons_and_gears(tmp_path):
                 "turned": "rad", "drawn": "m/s", "ap": "rad", "af": "", "pf": "N", "jaf": "N",
                 "now": "s", "ek": "J", "t_length": "rad", "rope_velocity": "m/s",
                 "energy[1]": "J"}  # fmt: skip
+    controls = ("N.m", "N", "rad", "m", "rad/s", "m/s", "", "")
+    forces = ("N.m", "N", "N.m", "N", "N.m", "N", "N.m", "N.m")
+    expected |= {f"ctrl[{i}]": unit for i, unit in enumerate(controls, 6)}
+    expected |= {f"actuator_force[{i}]": unit for i, unit in enumerate(forces, 6)}
     assert {name: found[name] for name in expected} == expected
 
 
@@ -217,27 +224,20 @@ def test_forces_and_accelerations_belong_to_the_last_step(tmp_path, integrator):
 
 
 @own_process
-def test_mocap_bodies_are_where_they_are_put_in_the_same_step(tmp_path):
+@pytest.mark.parametrize(
+    ("source", "field", "values"),
+    [("body m mocap_pos", "mocap_pos", [(0.0, 0.01 * i, 2.0) for i in range(30)]),
+     ("equality w active", "eq_active", [False, True])],
+)  # fmt: skip
+def test_what_is_put_between_steps_acts_in_the_next_one(tmp_path, source, field, values):
     model, data = loaded(KEYED)
-    it = instance(KEYED, tmp_path, inputs=["body m mocap_pos"]).start()
-    for i in range(30):
-        data.mocap_pos[0] = (0.0, 0.01 * i, 2.0)
-        assert it.set("m_mocap_pos", *data.mocap_pos[0]) == OK
-        steps(it, model, data, 1)
-
-
-@own_process
-def test_constraints_can_be_switched_between_steps(tmp_path):
-    body = HINGE.format("") + SLIDE
-    rest = '<equality><joint name="e" joint1="h" joint2="s" active="false"/></equality>'
-    path = saved(tmp_path, body, rest)
-    model, data = loaded(path)
-    it = instance(path, tmp_path, inputs=["equality e active"]).start()
-    assert it.get("e_active") == [0]
-    for is_active in (False, True, False):
-        it.set("e_active", is_active)
-        data.eq_active[0] = is_active
-        steps(it, model, data, 30)
+    it, name = instance(KEYED, tmp_path, inputs=[source]).start(), "_".join(source.split()[1:])
+    place = getattr(data, field)
+    assert it.get(name) == np.ravel(place[0]).tolist()
+    for value in values:
+        place[0] = value
+        assert it.set(name, *np.ravel(value).tolist()) == OK
+        steps(it, model, data, 10)
 
 
 DOMINO = '<body pos="{} 0 .12"><freejoint/><geom type="box" size=".02 .06 .1"/></body>'
@@ -266,28 +266,6 @@ def test_the_state_of_what_sleeps_is_exact(tmp_path):
     wrong = bytearray(it.serialize(it.save()))
     wrong[200] ^= 1
     assert it.deserialize(bytes(wrong))[0] != OK
-
-
-def test_arrays_of_fmi_3_have_one_unit_each_and_joints_names(tmp_path):
-    path = saved(tmp_path, HINGE.format("") + SLIDE + BALL)
-    qpos = next(v for v in model_fmu(path, ModelOptions()).interface.variables if v.name == "qpos")
-    assert [(a.name, a.size, a.unit) for a in qpos.arrays()] == [
-        ("qpos_h", 1, "rad"), ("qpos_s", 1, "m"), ("qpos_b_quat", 4, "1")]  # fmt: skip
-    path = saved(tmp_path, HINGE.format("") + HINGE.replace('"h"', '"i"').format(""))
-    qpos = next(v for v in model_fmu(path, ModelOptions()).interface.variables if v.name == "qpos")
-    assert [(a.name, a.size) for a in qpos.arrays()] == [("qpos", 2)]
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [({"inputs": ["body world xpos"]}, "must be an input; it is an output"),
-     ({"outputs": ["joint h qpoz"]}, "output joint NAME .* | qpos | .*; did you mean 'qpos'"),
-     ({"parameters": ["joint h dampng"]}, "armature | damping | .*; did you mean 'damping'"),
-     ({"outputs": ["joint #2 qpos"]}, "joint: value '#2'; the model has h")],
-)  # fmt: skip
-def test_a_wrong_source_is_refused_with_what_is_valid(tmp_path, options, told):
-    with pytest.raises(InputError, match=told):
-        model_fmu(saved(tmp_path, HINGE.format("")), ModelOptions(**options))
 
 
 def test_objects_without_names_have_numbers(tmp_path):

@@ -24,6 +24,15 @@ SANITIZED = (
 )
 PLAIN = ("-g", "-O1")
 SHORT, ACCEPTANCE = 1000, 100_000  # calls
+QUICK: list[tuple[Kind, str, int]] = [
+    ("native", "plant", 2), ("native", "controller", 3), ("native", "trajectory", 2),
+    ("python", "trajectory", 2),
+]  # fmt: skip
+LONG = pytest.mark.long
+EVERY = [pytest.param(*model, fmi, True, marks=LONG) for model in MODELS for fmi in (2, 3)]
+each_fmu = pytest.mark.parametrize(
+    ("kind", "name", "version", "is_long"), [*((*each, False) for each in QUICK), *EVERY]
+)
 pytestmark = needs_compiler
 
 
@@ -74,24 +83,19 @@ def drive(program: Path, fmu: Unpacked, calls: int, seed: int, *before: str) -> 
     assert int(counts[8]) > calls / 100, "steps"
 
 
-def drive_sanitized(
-    layer: list[Path], folder: Path, kind: Kind, name: str, version: int, calls: int, seed: int
-) -> None:
-    """Link the drive with an FMU's sources, so that sanitizers see all of them, and run it."""
+def skip_without_library(kind: Kind) -> None:
+    """An FMU in Python needs a Python that a C host can load."""
     if kind == "python" and python_library() is None:
         pytest.skip("this Python has no shared library")
+
+
+@each_fmu
+def test_random_calls_leave_an_fmu_sound(layer, tmp_path, kind, name, version, is_long):
+    """It is linked with the drive, so that sanitizers see all of its sources."""
+    skip_without_library(kind)
     backend = BACKENDS[name] if kind == "native" else "python"
-    program = compile_drive(folder, *SANITIZED, *sources(native.BACKENDS[backend]), *layer)
-    drive(program, unpacked(kind, name, version), calls, seed)
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "version"),
-    [("native", "plant", 2), ("native", "controller", 3), ("native", "trajectory", 2),
-     ("python", "controller", 3)],
-)  # fmt: skip
-def test_random_calls_leave_an_fmu_sound(layer, tmp_path, kind, name, version):
-    drive_sanitized(layer, tmp_path, kind, name, version, SHORT, 1)
+    program = compile_drive(tmp_path, *SANITIZED, *sources(native.BACKENDS[backend]), *layer)
+    drive(program, unpacked(kind, name, version), *((ACCEPTANCE, 11) if is_long else (SHORT, 1)))
 
 
 def test_random_calls_leave_a_model_with_keyframes_and_mocap_bodies_sound(layer, tmp_path):
@@ -99,13 +103,6 @@ def test_random_calls_leave_a_model_with_keyframes_and_mocap_bodies_sound(layer,
     fmu = model_fmu(MJCF.with_name("keyed.xml"), ModelOptions("home", inputs), "Other")
     program = compile_drive(tmp_path, *SANITIZED, *sources(native.BACKENDS["mujoco"]), *layer)
     drive(program, with_content(fmu, tmp_path / "fmu", 3), SHORT, 3)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
-@pytest.mark.parametrize(("kind", "name"), MODELS)
-def test_random_calls_leave_every_fmu_sound(layer, tmp_path, kind, name, version):
-    drive_sanitized(layer, tmp_path, kind, name, version, ACCEPTANCE, 11)
 
 
 def library_without_cc(backend: str) -> bytes:
@@ -118,9 +115,6 @@ def library_without_cc(backend: str) -> bytes:
     environment = os.environ | {"PATH": "/nowhere"}
     done = subprocess.run(command, capture_output=True, check=True, env=environment, timeout=300)
     return done.stdout
-
-
-LONG = pytest.mark.long
 
 
 @pytest.mark.parametrize("calls", [SHORT, pytest.param(ACCEPTANCE, marks=LONG)])
@@ -186,31 +180,17 @@ def stress(host: Path, fmu: Unpacked, way: str, number: int = 0, **environment: 
     return done.stdout
 
 
-def every_way(host: Path, fmu: Unpacked, kind: Kind, column: int) -> None:
-    """Take all ways."""
+@pytest.mark.skipif(native.this_platform() != "linux64", reason="the host is for Linux")
+@each_fmu
+def test_a_hard_host_is_served(host, kind, name, version, is_long):
+    skip_without_library(kind)
+    fmu = unpacked(kind, name, version)
     for way in EASY:
         stress(host, fmu, way)
     for way, numbers in WAYS[kind].items():
-        said = stress(host, fmu, way, numbers[column]) if numbers[column] else ""
-        if way == "churn" and column:
+        said = stress(host, fmu, way, numbers[is_long]) if numbers[is_long] else ""
+        if way == "churn" and is_long:
             assert int(said.split("grown by ")[1].split()[0]) < GROWTH, said
-
-
-def skip_without_library(kind: Kind) -> None:
-    """An FMU in Python needs a Python that a C host can load."""
-    if kind == "python" and python_library() is None:
-        pytest.skip("this Python has no shared library")
-
-
-@pytest.mark.skipif(native.this_platform() != "linux64", reason="the host is for Linux")
-@pytest.mark.parametrize(
-    ("kind", "name", "version"),
-    [("native", "plant", 3), ("native", "controller", 2), ("native", "trajectory", 3),
-     ("python", "trajectory", 2)],
-)  # fmt: skip
-def test_a_hard_host_is_served(host, kind, name, version):
-    skip_without_library(kind)
-    every_way(host, unpacked(kind, name, version), kind, 0)
 
 
 OTHER_MUJOCO = """
@@ -230,12 +210,3 @@ def test_the_functions_of_a_hosts_own_mujoco_are_not_called(host, tmp_path, name
     compiled(tmp_path, "-shared", "-fPIC", source, "-o", other)
     fmu = unpacked("native", name, 2)
     stress(host, fmu, "threads", 1, LD_PRELOAD=str(other))
-
-
-@pytest.mark.skipif(native.this_platform() != "linux64", reason="the host is for Linux")
-@pytest.mark.long
-@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
-@pytest.mark.parametrize(("kind", "name"), MODELS)
-def test_a_hard_host_is_served_for_long(host, kind, name, version):
-    skip_without_library(kind)
-    every_way(host, unpacked(kind, name, version), kind, 1)

@@ -100,12 +100,13 @@ def test_slow_and_fast_fmus_are_coupled(tmp_path, coupling):
 def test_an_algebraic_loop_is_named(tmp_path):
     ends = "".join(f'"{to}.Int8_input" = "{of}.Int8_output"\n' for to, of in ("ab", "ba"))
     folder = write(tmp_path, dict.fromkeys("ab", "fmi3/Feedthrough"), f"[connect]\n{ends}")
-    loop = "b.Int8_output -> a.Int8_input -> a.Int8_output -> b.Int8_input -> b.Int8_output"
-    done = command("check", folder)
-    said = " ".join(done.stdout.split())
-    ends = said.partition("algebraic loop ")[2].split(" -> ")[: len(loop.split(" -> "))]
-    assert ends[0] == ends[-1].split()[0].rstrip(",;:")
-    assert {*ends[:-1]} == {*loop.split(" -> ")}, said
+    said = " ".join(command("check", folder).stdout.split())
+    for of, to in ("ab", "ba"):  # it may begin anywhere
+        for part in (
+            f"{of}.Int8_input -> {of}.Int8_output",
+            f"{of}.Int8_output -> {to}.Int8_input",
+        ):
+            assert part in said.partition("algebraic loop ")[2]
     done = command("run", folder, "--out", tmp_path / "run", *QUIET)
     assert "algebraic loop" in done.stderr
 

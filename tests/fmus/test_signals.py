@@ -173,7 +173,6 @@ def test_fmus_that_cannot_go_back_to_a_state_are_not_iterated(tmp_path):
 # Units and types of the two ends of a connection, of FMUs in FMI 2.0 and 3.0.
 
 
-RELATIVE: float = 1e-9  # error of a conversion there and back
 NUMBERS = st.floats(1e-3, 1e3)
 DEFINED = st.builds(
     Unit, st.sampled_from([(1,) + (0,) * 7, (0, 1) + (0,) * 6]), NUMBERS, st.floats(-1e3, 1e3)
@@ -193,7 +192,7 @@ def test_definitions_decide_not_names(source, sources, target, targets):
             value = scale[0] * 3.0 + scale[1]
             base = one.factor * 3.0 + one.offset
             error = abs(other.factor * value + other.offset - base)
-            assert error <= RELATIVE * (abs(base) + abs(other.offset) + 1.0)
+            assert error <= 1e-9 * (abs(base) + abs(other.offset) + 1.0)
     else:
         assert scale == PLAIN
         is_known = source == target or {source, target} <= {"", "1"}

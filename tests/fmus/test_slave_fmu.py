@@ -21,7 +21,7 @@ from panda_cosim.fmus.sources.python_fmu import slave_fmu
 from panda_cosim.fmus.sources.targets import Target, build_fmu
 
 SLAVES = Path(__file__).parents[1] / "slaves"
-own_process = pytest.mark.own_process
+pytestmark = pytest.mark.own_process
 
 
 @pytest.fixture
@@ -31,7 +31,6 @@ def folder(tmp_path):
     return tmp_path
 
 
-@own_process
 @pytest.mark.parametrize(("fmi", "name"), [("2", "decay.py"), ("3", "decay.py:Decay")])
 def test_a_slave_becomes_an_fmu_that_runs(folder, fmi, name):
     out = folder / "out"
@@ -52,7 +51,6 @@ def decay(request):
     return unpacked_fmu(slave_fmu(SLAVES / "decay.py"), request.param)
 
 
-@own_process
 def test_values_texts_and_states_arrive(decay):
     it = Instance(decay).start({"u": [2.0]})
     assert [it.step(i * 0.01, 0.01) for i in range(3)] == [OK] * 3
@@ -73,7 +71,6 @@ def test_values_texts_and_states_arrive(decay):
     assert it.log == []
 
 
-@own_process
 @pytest.mark.parametrize(
     ("fail", "told"), [(1.0, "RuntimeError: boom 100%"), (2.0, "do_step returned False")]
 )
@@ -90,7 +87,6 @@ def test_a_failure_of_the_slave_is_an_error(decay, fail, told):
     assert "big = 2.5e+09 does not fit an integer" in it.messages()
 
 
-@own_process
 def test_the_hosts_modules_and_path_stay_as_they_are(folder):
     sys.modules["my_helper"] = own = ModuleType("my_helper")
     path, meta = list(sys.path), list(sys.meta_path)
@@ -170,7 +166,6 @@ def peculiar(request, tmp_path_factory):
     return build_fmu(fmu, Target(fmi=request.param))
 
 
-@own_process
 def test_a_slave_may_have_any_names_and_says_why_it_failed(peculiar):
     assert validate_fmu(str(peculiar)) == []
     it = Instance(Unpacked(Fmu(peculiar).folder)).start()
@@ -235,7 +230,6 @@ def fmu(tmp_path):
     return unpacked_fmu(law_fmu(law, interface, (0.0,) * 8))
 
 
-@pytest.mark.own_process
 def test_a_laws_state_restores_every_bit(fmu):
     it, other = Instance(fmu).start(), Instance(fmu).start()
     it.play(0, 10)
@@ -248,7 +242,6 @@ def test_a_laws_state_restores_every_bit(fmu):
         assert one.play(10, 10) == expected
 
 
-@pytest.mark.own_process
 @pytest.mark.parametrize(
     ("switch", "told"),
     [("lock", "self.thing holds a lock"), ("objects", "self.things holds a ndarray")],

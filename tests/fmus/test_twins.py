@@ -41,8 +41,8 @@ def drive(it: Instance, name: str) -> list[list[float]]:
 @pytest.mark.own_process
 @pytest.mark.parametrize(
     ("name", "start"),
-    [("plant", {}), ("controller", {}), ("controller", {"period": [0.005], "ki": [2.0] * 7}),
-     ("trajectory", {})],
+    [("plant", {"block_pos": [0.5, 0.1]}), ("controller", {}),
+     ("controller", {"period": [0.005], "ki": [2.0] * 7}), ("trajectory", {})],
     ids=["plant", "controller", "slow controller", "trajectory"],
 )  # fmt: skip
 def test_fmus_of_either_kind_have_the_same_bits(name, start):
